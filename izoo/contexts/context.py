@@ -1,0 +1,94 @@
+"""One context-MDP: everything that is fixed for an episode, except its seed."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from izoo.contexts.spec import IntersectionSpec
+from izoo.errors import check_choice, check_range
+
+HOURS = ("peak", "off-peak")
+HOUR_FACTOR = {"peak": 0.084, "off-peak": 0.055}
+"""Share of the daily traffic that passes in the hour (spec 2)."""
+FLOW_CAP_VPH_PER_LANE = 900.0
+SEASONS = ("winter", "spring", "summer", "fall")
+ENGINES = ("combustion", "electric")
+CV_VEHICLES = ("paper", "human")
+
+
+@dataclass(frozen=True)
+class Context:
+    """A context: with a seed it determines an episode entirely.
+
+    Attributes:
+        intersection: the roads, their demand and their signals.
+        approach: the only leg with demand (one context-MDP per approach, as in the paper), or ``None`` for all.
+        adoption: share of vehicles that are controlled (CVs), in [0, 1].
+        hour: one of :data:`HOURS`.
+        season: one of :data:`SEASONS`, or ``None`` when the weather was given as numbers.
+        engine: one of :data:`ENGINES`; electric CVs emit nothing, human-driven vehicles stay combustion.
+        temperature_c, humidity_pct: the weather.
+        cv_vehicle: ``paper``: every CV has the published CV parameters when nobody commands it; ``human``: the
+            driver and length that it would have had as a human-driven vehicle.
+        context_id: the catalogue's integer id, or ``None`` for contexts outside the catalogue.
+    """
+
+    intersection: IntersectionSpec
+    approach: str | None = None
+    adoption: float = 1.0 / 3.0
+    hour: str = "peak"
+    season: str | None = "summer"
+    engine: str = "combustion"
+    temperature_c: float = 20.0
+    humidity_pct: float = 46.0
+    cv_vehicle: str = "paper"
+    context_id: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.approach is not None:
+            check_choice(f"approach of {self.intersection.name}", self.approach, self.intersection.approach_names)
+        check_range("adoption", self.adoption, 0.0, 1.0)
+        check_choice("hour", self.hour, HOURS)
+        if self.season is not None:
+            check_choice("season", self.season, SEASONS)
+        check_choice("engine", self.engine, ENGINES)
+        check_choice("cv_vehicle", self.cv_vehicle, CV_VEHICLES)
+        check_range("temperature", self.temperature_c, -60.0, 60.0, "degrees C")
+        check_range("humidity", self.humidity_pct, 0.0, 100.0, "%")
+
+    @property
+    def name(self) -> str:
+        """A short label: the intersection, and the approach where demand enters from one alone."""
+        return self.intersection.name if self.approach is None else f"{self.intersection.name}/{self.approach}"
+
+    @property
+    def demand_approaches(self) -> tuple[str, ...]:
+        """Legs that traffic enters from (those with AADT above zero)."""
+        names = self.intersection.approach_names if self.approach is None else (self.approach,)
+        return tuple(name for name in names if self.flow_vph_per_lane(name) > 0.0)
+
+    def flow_vph_per_lane(self, leg: str) -> float:
+        """Arrivals per main lane of ``leg`` in veh/h: AADT times the hour factor, at most 900 (spec 2)."""
+        approach = self.intersection.leg(leg).approach
+        if approach is None or (self.approach is not None and self.approach != leg):
+            return 0.0
+        return min(approach.aadt_per_lane * HOUR_FACTOR[self.hour], FLOW_CAP_VPH_PER_LANE)
+
+    def replace(self, **changes: Any) -> Context:
+        """Return a copy with some fields changed; a catalogue id survives only if nothing else changed."""
+        if changes and "context_id" not in changes:
+            changes["context_id"] = None
+        return dataclasses.replace(self, **changes)
+
+    @functools.cached_property
+    def content_hash(self) -> str:
+        """SHA-256 over every field but ``context_id`` and the place of the net file."""
+        fields = dataclasses.asdict(self)
+        fields.pop("context_id")
+        fields["intersection"].pop("net_path")
+        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,108 @@
+"""Sets and distributions of contexts (CMDPs), and the order in which episodes visit them.
+
+Episodes are numbered. Which context and seed episode ``e`` gets depends on the base seed and ``e`` alone, so any
+number of workers (worker ``k`` of ``N`` takes episodes ``k``, ``k + N``, ...) visits the same episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from izoo.contexts.context import Context
+from izoo.errors import IzooError
+
+
+class ContextSource(Protocol):
+    """A CMDP: something that contexts can be drawn from."""
+
+    def sample(self, generator: np.random.Generator) -> Context:
+        """Draw one context."""
+        ...
+
+
+class ContextList(Sequence[Context]):
+    """A finite CMDP with a stable order.
+
+    Args:
+        contexts: the contexts; at least one.
+    """
+
+    def __init__(self, contexts: Sequence[Context]) -> None:
+        if len(contexts) == 0:
+            raise IzooError("a set of contexts cannot be empty; check the filter or the path that selected them.")
+        self._contexts = contexts
+
+    def __len__(self) -> int:
+        return len(self._contexts)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        return self._contexts[index]
+
+    def sample(self, generator: np.random.Generator) -> Context:
+        """Draw one context, uniformly."""
+        return self[int(generator.integers(len(self)))]
+
+
+class Schedule(Protocol):
+    """Says which context and seed each numbered episode has."""
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        """Return ``(context, episode seed)`` of episode number ``episode``."""
+        ...
+
+
+def episode_seed(seed: int, episode: int) -> int:
+    """Derive the 63-bit seed of a numbered episode from a base seed."""
+    state = np.random.SeedSequence([seed, episode]).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))
+
+
+class RandomSchedule:
+    """Each episode draws its context from ``source``, independently."""
+
+    def __init__(self, source: ContextSource, seed: int = 0) -> None:
+        self.source, self.seed = source, seed
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        seed = episode_seed(self.seed, episode)
+        return self.source.sample(np.random.default_rng([seed, 1])), seed
+
+
+class RoundRobinSchedule:
+    """Episodes walk through a finite set in its own order, again and again; each visit has a new seed."""
+
+    def __init__(self, contexts: Sequence[Context], seed: int = 0) -> None:
+        self.contexts, self.seed = contexts, seed
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        return self.contexts[episode % len(self.contexts)], episode_seed(self.seed, episode)
+
+
+class FixedSchedule:
+    """A given list of ``(context, seed)`` pairs, repeated from its start when it is used up."""
+
+    def __init__(self, pairs: Sequence[tuple[Context, int]]) -> None:
+        if len(pairs) == 0:
+            raise IzooError("a fixed schedule needs at least one (context, seed) pair.")
+        self.pairs = list(pairs)
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        return self.pairs[episode % len(self.pairs)]
+
+
+class CurriculumSchedule:
+    """The caller chooses: ``choose(episode, generator)`` returns the context of each episode.
+
+    The callback runs in the worker processes, so it must be picklable and must decide from its arguments alone for
+    a run to be reproducible.
+    """
+
+    def __init__(self, choose: Callable[[int, np.random.Generator], Context], seed: int = 0) -> None:
+        self.choose, self.seed = choose, seed
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        seed = episode_seed(self.seed, episode)
+        return self.choose(episode, np.random.default_rng([seed, 1])), seed
