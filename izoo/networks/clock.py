@@ -1,0 +1,116 @@
+"""The fixed-time plan of the main signal, seen from a movement (spec 4).
+
+All tables are indexed by movement ``[P, Q]`` and phase ``[K]``; times count from the beginning of the phase, so the
+clock at time ``t`` is a table entry minus the time already spent in the phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from izoo.errors import IzooError
+
+GREEN, YELLOW, RED = 0, 1, 2
+NEVER_S = 300.0
+"""Reported for a change or a green that never comes (a movement without green, or one that is always green)."""
+_COLOUR = {"G": GREEN, "g": GREEN, "O": GREEN, "o": GREEN, "y": YELLOW, "Y": YELLOW}
+
+
+@dataclass(frozen=True)
+class SignalClock:
+    """Tables of one plan.
+
+    Attributes:
+        cycle_s, offset_s: length of the cycle; when its first phase begins.
+        phase_begin_s: ``[K]`` begin of each phase within the cycle.
+        colour: ``[P, Q, K]`` int8: 0 green (``G`` or ``g``), 1 yellow, 2 red.
+        legal_on_red: ``[P, Q, K]`` bool: crossing on red after a stop is legal (``s``).
+        change_s: ``[P, Q, K]`` from the phase's begin until the colour changes.
+        second_green_s, third_green_s: ``[P, Q, K]`` until the second and third green interval begin; a current green
+            counts as the first.
+        green_s, red_s: ``[P, Q]`` green per cycle, and the rest of the cycle.
+    """
+
+    cycle_s: float
+    offset_s: float
+    phase_begin_s: np.ndarray
+    colour: np.ndarray
+    legal_on_red: np.ndarray
+    change_s: np.ndarray
+    second_green_s: np.ndarray
+    third_green_s: np.ndarray
+    green_s: np.ndarray
+    red_s: np.ndarray
+
+
+def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) -> SignalClock:
+    """Build the tables from the net's ``<tlLogic id="TL">``.
+
+    Args:
+        root: the ``<net>`` element.
+        links: link indices of each movement ``(p, q)`` at the signal.
+        path: name of the file, for messages.
+    """
+    logics = [logic for logic in root.findall("tlLogic") if logic.get("id") == "TL"]
+    if not logics or not logics[0].findall("phase"):
+        raise IzooError(f"{path} has no signal program TL; only intersections with a fixed-time signal can be used.")
+    phases = logics[0].findall("phase")
+    duration = np.array([float(phase.get("duration")) for phase in phases])
+    if not (duration > 0).all():
+        raise IzooError(f"{path}: the signal program TL has a phase without a positive duration; repair the net.")
+    states = [phase.get("state") for phase in phases]
+    width = min(len(state) for state in states)
+    if any(link >= width for indices in links.values() for link in indices):
+        raise IzooError(f"{path}: the signal program TL has fewer states than the junction has links; repair the net.")
+    shape = (1 + max(p for p, _ in links), 1 + max(q for _, q in links)) if links else (0, 0)
+    colour = np.full((*shape, len(phases)), RED, np.int8)
+    legal = np.zeros(colour.shape, bool)
+    for (p, q), indices in links.items():
+        for k, state in enumerate(states):
+            colour[p, q, k] = min(_COLOUR.get(state[link], RED) for link in indices)
+            legal[p, q, k] = any(state[link] == "s" for link in indices)
+    return make_clock(duration, colour, legal, float(logics[0].get("offset", 0.0)))
+
+
+def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndarray, offset_s: float) -> SignalClock:
+    """Derive all tables from phase durations ``[K]`` and colours ``[P, Q, K]``."""
+    begin = np.concatenate([[0.0], np.cumsum(duration_s)[:-1]])
+    change = np.full(colour.shape, NEVER_S)
+    second, third = change.copy(), change.copy()
+    for p in range(colour.shape[0]):
+        for q in range(colour.shape[1]):
+            for k in range(colour.shape[2]):
+                change[p, q, k], greens = _look_ahead(colour[p, q], duration_s, k)
+                second[p, q, k], third[p, q, k] = greens[1], greens[2]
+    green_s = ((colour == GREEN) * duration_s).sum(axis=-1)
+    cycle_s = float(duration_s.sum())
+    return SignalClock(
+        cycle_s=cycle_s,
+        offset_s=offset_s,
+        phase_begin_s=begin,
+        colour=colour,
+        legal_on_red=legal_on_red,
+        change_s=change,
+        second_green_s=second,
+        third_green_s=third,
+        green_s=green_s,
+        red_s=cycle_s - green_s,
+    )
+
+
+def _look_ahead(colour: np.ndarray, duration_s: np.ndarray, k: int) -> tuple[float, list[float]]:
+    """Time from the begin of phase ``k`` to the next colour change and to the first three green intervals."""
+    count = len(duration_s)
+    change, elapsed = NEVER_S, 0.0
+    greens = [0.0] if colour[k] == GREEN else []
+    for step in range(1, 3 * count + 1):
+        elapsed += float(duration_s[(k + step - 1) % count])
+        before, now = colour[(k + step - 1) % count], colour[(k + step) % count]
+        if now != before:
+            change = min(change, elapsed)
+            if now == GREEN:
+                greens.append(elapsed)
+    return change, [*greens[:3], *[NEVER_S] * (3 - len(greens[:3]))]

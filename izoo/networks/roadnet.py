@@ -1,0 +1,380 @@
+"""Reads a SUMO net of one intersection into arrays: lanes of the controlled region, movements, and the signal clock.
+
+Vehicles are located by an integer lane. ``P`` counts approaches (legs with incoming lanes), ``Q`` exits (legs with
+outgoing lanes), ``L`` lanes of the controlled region, ``K`` phases of the main signal. Conventions of the nets are those
+of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and ``AA2A``).
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from defusedxml import ElementTree
+from defusedxml.common import DefusedXmlException
+
+from izoo.errors import IzooError
+from izoo.networks.clock import SignalClock, read_clock
+
+APPROACHING, INSIDE, LEAVING = 0, 1, 2
+RIGHT, STRAIGHT, LEFT = 0, 1, 2
+TURN_OF_DIRECTION = {"r": RIGHT, "R": RIGHT, "s": STRAIGHT, "l": LEFT, "L": LEFT, "t": LEFT}
+_REGION_EDGE = re.compile(r"([A-Z])2TL(?:_intern)?|TL2([A-Z])")
+
+
+@dataclass(frozen=True)
+class RoadNet:
+    """The controlled region of one net; see the module's docstring for the dimensions.
+
+    Attributes:
+        path, sha256: the net file and its digest.
+        approaches: ``P`` leg names with incoming lanes, in letter order.
+        exits: ``Q`` leg names with outgoing lanes, in letter order.
+        incoming_edges: per approach, its edges from outside to the stop line.
+        outgoing_edge: per exit, its edge.
+        sources: per approach, the existing source edges by kind: ``AB`` (from straight on), ``AA`` (turning in).
+        source_lane_count: per approach, lanes of those edges.
+        main_lane_count: ``[P]`` lanes where the approach begins.
+        lane_count: ``[P]`` lanes at the stop line.
+        lane_length_m: ``[P]`` from the beginning of the approach to the stop line.
+        speed_limit_mps: ``[P]``.
+        grade: ``[P]`` mean rise over run towards the stop line.
+        movement_turn: ``[P, Q]`` int8: 0 right, 1 straight, 2 left, -1 where there is no such movement.
+        movement_links: ``[P, Q]`` number of lane connections at the stop line.
+        clock: the fixed-time plan of the main signal, by movement.
+        lane_ids: ``L`` SUMO lane ids.
+        lane_location: ``[L]`` 0 approaching, 1 inside the junction, 2 leaving.
+        lane_edge: ``[L]`` number of the edge; lanes of one edge are neighbours.
+        lane_index: ``[L]`` 0 is the rightmost lane of its edge.
+        lane_siblings: ``[L]`` lanes on the same edge.
+        lane_length: ``[L]`` m.
+        lane_limit_mps: ``[L]``.
+        lane_approach, lane_exit: ``[L]`` -1 where the lane does not tell.
+        lane_offset_m: ``[L]`` path position of the lane's begin: negative before the stop line, distance travelled
+            inside the junction, 0 for leaving lanes (the junction's length is added per vehicle).
+        inside_length_m: ``[L]`` length of the whole way through the junction that an inside lane belongs to.
+        next_lane: ``[L, Q]`` the lane after this one on the way to an exit, -1 where it does not lead there.
+        prev_lane: ``[L, P]`` the lane before this one on the way from an approach, -1 where there is none.
+        lane_right, lane_left: ``[L]`` the neighbouring lane or -1.
+        segment_start: ``[L + 1]`` where a lane's segments begin in the next two arrays.
+        segment_from_m: lane position at which a straight piece of the lane begins.
+        segment_grade_pct: its grade in percent along the driving direction.
+        shapes: ``L`` arrays ``[n, 3]`` of lane geometry in m.
+    """
+
+    path: str
+    sha256: str
+    approaches: tuple[str, ...]
+    exits: tuple[str, ...]
+    incoming_edges: tuple[tuple[str, ...], ...]
+    outgoing_edge: tuple[str, ...]
+    sources: tuple[dict[str, str], ...]
+    source_lane_count: tuple[dict[str, int], ...]
+    main_lane_count: np.ndarray
+    lane_count: np.ndarray
+    lane_length_m: np.ndarray
+    speed_limit_mps: np.ndarray
+    grade: np.ndarray
+    movement_turn: np.ndarray
+    movement_links: np.ndarray
+    clock: SignalClock
+    lane_ids: tuple[str, ...]
+    lane_location: np.ndarray
+    lane_edge: np.ndarray
+    lane_index: np.ndarray
+    lane_siblings: np.ndarray
+    lane_length: np.ndarray
+    lane_limit_mps: np.ndarray
+    lane_approach: np.ndarray
+    lane_exit: np.ndarray
+    lane_offset_m: np.ndarray
+    inside_length_m: np.ndarray
+    next_lane: np.ndarray
+    prev_lane: np.ndarray
+    lane_right: np.ndarray
+    lane_left: np.ndarray
+    segment_start: np.ndarray
+    segment_from_m: np.ndarray
+    segment_grade_pct: np.ndarray
+    shapes: tuple[np.ndarray, ...] = field(repr=False)
+
+
+def read_road(path: str | Path) -> RoadNet:
+    """Read a net file; the last few dozen are kept in memory, keyed by path and modification time.
+
+    Raises:
+        IzooError: the file is missing, is not a SUMO net, or has no signal ``TL`` with incoming and outgoing legs.
+    """
+    path = Path(path)
+    try:
+        stamp = path.stat().st_mtime_ns
+    except OSError as error:
+        raise IzooError(f"cannot read the net {path}: {error.strerror}; give the path of a SUMO net file.") from error
+    return _read_road(str(path), stamp)
+
+
+@functools.lru_cache(maxsize=64)
+def _read_road(path: str, _stamp: int) -> RoadNet:
+    data = Path(path).read_bytes()
+    return _Reader(parse_net(data, path), path, hashlib.sha256(data).hexdigest()).read()
+
+
+def parse_net(data: bytes, path: str | Path) -> Any:
+    """Parse XML of a net, refusing entities and whatever is not a SUMO net."""
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise IzooError(f"{path} is not well-formed XML ({error}); fetch the file again.") from error
+    if root.tag != "net":
+        raise IzooError(f"{path} is not a SUMO net: its root element is <{root.tag}>; a <net> is needed.")
+    return root
+
+
+class _Reader:
+    """Working tables of one read; only :meth:`read` is called from outside."""
+
+    def __init__(self, root: Any, path: str, sha256: str) -> None:
+        self.root, self.path, self.sha256 = root, path, sha256
+        self.edges = {edge.get("id"): edge.findall("lane") for edge in root.findall("edge")}
+        self.connections: dict[tuple[str, int], list[Any]] = defaultdict(list)
+        for connection in root.findall("connection"):
+            self.connections[connection.get("from"), int(connection.get("fromLane"))].append(connection)
+        self.approaches = tuple(sorted(name[0] for name in self.edges if re.fullmatch(r"[A-Z]2TL", name)))
+        self.exits = tuple(sorted(name[3] for name in self.edges if re.fullmatch(r"TL2[A-Z]", name)))
+        if not self.approaches or not self.exits:
+            raise IzooError(
+                f"{path} has no junction TL with incoming edges such as A2TL and outgoing ones such as TL2A; "
+                "only nets in the published dataset's convention can be read."
+            )
+        self.incoming = tuple(
+            tuple(edge for edge in (f"{leg}2TL", f"{leg}2TL_intern") if edge in self.edges) for leg in self.approaches
+        )
+        self.lanes: dict[str, int] = {}
+        self.rows: list[dict[str, Any]] = []
+
+    def read(self) -> RoadNet:
+        for p, edges in enumerate(self.incoming):
+            for edge in edges:
+                self._add_edge(edge, APPROACHING, p, -1)
+        for q, leg in enumerate(self.exits):
+            self._add_edge(f"TL2{leg}", LEAVING, -1, q)
+        turn, links = self._walk_movements()
+        self._walk_splits()
+        next_lane, prev_lane = self._successors()
+        self._approach_offsets()
+        first = [self.edges[edges[0]] for edges in self.incoming]
+        last = [self.edges[edges[-1]] for edges in self.incoming]
+        segments = self._segments()
+        column = self._column
+        right, left = self._neighbours()
+        return RoadNet(
+            path=self.path,
+            sha256=self.sha256,
+            approaches=self.approaches,
+            exits=self.exits,
+            incoming_edges=self.incoming,
+            outgoing_edge=tuple(f"TL2{leg}" for leg in self.exits),
+            sources=tuple(self._sources(leg) for leg in self.approaches),
+            source_lane_count=tuple(
+                {kind: len(self.edges[edge]) for kind, edge in self._sources(leg).items()} for leg in self.approaches
+            ),
+            main_lane_count=np.array([len(lanes) for lanes in first]),
+            lane_count=np.array([len(lanes) for lanes in last]),
+            lane_length_m=np.array([-self.rows[self.lanes[lanes[0].get("id")]]["offset"] for lanes in first]),
+            speed_limit_mps=np.array([float(lanes[0].get("speed")) for lanes in first]),
+            grade=np.array([self._grade(lanes[0]) for lanes in first]),
+            movement_turn=turn,
+            movement_links=links,
+            clock=read_clock(self.root, self._movement_links(), self.path),
+            lane_ids=tuple(self.lanes),
+            lane_location=column("location", np.int8),
+            lane_edge=column("edge", np.int32),
+            lane_index=column("index", np.int32),
+            lane_siblings=column("siblings", np.int32),
+            lane_length=column("length", np.float64),
+            lane_limit_mps=column("limit", np.float64),
+            lane_approach=column("approach", np.int32),
+            lane_exit=column("exit", np.int32),
+            lane_offset_m=column("offset", np.float64),
+            inside_length_m=column("inside", np.float64),
+            next_lane=next_lane,
+            prev_lane=prev_lane,
+            lane_right=right,
+            lane_left=left,
+            segment_start=segments[0],
+            segment_from_m=segments[1],
+            segment_grade_pct=segments[2],
+            shapes=tuple(row["shape"] for row in self.rows),
+        )
+
+    def _column(self, name: str, dtype: Any) -> np.ndarray:
+        return np.array([row[name] for row in self.rows], dtype=dtype)
+
+    def _add_edge(self, edge: str, location: int, approach: int, exit_: int) -> None:
+        lanes = self.edges[edge]
+        number = len({row["edge"] for row in self.rows})
+        for index, lane in enumerate(lanes):
+            self.lanes[lane.get("id")] = len(self.rows)
+            self.rows.append(
+                {
+                    "edge": number,
+                    "index": index,
+                    "siblings": len(lanes),
+                    "location": location,
+                    "approach": approach,
+                    "exit": exit_,
+                    "length": float(lane.get("length")),
+                    "limit": float(lane.get("speed")),
+                    "offset": 0.0,
+                    "inside": 0.0,
+                    "shape": lane_shape(lane),
+                    "next": {},
+                    "prev": {},
+                }
+            )
+
+    def _sources(self, leg: str) -> dict[str, str]:
+        return {kind: f"{leg}{kind[1]}2{leg}" for kind in ("AB", "AA") if f"{leg}{kind[1]}2{leg}" in self.edges}
+
+    def _stop_line_connections(self, p: int) -> list[Any]:
+        edge = self.incoming[p][-1]
+        found = [c for lane in range(len(self.edges[edge])) for c in self.connections[edge, lane]]
+        return [c for c in found if _REGION_EDGE.fullmatch(c.get("to")) and c.get("to")[3:] in self.exits]
+
+    def _movement_links(self) -> dict[tuple[int, int], list[int]]:
+        links: dict[tuple[int, int], list[int]] = defaultdict(list)
+        for p in range(len(self.approaches)):
+            for c in self._stop_line_connections(p):
+                if c.get("tl") == "TL":
+                    links[p, self.exits.index(c.get("to")[3:])].append(int(c.get("linkIndex")))
+        return links
+
+    def _walk_movements(self) -> tuple[np.ndarray, np.ndarray]:
+        """Follow every connection through the junction; register its inside lanes and what comes after what."""
+        turn = np.full((len(self.approaches), len(self.exits)), -1, np.int8)
+        links = np.zeros(turn.shape, np.int64)
+        for p in range(len(self.approaches)):
+            for c in self._stop_line_connections(p):
+                q = self.exits.index(c.get("to")[3:])
+                links[p, q] += 1
+                if turn[p, q] < 0:
+                    turn[p, q] = TURN_OF_DIRECTION.get(c.get("dir"), STRAIGHT)
+                chain = self._chain(c)
+                for lane in chain:
+                    edge = lane.rsplit("_", 1)[0]
+                    if lane not in self.lanes:
+                        self._add_edge(edge, INSIDE, p, q)
+                self._link_chain(c, chain, p, q)
+        if (links.sum(axis=1) == 0).any():
+            leg = self.approaches[int(np.argmin(links.sum(axis=1)))]
+            raise IzooError(f"{self.path}: no lane of the approach {leg}2TL leads across the junction TL; repair the net.")
+        return turn, links
+
+    def _chain(self, connection: Any) -> list[str]:
+        """Ids of the inside lanes that a connection runs over, in order."""
+        chain: list[str] = []
+        via = connection.get("via")
+        while via is not None and via not in chain:
+            chain.append(via)
+            edge, index = via.rsplit("_", 1)
+            onward = self.connections.get((edge, int(index)), [])
+            via = onward[0].get("via") if onward else None
+        return chain
+
+    def _link_chain(self, connection: Any, chain: list[str], p: int, q: int) -> None:
+        start = self.lanes[f"{connection.get('from')}_{connection.get('fromLane')}"]
+        end = self.lanes[f"{connection.get('to')}_{connection.get('toLane')}"]
+        path = [start, *(self.lanes[lane] for lane in chain), end]
+        total = sum(self.rows[lane]["length"] for lane in path[1:-1])
+        offset = 0.0
+        for lane in path[1:-1]:
+            self.rows[lane].update(offset=offset, inside=total)
+            offset += self.rows[lane]["length"]
+        # Of several connections of one lane to one exit the outer loop meets the rightmost target first; it is kept.
+        for before, after in zip(path, path[1:], strict=False):
+            self.rows[before]["next"].setdefault(q, after)
+            self.rows[after]["prev"].setdefault(p, before)
+
+    def _walk_splits(self) -> None:
+        """Register the lanes between the main part of an approach and its pocket part."""
+        for p, edges in enumerate(self.incoming):
+            if len(edges) == 1:
+                continue
+            main, pocket = edges
+            for index in range(len(self.edges[main])):
+                before = self.lanes[f"{main}_{index}"]
+                onward = [c for c in self.connections[main, index] if c.get("to") == pocket]
+                for c in sorted(onward, key=lambda c: abs(int(c.get("toLane")) - index)):
+                    chain = self._chain(c)
+                    for lane in chain:
+                        if lane not in self.lanes:
+                            self._add_edge(lane.rsplit("_", 1)[0], APPROACHING, p, -1)
+                    after = self.lanes[f"{pocket}_{c.get('toLane')}"]
+                    path = [before, *(self.lanes[lane] for lane in chain), after]
+                    for one, two in zip(path, path[1:], strict=False):
+                        self.rows[two]["prev"].setdefault(p, one)
+                        for q in self.rows[after]["next"]:
+                            self.rows[one]["next"].setdefault(q, two)
+
+    def _approach_offsets(self) -> None:
+        for p, edges in enumerate(self.incoming):
+            stop_lanes = [self.lanes[f"{edges[-1]}_{i}"] for i in range(len(self.edges[edges[-1]]))]
+            frontier = stop_lanes
+            for lane in frontier:
+                self.rows[lane]["offset"] = -self.rows[lane]["length"]
+            while frontier:
+                onward = []
+                for lane in frontier:
+                    before = self.rows[lane]["prev"].get(p)
+                    if before is not None and self.rows[before]["offset"] == 0.0:
+                        self.rows[before]["offset"] = self.rows[lane]["offset"] - self.rows[before]["length"]
+                        onward.append(before)
+                frontier = onward
+
+    def _successors(self) -> tuple[np.ndarray, np.ndarray]:
+        next_lane = np.full((len(self.rows), len(self.exits)), -1, np.int32)
+        prev_lane = np.full((len(self.rows), len(self.approaches)), -1, np.int32)
+        for number, row in enumerate(self.rows):
+            for q, lane in row["next"].items():
+                next_lane[number, q] = lane
+            for p, lane in row["prev"].items():
+                prev_lane[number, p] = lane
+        return next_lane, prev_lane
+
+    def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        place = {(row["edge"], row["index"]): number for number, row in enumerate(self.rows)}
+        right = [place.get((row["edge"], row["index"] - 1), -1) for row in self.rows]
+        left = [place.get((row["edge"], row["index"] + 1), -1) for row in self.rows]
+        return np.array(right, np.int32), np.array(left, np.int32)
+
+    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        starts, begins, grades = [0], [], []
+        for row in self.rows:
+            shape = row["shape"]
+            step = np.diff(shape, axis=0)
+            length = np.linalg.norm(step, axis=1)
+            run = np.maximum(np.linalg.norm(step[:, :2], axis=1), 1e-9)
+            # SUMO stretches the drawn lane to its nominal length before it looks up the slope.
+            scale = row["length"] / max(float(length.sum()), 1e-9)
+            begins.append(np.concatenate([[0.0], np.cumsum(length)[:-1]]) * scale)
+            grades.append(100.0 * step[:, 2] / run)
+            starts.append(starts[-1] + len(step))
+        return np.array(starts, np.int32), np.concatenate(begins), np.concatenate(grades)
+
+    @staticmethod
+    def _grade(lane: Any) -> float:
+        shape = lane_shape(lane)
+        run = float(np.linalg.norm(np.diff(shape[:, :2], axis=0), axis=1).sum())
+        return float((shape[-1, 2] - shape[0, 2]) / max(run, 1e-9))
+
+
+def lane_shape(lane: Any) -> np.ndarray:
+    """Geometry ``[n, 3]`` of a ``<lane>`` element in m; a missing height counts as 0."""
+    points = [[float(value) for value in point.split(",")] for point in lane.get("shape").split()]
+    return np.array([point if len(point) == 3 else [*point, 0.0] for point in points])
