@@ -1,0 +1,51 @@
+# `make train` and `make test` work on a fresh machine: they build .venv first, and again only when the dependencies change.
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# The first interpreter of a supported version; `make PYTHON=/path/to/python train` overrides it.
+SUPPORTED := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
+PYTHON ?= $(shell for name in python3.11 python3.12 python3.10 python3 python; do \
+	$$name -c '$(SUPPORTED)' 2>/dev/null && { echo $$name; break; }; done)
+ARGS ?=
+
+.PHONY: help install train test lint typecheck check clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make train      install into .venv if need be and train PPO for a few minutes (ARGS='seed=1 ...' adds options)"
+	@echo "make test       install and run the tests (ARGS='-k name' adds pytest options)"
+	@echo "make check      tests, lint and type check: what CI runs"
+	@echo "make install | lint | typecheck | clean"
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "izoo needs Python 3.10, 3.11 or 3.12; none was found on PATH. \
+	Install one, or name it: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@echo "Installing into $(VENV); the first time takes some minutes (PyTorch and SUMO are large)."
+	$(PYTHON) -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade-strategy only-if-needed -c constraints.txt -e '.[dev]'
+	@touch $@
+
+train: $(STAMP)
+	$(BIN)/python -m izoo.train $(ARGS)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+
+# Type checkers do not see through the package mapping of an editable install, so an installed wheel is checked.
+typecheck: $(STAMP)
+	rm -rf build/typecheck build/lib
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --target build/typecheck .
+	cd build/typecheck && MYPYPATH=. ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
+		--cache-dir ../../.mypy_cache -p izoo
+
+check: test lint typecheck
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,1 @@
+"""Runs: folders, checkpoints, logs, collection and the training loop that every algorithm shares."""
