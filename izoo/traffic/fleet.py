@@ -1,0 +1,97 @@
+"""Which vehicles drive: source type, model year and fuel, from the MOVES default tables of calendar year 2019."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from izoo.emissions.classes import (
+    CLASSES,
+    FUELS,
+    LIGHT_COMMERCIAL_TRUCK,
+    PASSENGER_CAR,
+    PASSENGER_TRUCK,
+    TRANSIT_BUS,
+    moves_class_index,
+)
+from izoo.emissions.tables import read_default_table
+
+CALENDAR_YEAR = 2019
+OLDEST_AGE = 10
+LENGTH_M = {PASSENGER_CAR: 5.0, PASSENGER_TRUCK: 6.0, LIGHT_COMMERCIAL_TRUCK: 7.1, TRANSIT_BUS: 12.0}
+FLEET_TYPES = tuple(LENGTH_M)
+
+CLASS_SOURCE_TYPE = np.array([source_type for _, source_type, _ in CLASSES])
+"""``[99]`` source type of each MOVES class."""
+
+
+@functools.lru_cache(maxsize=1)
+def class_shares() -> np.ndarray:
+    """Return the share of the fleet in each MOVES class, ``[99]`` float64, summing to 1; motorcycles have none.
+
+    Source type by population among the four, times age (model year) by the age distribution of the type, times
+    gasoline or diesel by their shares of the type's model year, renormalised.
+    """
+    shares = np.zeros(len(CLASSES))
+    type_share, age_share, fuel_share = _type_shares(), _age_shares(), _fuel_shares()
+    for source_type in FLEET_TYPES:
+        for age in range(OLDEST_AGE + 1):
+            year = CALENDAR_YEAR - age
+            for fuel in FUELS:
+                share = type_share[source_type] * age_share[source_type, age] * fuel_share[source_type, year, fuel]
+                shares[moves_class_index(year, source_type, fuel)] = share
+    shares /= shares.sum()
+    shares.flags.writeable = False
+    return shares
+
+
+def sample_classes(generator: np.random.Generator, count: int) -> np.ndarray:
+    """Draw MOVES classes, ``[count]`` int64; a longer draw from the same state begins with the shorter one."""
+    cumulative = np.cumsum(class_shares())
+    cumulative /= cumulative[-1]
+    return np.searchsorted(cumulative, generator.random(count), side="right")
+
+
+def lengths_m(source_type: np.ndarray) -> np.ndarray:
+    """Return the vehicle lengths of source types 21, 31, 32 and 42."""
+    table = np.full(max(FLEET_TYPES) + 1, np.nan)
+    table[list(LENGTH_M)] = list(LENGTH_M.values())
+    return table[source_type]
+
+
+def _type_shares() -> dict[int, float]:
+    """Return ``{source_type: share of the population}``."""
+    rows = read_default_table("source_type_population", lambda row: int(row["yearID"]) == CALENDAR_YEAR)
+    population = {int(row["sourceTypeID"]): float(row["sourceTypePopulation"]) for row in rows}
+    total = sum(population[source_type] for source_type in FLEET_TYPES)
+    return {source_type: population[source_type] / total for source_type in FLEET_TYPES}
+
+
+def _age_shares() -> dict[tuple[int, int], float]:
+    """Return ``{(source_type, age): share}`` for ages 0 to 10; 10 stands for everything older too."""
+    shares = {(source_type, age): 0.0 for source_type in FLEET_TYPES for age in range(OLDEST_AGE + 1)}
+    for row in read_default_table("age_distribution", lambda row: row["yearID"] == str(CALENDAR_YEAR)):
+        source_type = int(row["sourceTypeID"])
+        if source_type in FLEET_TYPES:
+            shares[source_type, min(int(row["ageID"]), OLDEST_AGE)] += float(row["ageFraction"])
+    return shares
+
+
+def _fuel_shares() -> dict[tuple[int, int, int], float]:
+    """Return ``{(source_type, model_year, fuel): share}`` among gasoline and diesel of that type and year."""
+    oldest = CALENDAR_YEAR - OLDEST_AGE
+    shares = {
+        (source_type, year, fuel): 0.0
+        for source_type in FLEET_TYPES
+        for year in range(oldest, CALENDAR_YEAR + 1)
+        for fuel in FUELS
+    }
+    for row in read_default_table("sample_vehicle_population", lambda row: row["fuelTypeID"] in ("1", "2")):
+        key = (int(row["sourceTypeID"]), int(row["modelYearID"]), int(row["fuelTypeID"]))
+        if key in shares:
+            shares[key] += float(row["stmyFraction"])
+    totals = {(source_type, year): 0.0 for source_type, year, _ in shares}
+    for (source_type, year, _), share in shares.items():
+        totals[source_type, year] += share
+    return {key: share / totals[key[:2]] for key, share in shares.items()}
