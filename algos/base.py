@@ -1,0 +1,94 @@
+"""What every algorithm has in common: the keys it reads, its networks' shape, and the face it shows the training loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+
+OBSERVATION = ("agents", "observation")
+MASK = ("agents", "mask")
+ACTION = ("agents", "action")
+LOG_PROB = ("agents", "action_log_prob")
+LOC, SCALE = ("agents", "loc"), ("agents", "scale")
+VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
+REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
+
+
+class Algorithm(Protocol):
+    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``."""
+
+    policy: TensorDictModuleBase
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from a batch ``[N, T]`` of consecutive steps.
+
+        Args:
+            batch: what the collector gathered; ``N`` environments, ``T`` steps.
+            progress: share of the run that is over, in [0, 1].
+
+        Returns:
+            Scalars to log, each over valid agent-steps alone.
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that learning needs to go on: tensors, numbers, strings and containers of them."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        ...
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float) -> nn.Sequential:
+    """Return a fully connected network with orthogonal weights and zero biases.
+
+    Args:
+        inputs, hidden, outputs: widths.
+        activation: one of :data:`ACTIVATIONS`.
+        last_gain: gain of the last layer; small values make the initial output nearly independent of the input.
+    """
+    layers: list[nn.Module] = []
+    widths = [inputs, *hidden]
+    for before, after in zip(widths[:-1], widths[1:]):
+        linear = nn.Linear(before, after)
+        nn.init.orthogonal_(linear.weight, gain=2.0**0.5)
+        nn.init.zeros_(linear.bias)
+        layers += [linear, ACTIVATIONS[activation]()]
+    last = nn.Linear(widths[-1], outputs)
+    nn.init.orthogonal_(last.weight, gain=last_gain)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*layers, last)
+
+
+def agent_rows(batch: TensorDictBase, keys: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], Tensor]:
+    """Return the valid entries of per-agent leaves: ``[*B, A, ...]`` becomes ``[rows, ...]``.
+
+    Slots that hold no controlled vehicle never reach a loss, a statistic or a log this way.
+    """
+    mask = batch.get(MASK)
+    return {key: batch.get(key)[mask] for key in keys}
+
+
+def next_values(values: Tensor, boundary: Tensor, boundary_values: Tensor) -> Tensor:
+    """Return the value of each step's successor.
+
+    The successor of a step is the same slot one step later, so only the steps of ``boundary`` (the end of the batch,
+    or of an agent's life) need a value of their own.
+
+    Args:
+        values: ``[N, T, A, 1]`` values of the observations.
+        boundary: ``[N, T, A]`` bool, steps whose successor is not the next entry of the batch.
+        boundary_values: ``[boundary.sum(), 1]`` their successors' values.
+    """
+    shifted = torch.zeros_like(values)
+    shifted[:, :-1] = values[:, 1:]
+    shifted[boundary] = boundary_values
+    return shifted
