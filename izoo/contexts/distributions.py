@@ -1,0 +1,286 @@
+"""Distributions over context features: fixed, list, uniform, weighted; their product; and boxes cut out of it.
+
+Randomness is always a :class:`numpy.random.Generator` that the caller passes in. Finite products enumerate in a stable
+order (the last feature varies fastest) and have a length.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from izoo.errors import IzooError, unknown_choice
+
+Key: TypeAlias = str | tuple[str, ...]
+"""A feature name, or several names whose values are drawn together as one tuple."""
+
+MAX_REJECTIONS = 100_000
+MAX_ENUMERATION = 10_000_000
+PROBABILITY_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Always ``value``."""
+
+    value: Any
+
+    @property
+    def support(self) -> tuple[Any, ...]:
+        """The single value."""
+        return (self.value,)
+
+    def sample(self, generator: np.random.Generator) -> Any:
+        """Return the value; the generator is left alone."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of ``values``, each equally likely."""
+
+    values: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", tuple(self.values))
+        if not self.values:
+            raise IzooError("a list of feature values is empty; give at least one value.")
+
+    @property
+    def support(self) -> tuple[Any, ...]:
+        """The values, in the order given."""
+        return self.values
+
+    def sample(self, generator: np.random.Generator) -> Any:
+        """Draw one value."""
+        return self.values[int(generator.integers(len(self.values)))]
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """One of ``values`` with the given ``probabilities``, which sum to 1."""
+
+    values: tuple[Any, ...]
+    probabilities: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", tuple(self.values))
+        object.__setattr__(self, "probabilities", tuple(float(p) for p in self.probabilities))
+        if not self.values or len(self.values) != len(self.probabilities):
+            counts = f"{len(self.values)} values have {len(self.probabilities)} probabilities"
+            raise IzooError(f"{counts}; give one probability per value, and at least one value.")
+        if not all(0.0 <= p <= 1.0 for p in self.probabilities):
+            raise IzooError(f"probabilities are {list(self.probabilities)}; each must lie in [0, 1].")
+        total = math.fsum(self.probabilities)
+        if abs(total - 1.0) > PROBABILITY_TOLERANCE:
+            raise IzooError(f"probabilities sum to {total:g}; they must sum to 1 (within {PROBABILITY_TOLERANCE:g}).")
+
+    @property
+    def support(self) -> tuple[Any, ...]:
+        """The values whose probability is not 0."""
+        return tuple(value for value, p in zip(self.values, self.probabilities, strict=True) if p > 0.0)
+
+    def sample(self, generator: np.random.Generator) -> Any:
+        """Draw one value."""
+        edges = np.cumsum(self.probabilities)
+        index = int(np.searchsorted(edges, generator.random() * edges[-1], side="right"))
+        return self.values[min(index, len(self.values) - 1)]
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Uniform over the interval from ``low`` to ``high``."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high)):
+            raise IzooError(f"the range [{self.low}, {self.high}] is not finite; both ends must be numbers.")
+        if self.low > self.high:
+            raise IzooError(f"the range [{self.low:g}, {self.high:g}] is upside down; its low end must come first.")
+
+    @property
+    def support(self) -> None:
+        """``None``: the values cannot be enumerated."""
+        return None
+
+    def sample(self, generator: np.random.Generator) -> float:
+        """Draw one number."""
+        return self.low + (self.high - self.low) * float(generator.random())
+
+
+Distribution: TypeAlias = Fixed | Choice | Weighted | Uniform
+
+
+def as_distribution(value: Any) -> Distribution:
+    """Read a feature's setting: a distribution as it is, a list as :class:`Choice`, anything else as :class:`Fixed`."""
+    if isinstance(value, (Fixed, Choice, Weighted, Uniform)):
+        return value
+    if isinstance(value, list):
+        return Choice(tuple(value))
+    return Fixed(value)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A closed box: per feature the interval ``(low, high)``, or the single value, that lies inside.
+
+    Features that are not named are unrestricted.
+    """
+
+    sides: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        if not self.sides:
+            raise IzooError("an exclusion box without any feature would exclude everything; name at least one feature.")
+        for name, side in self.sides.items():
+            if isinstance(side, tuple) and (len(side) != 2 or not side[0] <= side[1]):
+                raise IzooError(f"the side of the box along {name!r} is {side!r}; it must be (low, high), low first.")
+
+    def contains(self, point: Mapping[str, Any]) -> bool:
+        """Say whether ``point`` lies inside, ends included."""
+        return all(_inside(point[name], side) for name, side in self.sides.items())
+
+
+def _inside(value: Any, side: Any) -> bool:
+    if isinstance(side, tuple):
+        return bool(side[0] <= value <= side[1])
+    return bool(value == side)
+
+
+@dataclass(frozen=True)
+class Product:
+    """Independent features, minus boxes; features under one tuple key are drawn together.
+
+    Args:
+        features: per feature name (or tuple of names) a distribution, a list, or a fixed value.
+        exclude: boxes that no drawn or enumerated point lies in; the rest keeps its relative probabilities.
+    """
+
+    features: Mapping[Key, Any]
+    exclude: tuple[Box, ...] = ()
+    _kept: np.ndarray | None = field(init=False, repr=False, compare=False, default=None)
+
+    def __post_init__(self) -> None:
+        features = {key: as_distribution(value) for key, value in self.features.items()}
+        object.__setattr__(self, "features", features)
+        object.__setattr__(self, "exclude", tuple(self.exclude))
+        names = self.names
+        if len(set(names)) != len(names):
+            raise IzooError(f"features {list(names)} name one feature twice; give each feature one distribution.")
+        for key, distribution in features.items():
+            _check_tuples(key, distribution)
+        for box in self.exclude:
+            for name in box.sides:
+                if name not in names:
+                    raise unknown_choice("feature of an exclusion box", name, names)
+        if self.exclude and not self._any_point_left():
+            raise IzooError(f"the exclusion {[dict(box.sides) for box in self.exclude]} leaves nothing; shrink a box.")
+        if self.exclude and self.is_finite:
+            object.__setattr__(self, "_kept", self._kept_indices())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All feature names, in order."""
+        keys = ((key,) if isinstance(key, str) else key for key in self.features)
+        return tuple(itertools.chain.from_iterable(keys))
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every feature has finitely many values."""
+        return all(distribution.support is not None for distribution in self.features.values())
+
+    def sample(self, generator: np.random.Generator) -> dict[str, Any]:
+        """Draw one point, outside every box."""
+        for _ in range(MAX_REJECTIONS):
+            point = _flatten({key: distribution.sample(generator) for key, distribution in self.features.items()})
+            if not any(box.contains(point) for box in self.exclude):
+                return point
+        raise IzooError(f"{MAX_REJECTIONS} draws in a row fell into an exclusion box; shrink the box.")
+
+    def __len__(self) -> int:
+        if not self.is_finite:
+            names = [key for key, distribution in self.features.items() if distribution.support is None]
+            raise IzooError(f"features {names} are intervals, so the product has no length; give lists instead.")
+        return math.prod(self._shape()) if self._kept is None else len(self._kept)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside a product of {len(self)} points.")
+        index %= len(self)
+        return self._point(index if self._kept is None else int(self._kept[index]))
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (self[index] for index in range(len(self)))
+
+    def interval_ends(self) -> Product:
+        """Return the finite product in which each interval is replaced by its two ends."""
+        ends = {
+            key: Choice((value.low, value.high)) if isinstance(value, Uniform) else value
+            for key, value in self.features.items()
+        }
+        return Product(ends, self.exclude)
+
+    def _shape(self) -> tuple[int, ...]:
+        return tuple(len(distribution.support) for distribution in self.features.values())
+
+    def _point(self, flat: int) -> dict[str, Any]:
+        values = {}
+        for key, distribution in reversed(list(self.features.items())):
+            flat, digit = divmod(flat, len(distribution.support))
+            values[key] = distribution.support[digit]
+        return _flatten({key: values[key] for key in self.features})
+
+    def _kept_indices(self) -> np.ndarray:
+        count = math.prod(self._shape())
+        if count > MAX_ENUMERATION:
+            raise IzooError(f"a finite product with exclusions has {count} points; at most {MAX_ENUMERATION} work.")
+        kept = [index for index in range(count) if not any(box.contains(self._point(index)) for box in self.exclude)]
+        return np.asarray(kept, dtype=np.int64)
+
+    def _any_point_left(self) -> bool:
+        """Cut intervals at the faces of the boxes and look for one cell that no box covers."""
+        cells = {key: self._cells(key, distribution) for key, distribution in self.features.items()}
+        for values in itertools.product(*cells.values()):
+            point = _flatten(dict(zip(cells, values, strict=True)))
+            if not any(box.contains(point) for box in self.exclude):
+                return True
+        return False
+
+    def _cells(self, key: Key, distribution: Distribution) -> Sequence[Any]:
+        """Values that stand for every way in which ``key`` can lie inside or outside the boxes."""
+        if not isinstance(distribution, Uniform):
+            return distribution.support
+        faces = {distribution.low, distribution.high}
+        for box in self.exclude:
+            side = box.sides.get(key) if isinstance(key, str) else None
+            if isinstance(side, tuple):
+                faces.update(face for face in side if distribution.low <= face <= distribution.high)
+        edges = sorted(faces)
+        if len(edges) == 1:
+            return edges
+        return [(low + high) / 2.0 for low, high in itertools.pairwise(edges)]
+
+
+def _flatten(values: Mapping[Key, Any]) -> dict[str, Any]:
+    point: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(key, str):
+            point[key] = value
+        else:
+            point.update(zip(key, value, strict=True))
+    return point
+
+
+def _check_tuples(key: Key, distribution: Distribution) -> None:
+    if isinstance(key, str):
+        return
+    for value in distribution.support or (None,):
+        if not isinstance(value, tuple) or len(value) != len(key):
+            raise IzooError(f"{value!r} is not a value for {key!r}; features drawn together need tuples of {len(key)}.")

@@ -1,0 +1,48 @@
+import pytest
+
+from izoo.contexts.features import ACTS_ON, BY_NAME, FEATURES, OBSERVED, check_observed, feature, scales
+from izoo.errors import IzooError
+
+
+def test_observed_features_have_the_documented_order():
+    assert (
+        *("adoption", "green_s", "red_s", "temperature_c", "humidity_pct", "engine"),
+        *("lane_count", "lane_length_m", "speed_limit_mps"),
+    ) == OBSERVED
+
+
+def test_declarations_are_consistent():
+    assert len(BY_NAME) == len(FEATURES)
+    for declared in FEATURES:
+        assert declared.low < declared.high
+        assert declared.acts_on in ACTS_ON
+        assert declared.observed == (declared.scale > 0)
+        assert declared.default is None or declared.low <= declared.default <= declared.high
+
+
+def test_selection_comes_back_in_canonical_order():
+    assert check_observed(["engine", "adoption"]) == ("adoption", "engine")
+    assert scales(["speed_limit_mps", "green_s"]) == (100.0, 15.0)
+    assert feature("lane_length_m").scaled(500.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    "name", ["driver_aggressiveness", "fleet", "arrivals", "turning", "offset_s", "grade", "inflow_vph_per_lane"]
+)
+def test_unobserved_features_are_refused_with_the_reason(name):
+    with pytest.raises(IzooError, match=f"'{name}' cannot be observed: .+ Observable features: adoption"):
+        check_observed([name])
+    with pytest.raises(IzooError, match="no place in an observation"):
+        feature(name).scaled(1.0)
+
+
+def test_unknown_and_repeated_names_are_refused():
+    with pytest.raises(IzooError, match="Did you mean 'green_s'"):
+        check_observed(["greens"])
+    with pytest.raises(IzooError, match="once"):
+        check_observed(["engine", "engine"])
+
+
+def test_values_out_of_bounds_are_named():
+    with pytest.raises(IzooError, match=r"adoption is 1.5; it must lie in \[0, 1\]"):
+        feature("adoption").check(1.5)
