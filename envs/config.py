@@ -1,0 +1,120 @@
+"""Settings of an environment: what it simulates, what a CV observes, how it is paid, what is emitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from izoo.contexts.features import OBSERVED, check_observed
+from izoo.errors import IzooError, check_choice, check_range
+
+ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
+NEIGHBOURS = ("leader", "follower", "left_leader", "left_follower", "right_leader", "right_follower")
+EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weights of the reward (spec 7).
+
+    ``r_i = (eta * fleet mean of x_j + (1 - eta) * x_i + safety * min TTC) / scale`` with
+    ``x = v + alpha * stopped + beta * e - comfort * |a_t| - realism * |a_t - a_{t-1}|``, where ``v`` is in m/s, ``e`` in
+    g of CO2 per step, and ``stopped`` is 1 below ``tau_mps`` (or ``(tau - v) / tau`` there with ``soft_stop``).
+
+    Attributes:
+        eta: share of the fleet mean; 1 pays every CV the same.
+        alpha, beta: weight of stopping and of emission.
+        tau_mps: below this speed a vehicle counts as stopped.
+        scale: the sum is divided by it.
+        soft_stop: the released code's softened stop term instead of the paper's indicator.
+        comfort, realism: weights of the comfort and the kinematic-realism term.
+        safety: weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.
+    """
+
+    eta: float = 1.0
+    alpha: float = -35.0
+    beta: float = -3.0
+    tau_mps: float = 1.0
+    scale: float = 15.0
+    soft_stop: bool = False
+    comfort: float = 0.0
+    realism: float = 0.0
+    safety: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_range("reward.eta", self.eta, 0.0, 1.0)
+        check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
+        check_range("reward.scale", self.scale, 1e-6, 1e9)
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Everything about an environment that is not the context.
+
+    Attributes:
+        step_s: length of a simulation step.
+        horizon_s: length of an episode, warm-up included (spec 9: 1,000 s; 500 s is the paper's "1000 steps").
+        warmup_s: time at the start in which nothing is controlled or measured.
+        num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
+        num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
+        num_approaches: rows ``P`` of the per-approach metrics.
+        observed: context features that a CV observes, a subset of the observed ones of spec 2.
+        neighbours: which of the six neighbouring vehicles a CV sees.
+        sensor_range_m: neighbours farther than this (bumper to bumper) count as absent; ``None``: the whole region.
+        lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).
+        reward: weights of the reward.
+        emit: groups of keys that are emitted besides ``agents``: any of ``vehicles``, ``signal``, ``context``,
+            ``metrics``, ``reward_vector``. Fewer groups make stepping and storage cheaper.
+        recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
+        watchdog_s: a worker that does not answer for this long is replaced.
+        gui: open sumo-gui (one environment, in this process).
+    """
+
+    step_s: float = 0.5
+    horizon_s: float = 1000.0
+    warmup_s: float = 25.0
+    num_agents: int = 64
+    num_vehicles: int = 256
+    num_approaches: int = 6
+    observed: tuple[str, ...] = OBSERVED
+    neighbours: tuple[str, ...] = NEIGHBOURS
+    sensor_range_m: float | None = None
+    lane_change: bool = False
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    emit: tuple[str, ...] = ("vehicles", "signal", "context", "metrics")
+    recycle_episodes: int = 1000
+    watchdog_s: float = 60.0
+    gui: bool = False
+
+    def __post_init__(self) -> None:
+        # Hydra hands over lists; tuples keep the config hashable.
+        for name in ("observed", "neighbours", "emit"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_observed(self.observed)
+        for name in self.neighbours:
+            check_choice("neighbour", name, NEIGHBOURS)
+        for name in self.emit:
+            check_choice("emit group", name, EMIT_GROUPS)
+        check_range("step_s", self.step_s, 0.05, 1.0, "s")
+        check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
+        check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
+        check_range("num_agents", self.num_agents, 1, 4096)
+        check_range("num_vehicles", self.num_vehicles, 1, 8192)
+        check_range("num_approaches", self.num_approaches, 1, 26)
+        check_range("recycle_episodes", self.recycle_episodes, 1, 10**9)
+        check_range("watchdog_s", self.watchdog_s, 0.1, 86400.0, "s")
+        if self.sensor_range_m is not None:
+            check_range("sensor_range_m", self.sensor_range_m, 1.0, 1e5, "m")
+        if self.horizon_s <= self.warmup_s:
+            raise IzooError(
+                f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one."
+            )
+
+    @property
+    def warmup_steps(self) -> int:
+        """Steps in which nothing is controlled or measured."""
+        return round(self.warmup_s / self.step_s)
+
+    @property
+    def control_steps(self) -> int:
+        """Steps of an episode as the policy sees it: the horizon without the warm-up."""
+        return round(self.horizon_s / self.step_s) - self.warmup_steps

@@ -1,0 +1,184 @@
+"""The one door to SUMO: starts, loads, steps and reads one libsumo simulation in this process.
+
+Vehicle names stop here in one sense: everything above this module holds them only to hand them back. A vehicle's name
+is its number in the demand, as a decimal string.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from izoo.errors import IzooError
+
+SUMO_VERSION = "1.28.0"
+_CHECK_ALL = 31  # speed mode: safe speed, own acceleration and deceleration limits, right of way, red lights
+_INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
+
+# libsumo runs one simulation per process; this says which session has it.
+_owner: SumoSession | None = None
+
+
+def import_libsumo() -> Any:
+    """Import libsumo after checking that it and ``eclipse-sumo`` are there in one version.
+
+    Raises:
+        IzooError: one of them is missing, or their versions differ.
+    """
+    versions = {}
+    for package in ("libsumo", "eclipse-sumo"):
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            raise IzooError(f"{package} is not installed; run: {_INSTALL}") from None
+    if len(set(versions.values())) != 1:
+        found = " and ".join(f"{package} {version}" for package, version in versions.items())
+        raise IzooError(f"{found} do not match; both must be of one version. Run: {_INSTALL}")
+    import sumo
+
+    os.environ.setdefault("SUMO_HOME", sumo.SUMO_HOME)
+    import libsumo
+
+    return libsumo
+
+
+def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float) -> list[str]:
+    """Options of an episode; ``sumo`` itself run with them does exactly what an uncommanded environment does."""
+    return [
+        *("--net-file", str(net), "--route-files", str(routes)),
+        *("--step-length", f"{step_s:g}", "--seed", str(seed % 2**31)),
+        *("--time-to-teleport", "-1", "--default.speeddev", "0"),
+        # Contact of the bodies counts as a collision, not a gap below minGap.
+        *("--collision.action", "warn", "--collision.check-junctions", "true", "--collision.mingap-factor", "0"),
+        *("--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true"),
+        *("--xml-validation", "never", "--xml-validation.net", "never", "--xml-validation.routes", "never"),
+    ]
+
+
+class SumoSession:
+    """A libsumo simulation; the first :meth:`load` of a process starts SUMO, later ones re-use it."""
+
+    def __init__(self, gui: bool = False) -> None:
+        self._gui = gui
+        self._running = False
+
+    def load(self, arguments: Sequence[str]) -> None:
+        """Begin an episode.
+
+        Raises:
+            IzooError: SUMO cannot load the files, or another environment of this process holds libsumo.
+        """
+        global _owner
+        libsumo = import_libsumo()
+        if _owner is not None and _owner is not self:
+            raise IzooError(
+                "libsumo holds one simulation per process, and another environment of this process is using it; "
+                "close() that one first, or use izoo.envs.SumoParallelEnv to run several."
+            )
+        try:
+            if self._running:
+                libsumo.load(list(arguments))
+            else:
+                program = "sumo-gui" if self._gui else "sumo"
+                extra = ["--start", "true", "--quit-on-end", "true"] if self._gui else []
+                libsumo.start([program, *arguments, *extra])
+        except Exception as error:
+            self._running = False
+            _owner = None
+            raise IzooError(f"SUMO could not load the simulation: {error}") from error
+        _owner, self._running = self, True
+        self._bind(libsumo)
+
+    def _bind(self, libsumo: Any) -> None:
+        """Look the functions of the inner loop up once; the flat ones save a Python call per value."""
+        flat, vehicle = libsumo._libsumo, libsumo.vehicle
+        self._lane = getattr(flat, "vehicle_getLaneID", vehicle.getLaneID)
+        self._position = getattr(flat, "vehicle_getLanePosition", vehicle.getLanePosition)
+        self._speed = getattr(flat, "vehicle_getSpeed", vehicle.getSpeed)
+        self._signals = getattr(flat, "vehicle_getSignals", vehicle.getSignals)
+        self._set_speed = getattr(flat, "vehicle_setSpeed", vehicle.setSpeed)
+        self._acceleration = vehicle.getAcceleration
+        self._free_speed = vehicle.getSpeedWithoutTraCI
+        self._change_lane = vehicle.changeLaneRelative
+        self._on_edge = libsumo.edge.getLastStepVehicleIDs
+        self._simulation = libsumo.simulation
+        self._vehicle = vehicle
+        self._advance = libsumo.simulationStep
+
+    def advance(self) -> None:
+        """Simulate one step."""
+        self._advance()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self._simulation.getTime())
+
+    def arrived(self) -> Sequence[str]:
+        """Vehicles that reached the end of their route in the last step."""
+        return self._simulation.getArrivedIDList()
+
+    def on_edge(self, edge: str) -> Sequence[str]:
+        """Vehicles on an edge."""
+        return self._on_edge(edge)
+
+    def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
+        """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""
+        lane_of, position_of, speed_of, signals_of = self._lane, self._position, self._speed, self._signals
+        n = len(names)
+        return (
+            np.fromiter([lane_numbers[lane_of(name)] for name in names], np.int64, n),
+            np.fromiter([position_of(name) for name in names], np.float64, n),
+            np.fromiter([speed_of(name) for name in names], np.float64, n),
+            np.fromiter([signals_of(name) for name in names], np.int64, n),
+        )
+
+    def acceleration(self, name: str) -> float:
+        """Acceleration of the last step in m/s^2."""
+        return float(self._acceleration(name))
+
+    def free_speed(self, name: str) -> float:
+        """Speed in m/s that SUMO itself would have chosen in the last step."""
+        return float(self._free_speed(name))
+
+    def command_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
+        """Command a speed for the next step; SUMO's safety checks stay on. A negative speed gives control back."""
+        set_speed = self._set_speed
+        for name, speed in zip(names, speeds_mps, strict=True):
+            set_speed(name, speed)
+
+    def take_lane_changes(self, name: str) -> None:
+        """Let SUMO change this vehicle's lane only where its route needs it; commands obey safety gaps."""
+        self._vehicle.setLaneChangeMode(name, 0b001000000001)
+
+    def change_lane(self, name: str, steps_left: int, duration_s: float) -> None:
+        """Ask for a change by one lane (positive: to the left)."""
+        self._change_lane(name, steps_left, duration_s)
+
+    def check_all_speeds(self, name: str) -> None:
+        """Keep every speed check on for a vehicle that will be commanded."""
+        self._vehicle.setSpeedMode(name, _CHECK_ALL)
+
+    def collisions(self) -> list[tuple[str, str]]:
+        """Return ``(rear vehicle, other vehicle)`` of the collisions of the last step."""
+        return [(c.collider, c.victim) for c in self._simulation.getCollisions()]
+
+    def waiting(self) -> Sequence[str]:
+        """Vehicles that wait to enter the network."""
+        return self._simulation.getPendingVehicles()
+
+    def close(self) -> None:
+        """End the simulation and give libsumo back to the process."""
+        global _owner
+        if self._running:
+            import libsumo
+
+            libsumo.close()
+            self._running = False
+        if _owner is self:
+            _owner = None
