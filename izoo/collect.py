@@ -1,0 +1,54 @@
+"""``python -m izoo.collect``: store what a policy experiences as memory-mapped TensorDicts; :func:`load` opens them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo import cli
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+
+def load(folder: Path | str) -> TensorDictBase:
+    """Open a collected data set without reading it into memory.
+
+    Args:
+        folder: what ``out=`` named.
+
+    Returns:
+        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
+    """
+    from izoo.training.dataset import load as load_dataset
+
+    return load_dataset(folder)
+
+
+def _load() -> tuple[type, Callable[[Any, frozenset[str]], object]]:
+    from izoo.conf.options import CollectConfig
+    from izoo.training.dataset import collect
+
+    return CollectConfig, collect
+
+
+COMMAND = cli.Command(
+    name="collect",
+    summary="Store what a policy experiences as a memory-mapped TensorDict, for offline learning.",
+    examples=(
+        "izoo.collect policy=random frames=20000 out=DIR",
+        "izoo.collect policy=runs/RUN frames=100000 out=DIR contexts=dataset contexts.path=DATASET",
+    ),
+    load=_load,
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    return cli.run(COMMAND, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

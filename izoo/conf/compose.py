@@ -1,0 +1,139 @@
+"""From command-line words to a validated dataclass: Hydra composes, and everything it would refuse is explained here."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import resources
+from typing import Any, TypeVar
+
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from izoo.conf.build import from_mapping
+from izoo.errors import IzooError, unknown_choice
+
+T = TypeVar("T")
+CONFIG_MODULE = "izoo.conf"
+
+
+def choices() -> dict[str, tuple[str, ...]]:
+    """Return the option groups and what each may be, for example ``{"algo": ("ppo", "ppo_paper"), ...}``."""
+    folders = [entry for entry in resources.files(CONFIG_MODULE).iterdir() if entry.is_dir()]
+    groups = {
+        folder.name: tuple(sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".yaml")))
+        for folder in folders
+    }
+    return {name: groups[name] for name in sorted(groups) if groups[name]}
+
+
+def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
+    """Parse ``option=value`` words; values that Hydra's grammar cannot read, such as odd paths, are taken literally.
+
+    Raises:
+        IzooError: a word is not of that form, or lists several values outside a multirun.
+    """
+    parser = OverridesParser.create()
+    overrides = []
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals and not key.startswith("~"):
+            raise IzooError(f"{word!r} is not of the form option=value; --help lists the options.")
+        try:
+            override = parser.parse_override(word)
+        except HydraException:
+            escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+            try:
+                override = parser.parse_override(f"{key}='{escaped}'")
+            except HydraException:
+                raise IzooError(f"cannot read {word!r}; options are written option=value.") from None
+        if override.is_sweep_override() and not multirun:
+            raise IzooError(f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\".")
+        overrides.append(override)
+    return overrides
+
+
+def check_names(config_name: str, overrides: Sequence[Override]) -> None:
+    """Raise :class:`IzooError` for an unknown option or choice, naming the legal ones and the nearest."""
+    groups = choices()
+    chosen = [override for override in overrides if override.key_or_group in groups]
+    for override in chosen:
+        for value in _values(override):
+            if value not in groups[override.key_or_group]:
+                raise unknown_choice(override.key_or_group, value, groups[override.key_or_group])
+    # A sweep over a group is checked against its first choice: the options of the others differ in the algorithm's own.
+    words = [f"{override.key_or_group}={_values(override)[0]}" for override in chosen]
+    with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
+        skeleton = compose(config_name=config_name, overrides=words)
+    for override in overrides:
+        if override not in chosen and not override.key_or_group.startswith("hydra"):
+            _check_key(skeleton, override.key_or_group)
+
+
+def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
+    """Compose ``<config_name>.yaml`` with ``option=value`` words and return it as the dataclass ``cls``.
+
+    Raises:
+        IzooError: an option or choice is unknown, or a value is refused.
+    """
+    overrides = parse(words)
+    check_names(config_name, overrides)
+    try:
+        with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
+            composed = compose(config_name=config_name, overrides=[override.input_line for override in overrides])
+    except (HydraException, OmegaConfBaseException) as error:
+        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
+    return to_dataclass(composed, cls)
+
+
+def to_dataclass(composed: DictConfig, cls: type[T]) -> T:
+    """Return a composed configuration as the dataclass ``cls``."""
+    try:
+        values = OmegaConf.to_container(composed, resolve=True)
+    except OmegaConfBaseException as error:
+        raise IzooError(f"an option cannot be resolved: {str(error).splitlines()[0]}") from error
+    return from_mapping(cls, values)  # type: ignore[arg-type]
+
+
+def clear() -> None:
+    """Forget Hydra's global state, so that a command can be run again in the same process."""
+    GlobalHydra.instance().clear()
+
+
+def _values(override: Override) -> list[str]:
+    if override.is_sweep_override():
+        return list(override.sweep_string_iterator())
+    return [str(override.value())]
+
+
+def _check_key(skeleton: DictConfig, key: str) -> None:
+    node: Any = skeleton
+    path: list[str] = []
+    for part in key.split("."):
+        if not isinstance(node, Mapping) or part not in node:
+            legal = [".".join([*path, str(name)]) for name in node] if isinstance(node, Mapping) else [".".join(path)]
+            raise _unknown_option(key, legal, list(_paths(skeleton)))
+        path.append(part)
+        node = node[part]
+
+
+def _unknown_option(key: str, legal: Sequence[str], everything: Sequence[str]) -> IzooError:
+    """Name the legal options beside ``key``, and the nearest of all: by its full path, or by its last part."""
+    by_leaf = {path.rsplit(".", 1)[-1]: path for path in reversed(everything)}
+    leaf = difflib.get_close_matches(key.rsplit(".", 1)[-1], by_leaf, n=1, cutoff=0.75)
+    close = difflib.get_close_matches(key, [*legal, *everything], n=1, cutoff=0.8) or [by_leaf[name] for name in leaf]
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    return IzooError(f"unknown option {key!r}; choose one of: {', '.join(legal)}.{hint}")
+
+
+def _paths(node: Any, prefix: str = "") -> Iterator[str]:
+    for name in node:
+        path = f"{prefix}{name}"
+        yield path
+        if isinstance(node[name], Mapping):
+            yield from _paths(node[name], f"{path}.")

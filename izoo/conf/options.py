@@ -1,0 +1,158 @@
+"""Options of ``python -m izoo.train`` and ``python -m izoo.collect``, as frozen dataclasses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, Union
+
+from izoo.algos.ppo import PPOConfig
+from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.envs.config import EnvConfig
+from izoo.errors import check_range
+
+AlgoConfig = Union[PPOConfig]
+
+
+@dataclass(frozen=True)
+class CollectorConfig:
+    """How environments are stepped.
+
+    Attributes:
+        name: ``parallel``: worker processes step together, the policy runs in this process; ``multisync``: one process
+            per environment runs the policy as well; ``single``: one environment, in this process.
+    """
+
+    name: Literal["parallel", "single", "multisync"] = "parallel"
+
+
+@dataclass(frozen=True)
+class LoggerConfig:
+    """Where metrics go besides ``metrics.csv``, which is always written.
+
+    Attributes:
+        name: ``csv`` (nothing else), ``wandb`` (offline and silent where no key is set) or ``tensorboard``.
+        project: the project's name in Weights & Biases.
+    """
+
+    name: Literal["csv", "wandb", "tensorboard"] = "csv"
+    project: str = "izoo"
+
+
+@dataclass(frozen=True)
+class CheckpointConfig:
+    """When the state of a run is saved.
+
+    Attributes:
+        every_batches: batches between two checkpoints; one is always written at the end.
+        keep: how many of the newest checkpoints are kept.
+    """
+
+    every_batches: int = 5
+    keep: int = 3
+
+    def __post_init__(self) -> None:
+        check_range("checkpoint.every_batches", self.every_batches, 1, 10**9)
+        check_range("checkpoint.keep", self.keep, 1, 10**6)
+
+
+@dataclass(frozen=True)
+class BriefEvaluationConfig:
+    """The comparison with human driving that ends a training run.
+
+    Attributes:
+        contexts: how many contexts are drawn for it; 0 leaves it out.
+        seeds: paired episodes per context, 3 or more.
+    """
+
+    contexts: int = 2
+    seeds: int = 3
+
+    def __post_init__(self) -> None:
+        check_range("evaluation.contexts", self.contexts, 0, 10**6)
+        check_range("evaluation.seeds", self.seeds, 3, 10**6)
+
+
+def training_env() -> EnvConfig:
+    """Return the environment that training uses: learners need no vehicles, and fewer leaves are faster."""
+    return EnvConfig(emit=("metrics",))
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Options of a training run.
+
+    Attributes:
+        algo: the algorithm and its hyper-parameters.
+        contexts: which contexts episodes are drawn from.
+        env: the environment.
+        collector: how environments are stepped.
+        logger: where metrics go besides the CSV.
+        checkpoint: when the run's state is saved.
+        evaluation: the comparison that ends the run.
+        seed: base seed: episodes, drivers, network weights, exploration.
+        num_workers: environments, each in a process of its own (but for ``collector=single``).
+        total_frames: environment steps of the whole run, over all workers.
+        run_dir: folder of the run; null: ``runs/<date-time>-<algo>-seed<seed>`` in the current folder.
+        resume: folder of a run to go on with; its own options are used, except ``total_frames`` and ``num_workers``
+            where given.
+    """
+
+    algo: AlgoConfig = field(default_factory=PPOConfig)
+    contexts: ContextsConfig = field(default_factory=PcgContexts)
+    env: EnvConfig = field(default_factory=training_env)
+    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    logger: LoggerConfig = field(default_factory=LoggerConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
+    seed: int = 0
+    num_workers: int = 2
+    total_frames: int = 195_000
+    run_dir: str | None = None
+    resume: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        check_range("num_workers", self.num_workers, 1, 1024)
+        check_range("total_frames", self.total_frames, 1, 10**12)
+        for name in ("run_dir", "resume"):
+            _make_absolute(self, name)
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """Options of a data collection.
+
+    Attributes:
+        policy: ``random``, ``uncommanded`` (every controlled vehicle is left to IDM), or the folder of a training run.
+        frames: environment steps to store.
+        out: a new or empty folder for the data.
+        contexts: which contexts episodes are drawn from.
+        env: the environment, and with ``env.emit`` what is stored.
+        shard_frames: steps per file set; a shard is written whole or not at all.
+        seed: base seed: episodes, drivers, exploration.
+        num_workers: environments, each in a process of its own.
+    """
+
+    policy: str = "random"
+    frames: int = 10_000
+    out: str | None = None
+    contexts: ContextsConfig = field(default_factory=PcgContexts)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    shard_frames: int = 10_000
+    seed: int = 0
+    num_workers: int = 2
+
+    def __post_init__(self) -> None:
+        check_range("frames", self.frames, 1, 10**12)
+        check_range("shard_frames", self.shard_frames, 1, 10**9)
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        check_range("num_workers", self.num_workers, 1, 1024)
+        _make_absolute(self, "out")
+
+
+def _make_absolute(config: object, name: str) -> None:
+    """Resolve a path against the folder the command was given in, so that the saved options hold anywhere."""
+    value = getattr(config, name)
+    if value is not None:
+        object.__setattr__(config, name, str(Path(value).expanduser().absolute()))
