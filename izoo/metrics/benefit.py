@@ -1,0 +1,161 @@
+"""Benefit against human driving, paired and gated (spec 10).
+
+A row of a table is one approach in one episode: the keys :data:`PAIR`, the sums of
+:mod:`izoo.metrics.definitions`, and what describes the context. Policy and baseline rows are paired by context, seed
+and approach: same demand, same drivers, same arrival times. Only then does a policy that changes nothing keep its
+throughput for certain; unpaired, it would fall below the baseline's about half the time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from izoo.errors import IzooError
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.metrics.scores import require_columns
+
+PAIR = ("context_hash", "seed", "approach")
+"""What a policy row and its baseline row agree on."""
+DESCRIPTION = ("context", "intersection", "city", "demand", "engine", "adoption", "volume_over_capacity")
+"""Columns of the context that are carried along."""
+GATES = ("exact", "tested")
+SIGNIFICANCE = 0.05
+
+
+def student_t_below(t: float, degrees: int) -> float:
+    """Probability that Student's t with ``degrees`` (an integer of 1 or more) lies below ``t``.
+
+    The finite series of Abramowitz and Stegun 26.7.3 and 26.7.4, exact for integer degrees of freedom.
+    """
+    theta = math.atan2(t, math.sqrt(degrees))
+    cos2 = math.cos(theta) ** 2
+    odd = degrees % 2 == 1
+    term, total = 1.0, 0.0
+    for k in range(degrees // 2):
+        total += term
+        term *= cos2 * ((2 * k + 2) / (2 * k + 3) if odd else (2 * k + 1) / (2 * k + 2))
+    inside = 2.0 / math.pi * (theta + math.sin(theta) * math.cos(theta) * total) if odd else math.sin(theta) * total
+    return 0.5 * (1.0 + inside)
+
+
+def fall_p_value(difference: Sequence[float] | NDArray[np.float64]) -> float:
+    """One-sided paired t-test: the p-value of "the mean difference (policy - baseline) is not below 0".
+
+    Args:
+        difference: ``[S]``, one per seed. Without variance there is nothing to estimate: no difference gives 1, and
+            one and the same fall in every seed gives 0. A single seed is judged by its sign.
+    """
+    d = np.asarray(difference, dtype=np.float64)
+    centre, spread = float(d.mean()), float(d.std(ddof=1)) if d.size > 1 else 0.0
+    if spread == 0.0:
+        return 0.0 if centre < 0.0 else 1.0
+    return student_t_below(centre / (spread / math.sqrt(d.size)), d.size - 1)
+
+
+def pair(policy: pd.DataFrame, baseline: pd.DataFrame) -> pd.DataFrame:
+    """Join policy rows with their baseline rows on :data:`PAIR`; columns get ``_policy`` and ``_baseline``.
+
+    Raises:
+        IzooError: where a policy row has no baseline row, or keys repeat.
+    """
+    for table in (policy, baseline):
+        require_columns(table, (*PAIR, *DESCRIPTION, *APPROACH_METRICS))
+        if table.duplicated(list(PAIR)).any():
+            raise IzooError("an evaluation table holds a (context, seed, approach) twice; give one policy at a time.")
+    left = policy[[*PAIR, *DESCRIPTION, *APPROACH_METRICS]]
+    right = baseline[[*PAIR, *APPROACH_METRICS]]
+    joined = left.merge(right, on=list(PAIR), how="left", suffixes=("_policy", "_baseline"), indicator="found")
+    lost = joined[joined["found"] != "both"]
+    if len(lost):
+        first = lost.iloc[0]
+        raise IzooError(
+            f"{len(lost)} row(s) have no baseline, the first: context {first['context']}, seed {first['seed']}; "
+            "evaluate the baseline on the same contexts and seeds."
+        )
+    return joined.drop(columns="found")
+
+
+def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float = SIGNIFICANCE) -> pd.DataFrame:
+    """Compare a policy with its baseline, approach by approach.
+
+    Args:
+        policy, baseline: rows of one policy each; see the module's docstring.
+        significance: of the tested gate.
+
+    Returns:
+        One row per (context, approach): ``seeds`` (pairs), ``emission_policy_g``, ``emission_baseline_g`` (g per
+        vehicle, means over the seeds in which both are defined), ``throughput_*`` (vehicles, means over all seeds),
+        ``throughput_benefit``, ``throughput_p``, ``benefit_ungated``, and per gate ``gated_*`` and ``benefit_*``;
+        ``waiting_*``, ``unfinished_*``, ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``: why the
+        row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
+        A benefit is NaN in left-out rows only; where nothing crossed under the policy it is 0.
+    """
+    joined = pair(policy, baseline)
+    rows = [
+        {**dict(zip(("context_hash", "approach"), key, strict=True)), **_compare(group)}
+        for key, group in joined.groupby(["context_hash", "approach"], sort=False)
+    ]
+    table = pd.DataFrame(rows)
+    counts = table["left_out"] == ""
+    falls = {
+        "exact": counts & (table["throughput_policy"] < table["throughput_baseline"]),
+        "tested": counts & (table["throughput_p"] < significance),
+    }
+    for gate, fell in falls.items():
+        # With demand from all approaches a fall on one of them zeroes the whole intersection.
+        anywhere = fell.groupby(table["context_hash"]).transform("any")
+        gated = fell.where(table["demand"] == "one", anywhere) & counts
+        table[f"gated_{gate}"] = gated
+        table[f"benefit_{gate}"] = table["benefit_ungated"].mask(gated, 0.0).mask(~counts)
+    return table
+
+
+def _compare(group: pd.DataFrame) -> dict[str, object]:
+    """Numbers of one (context, approach) over its seeds; ``group`` is a part of :func:`pair`'s result."""
+    result: dict[str, object] = {column: group[column].iloc[0] for column in DESCRIPTION}
+    emission = {}
+    for side in ("policy", "baseline"):
+        crossed = group[f"crossed_{side}"].to_numpy(float)
+        safe = np.where(crossed > 0, crossed, np.nan)
+        emission[side] = group[f"emission_g_{side}"].to_numpy(float) / safe
+        result[f"throughput_{side}"] = float(crossed.mean())
+        for column in ("waiting", "unfinished"):
+            result[f"{column}_{side}"] = float(group[f"{column}_{side}"].mean())
+        collisions = group[f"collisions_cv_{side}"] + group[f"collisions_hdv_{side}"]
+        result[f"collisions_{side}"] = float(collisions.mean())
+    both = ~np.isnan(emission["policy"]) & ~np.isnan(emission["baseline"])
+    for side in ("policy", "baseline"):
+        result[f"emission_{side}_g"] = float(emission[side][both].mean()) if both.any() else math.nan
+    arrivals = group[["entered_policy", "entered_baseline", "waiting_baseline"]].to_numpy(float)
+    crossed_baseline = float(group["crossed_baseline"].sum())
+    change = (group["crossed_policy"] - group["crossed_baseline"]).to_numpy(float)
+    result["left_out"] = "no traffic" if not arrivals.any() else "" if crossed_baseline else "nobody crossed"
+    result["seeds"] = len(group)
+    result["emission_seeds"] = int(both.sum())
+    result["throughput_p"] = fall_p_value(change)
+    result["throughput_benefit"] = float(change.sum()) / crossed_baseline if crossed_baseline else math.nan
+    policy_g, baseline_g = float(emission["policy"][both].sum()), float(emission["baseline"][both].sum())
+    result["benefit_ungated"] = 1.0 - policy_g / baseline_g if baseline_g > 0.0 else 0.0
+    result["saturated"] = bool(group["waiting_baseline"].sum() > 0) or bool(result["volume_over_capacity"] > 1.0)  # type: ignore[operator]
+    return result
+
+
+def emission_pairs(table: pd.DataFrame, gate: str) -> NDArray[np.float64]:
+    """``[N, 2]``: g per vehicle under the policy and the baseline, the baseline's own where the approach is gated.
+
+    A row in which the policy let nobody cross in any seed counts as gated: it has no emission to show.
+    """
+    kept = ~table[f"gated_{gate}"].to_numpy(bool) & table["emission_policy_g"].notna().to_numpy()
+    baseline = table["emission_baseline_g"].fillna(0.0).to_numpy(float)
+    return np.stack([np.where(kept, table["emission_policy_g"].to_numpy(float), baseline), baseline], axis=1)
+
+
+def ratio_of_sums(pairs: NDArray[np.float64]) -> float:
+    """``1 - sum(policy) / sum(baseline)`` over ``[N, 2]``; the form of the published figures. 0 over nothing."""
+    policy, baseline = pairs.sum(axis=0)
+    return float(1.0 - policy / baseline) if baseline > 0.0 else 0.0
