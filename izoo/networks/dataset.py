@@ -104,11 +104,11 @@ def find_intersections(path: Path | str) -> list[Path]:
         IzooError: ``path`` does not exist, is an unfinished import, or holds no intersection folders.
     """
     path = _existing(path)
-    if (path / NET_FILE).exists() or (path / INFLOW_FILE).exists():
-        return [path]
     for holder in (path, *path.parents):
         if (holder / MARKER).exists():
             raise IzooError(f"the import into {holder} did not finish; run the import again before reading it.")
+    if _holds_intersection(path):
+        return [path]
     children = _subfolders(path)
     if any(_holds_intersection(child) for child in children):
         return children

@@ -1,0 +1,206 @@
+"""Import of folders and archives, with hostile ones among them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from izoo.errors import IzooError
+from izoo.networks import importing
+from izoo.networks.dataset import load_dataset
+from izoo.networks.importing import import_dataset
+from tests.networks.test_dataset import NET, write
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """Two usable intersections and three broken folders."""
+    folder = tmp_path / "salt-lake-city"
+    write(folder / "10", inflows="0\n0\n0\n")
+    write(folder / "9", inflows="1000\n0\n0\n")
+    write(folder / "11", NET[:-30], "1\n1\n1\n")
+    write(folder / "12", inflows="1\n")
+    (folder / "13").mkdir()
+    (folder / "summary.csv").write_text("a,b\n")
+    return folder
+
+
+def pack(path: Path, members: dict[str, str | bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return path
+
+
+def tree(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+
+
+def test_copies_the_usable_folders_and_says_why_others_are_not(tmp_path: Path, source: Path) -> None:
+    target, seen = tmp_path / "target", []
+    report = import_dataset(source, target, progress=lambda done, total: seen.append((done, total)))
+    assert [row.intersection for row in report.usable] == ["9", "10"]
+    assert set(report.unusable) == {f"salt-lake-city/{name}" for name in ("11", "12", "13")}
+    assert "not well-formed" in report.unusable["salt-lake-city/11"]
+    assert "1 lines for the 3 legs" in report.unusable["salt-lake-city/12"]
+    assert "no net.net.xml" in report.unusable["salt-lake-city/13"]
+    assert ".staging" not in str(report) and seen == [(k, 5) for k in range(1, 6)]
+    assert tree(target) == {
+        "index.csv",
+        "manifest.json",
+        "salt-lake-city",
+        *(f"salt-lake-city/{k}{name}" for k in (9, 10) for name in ("", "/net.net.xml", "/inflows.txt")),
+    }
+    with (target / "index.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["city"], row["approaches"], row["with_demand"]) for row in rows] == [
+        ("salt_lake_city", "A", "A"),
+        ("salt_lake_city", "A", ""),
+    ]
+    assert json.loads((target / "manifest.json").read_text())["intersections"] == 2
+    (context,) = load_dataset(target)
+    assert context.name == "salt-lake-city/9/A" and context.intersection.city == "salt_lake_city"
+
+
+def test_zip_and_folder_give_the_same_import(tmp_path: Path, source: Path) -> None:
+    names = [path for path in source.rglob("*") if path.is_file()]
+    members = {path.relative_to(tmp_path).as_posix(): path.read_bytes() for path in names}
+    archive = pack(tmp_path / "download.zip", {**members, "salt-lake-city/13/": b"", "__MACOSX/9/net.net.xml": b"x"})
+    zipped, plain = import_dataset(archive, tmp_path / "one"), import_dataset(source, tmp_path / "two")
+    assert zipped.usable == plain.usable and zipped.unusable == plain.unusable
+    assert tree(tmp_path / "one") == tree(tmp_path / "two")
+
+
+def test_a_single_intersection_and_an_archive_without_a_top_folder(tmp_path: Path, source: Path) -> None:
+    import_dataset(source / "9", tmp_path / "one")
+    assert (tmp_path / "one" / "salt-lake-city" / "9" / "net.net.xml").is_file()
+    flat = pack(tmp_path / "atlanta.zip", {"5/net.net.xml": NET, "5/inflows.txt": "1\n1\n1\n"})
+    assert import_dataset(flat, tmp_path / "two").usable[0].city == "atlanta"
+
+
+@pytest.mark.parametrize(
+    "name", ["../evil.txt", "salt/../../evil.txt", "/evil.txt", "C:/evil.txt", "..\\evil.txt", "\\evil.txt"]
+)
+def test_names_that_leave_the_target_are_refused(tmp_path: Path, name: str) -> None:
+    archive = pack(tmp_path / "x.zip", {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n", name: "evil"})
+    with pytest.raises(IzooError, match="would lie outside"):
+        import_dataset(archive, tmp_path / "target")
+    assert tree(tmp_path) == {"x.zip"}
+
+
+def test_symbolic_links_are_refused(tmp_path: Path, source: Path) -> None:
+    link = zipfile.ZipInfo("t/1/net.net.xml")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(tmp_path / "x.zip", "w") as file:
+        file.writestr(link, "/etc/passwd")
+    with pytest.raises(IzooError, match="symbolic link"):
+        import_dataset(tmp_path / "x.zip", tmp_path / "target")
+    (source / "9" / "inflows.txt").unlink()
+    (source / "9" / "inflows.txt").symlink_to(source / "10" / "inflows.txt")
+    report = import_dataset(source, tmp_path / "target")
+    assert "symbolic link" in report.unusable["salt-lake-city/9"]
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / "held").mkdir()
+    (tmp_path / "held" / ".staging").symlink_to(elsewhere)
+    with pytest.raises(IzooError, match="symbolic link"):
+        import_dataset(source, tmp_path / "held")
+    assert tree(elsewhere) == set()
+
+
+def test_bombs_are_refused(tmp_path: Path) -> None:
+    good: dict[str, str | bytes] = {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"}
+    with pytest.raises(IzooError, match="would unpack from"):
+        import_dataset(pack(tmp_path / "a.zip", {**good, "t/notes": bytes(80 * 1024**2)}), tmp_path / "a")
+    large = pack(tmp_path / "b.zip", {**good, "t/2/net.net.xml": b" " * (17 * 1024**2), "t/2/inflows.txt": "1"})
+    assert "larger than 16 MiB" in import_dataset(large, tmp_path / "b").unusable["t/2"]
+    entity = '<!DOCTYPE net [<!ENTITY a "' + "a" * 99 + '">]>' + NET.replace('speed="13.41"', 'speed="&a;"')
+    bomb = pack(tmp_path / "c.zip", {**good, "t/2/net.net.xml": entity, "t/2/inflows.txt": "1\n1\n1\n"})
+    assert "EntitiesForbidden" in import_dataset(bomb, tmp_path / "c").unusable["t/2"]
+
+
+def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
+    (tmp_path / "x.zip").write_bytes(b"not a zip")
+    with pytest.raises(IzooError, match="neither a folder nor a readable zip"):
+        import_dataset(tmp_path / "x.zip", tmp_path / "target")
+    with pytest.raises(IzooError, match="does not exist"):
+        import_dataset(tmp_path / "y.zip", tmp_path / "target")
+    with pytest.raises(IzooError, match="holds no intersection folders"):
+        import_dataset(pack(tmp_path / "z.zip", {"readme": "hello"}), tmp_path / "target")
+    path = pack(tmp_path / "w.zip", {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"})
+    data = bytearray(path.read_bytes())
+    data[100:140] = bytes(40)
+    path.write_bytes(data)
+    with pytest.raises(IzooError, match="none of the 1 folders"):
+        import_dataset(path, tmp_path / "target")
+    assert not (tmp_path / "target").exists()
+
+
+def test_other_files_in_the_target_are_safe(tmp_path: Path, source: Path) -> None:
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / "thesis.tex").write_text("years of work")
+    with pytest.raises(IzooError, match=r"holds other files \(thesis\.tex\)"):
+        import_dataset(source, target)
+    assert tree(target) == {"thesis.tex"}
+    with pytest.raises(IzooError, match="within each other"):
+        import_dataset(source, source / "target")
+
+
+def test_an_earlier_import_is_replaced_whole(tmp_path: Path, source: Path) -> None:
+    target = tmp_path / "target"
+    import_dataset(source, target)
+    other = pack(tmp_path / "atlanta.zip", {"5/net.net.xml": NET, "5/inflows.txt": "1\n1\n1\n"})
+    import_dataset(other, target)
+    assert [row["dataset"] for row in csv.DictReader((target / "index.csv").open())] == ["atlanta"]
+    assert not (target / "salt-lake-city").exists()
+
+
+def test_an_interrupted_import_leaves_no_trace_or_is_refused(
+    tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "target"
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_dataset(source, target, progress=stop)
+    assert not target.exists()
+    import_dataset(source, target)
+    before = tree(target)
+    with pytest.raises(KeyboardInterrupt):
+        import_dataset(source, target, progress=stop)
+    assert tree(target) == before and len(load_dataset(target)) == 1
+
+    real = importing._write
+
+    def write_until_the_manifest(path: Path, staging: Path, data: bytes) -> None:
+        if path.name == "manifest.json":
+            raise OSError("disk full")
+        real(path, staging, data)
+
+    monkeypatch.setattr(importing, "_write", write_until_the_manifest)
+    with pytest.raises(OSError, match="disk full"):
+        import_dataset(source, target)
+    for path in (target, target / "salt-lake-city", target / "salt-lake-city" / "9"):
+        with pytest.raises(IzooError, match="did not finish"):
+            load_dataset(path)
+    monkeypatch.undo()
+    import_dataset(source, target)
+    assert tree(target) == before and len(load_dataset(target)) == 1
+
+
+def test_a_killed_import_is_discarded_by_the_next(tmp_path: Path, source: Path) -> None:
+    staged = tmp_path / "target" / ".staging" / "salt-lake-city" / "99"
+    staged.mkdir(parents=True)
+    (staged / "net.net.xml").write_text("<net")
+    with pytest.raises(IzooError, match="holds no intersection folders"):
+        load_dataset(tmp_path / "target")
+    import_dataset(source, tmp_path / "target")
+    assert not staged.exists() and len(load_dataset(tmp_path / "target")) == 1
