@@ -1,1 +1,32 @@
-"""Room: envs."""
+"""Environments: cooperative eco-driving on SUMO as TorchRL environments.
+
+- :class:`EcoDrivingEnv`: one intersection, in this process.
+- :class:`SumoParallelEnv`: several, each in a worker process.
+- :class:`EnvConfig`, :class:`RewardConfig`: their settings.
+
+Names are loaded when first used, so that worker processes do not pay for torch.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from izoo.envs.config import EnvConfig, RewardConfig
+    from izoo.envs.env import EcoDrivingEnv
+    from izoo.envs.parallel import SumoParallelEnv
+
+_HOME = {
+    "EcoDrivingEnv": "env",
+    "EnvConfig": "config",
+    "RewardConfig": "config",
+    "SumoParallelEnv": "parallel",
+}
+__all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -6,6 +6,7 @@ number of workers (worker ``k`` of ``N`` takes episodes ``k``, ``k + N``, ...) v
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -106,3 +107,32 @@ class CurriculumSchedule:
     def __call__(self, episode: int) -> tuple[Context, int]:
         seed = episode_seed(self.seed, episode)
         return self.choose(episode, np.random.default_rng([seed, 1])), seed
+
+
+def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule, seed: int) -> Schedule:
+    """Return the schedule that ``contexts`` stands for.
+
+    A schedule stays itself; one context is played again and again; from a source or a sequence, each episode draws
+    anew. ``seed`` is the base seed of the episodes.
+    """
+    if isinstance(contexts, Context):
+        return RoundRobinSchedule([contexts], seed)
+    if hasattr(contexts, "sample"):
+        return RandomSchedule(contexts, seed)
+    if isinstance(contexts, Sequence):
+        return RandomSchedule(ContextList(contexts), seed)
+    if callable(contexts):
+        return contexts
+    raise IzooError(
+        f"contexts is a {type(contexts).__name__}; give a Context, a sequence of them, a source with sample(generator), "
+        "or a schedule that maps an episode number to (context, seed)."
+    )
+
+
+def reseed(schedule: Schedule, seed: int) -> Schedule:
+    """Return the schedule with another base seed; a fixed schedule, which has none, stays as it is."""
+    if not hasattr(schedule, "seed"):
+        return schedule
+    schedule = copy.copy(schedule)
+    schedule.seed = seed  # type: ignore[attr-defined]
+    return schedule

@@ -1,0 +1,144 @@
+"""The environment: one intersection on libsumo, in this process, as a TorchRL environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase
+
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import ProceduralSource
+from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
+from izoo.emissions.weights import load_weights
+from izoo.envs import specs
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import frame_bytes, map_frames, observation_names
+from izoo.envs.simulator import Simulator
+from izoo.errors import IzooError
+
+Contexts = Context | Sequence[Context] | ContextSource | Schedule
+
+
+class EcoDrivingBase(EnvBase):
+    """Specs and frames, shared by the single and the parallel environment.
+
+    Args:
+        contexts: what is played: a context, a sequence or a source to draw from, or a schedule; the default draws from
+            the procedural training ranges of the systematicity protocol.
+        config: settings of the environment.
+        seed: base seed; with an episode's number it determines the episode's context and seed.
+        batch_size: ``[]`` or ``[N]``.
+        buffer: memory for the frames.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self, contexts: Contexts | None, config: EnvConfig | None, seed: int, batch_size: list[int], buffer: Any
+    ) -> None:
+        super().__init__(device=None, batch_size=torch.Size(batch_size))
+        self.config = config = config or EnvConfig()
+        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
+        self.frames = map_frames(buffer, config, *(batch_size or [1]))
+        views = self.frames if batch_size else {name: array[0] for name, array in self.frames.items()}
+        self.reader = specs.FrameReader(config, views, self.batch_size)
+        self.observation_names = observation_names(config)
+        self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
+        self.observation_spec = specs.observation_spec(config, self.batch_size)
+        self.action_spec = specs.action_spec(config, self.batch_size)
+        self.reward_spec = specs.reward_spec(config, self.batch_size)
+        self.done_spec = specs.done_spec(config, self.batch_size)
+        if "context" in config.emit:
+            self.state_spec = specs.Composite(context=specs.context_spec(self.batch_size), shape=self.batch_size)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.schedule = reseed(self.schedule, seed)
+
+    def _next_frame(self) -> TensorDict:
+        columns = self.reader.observation()
+        columns["agents"]._set_str("reward", self.reader.reward(), validated=True, inplace=False, non_blocking=False)
+        return TensorDict._new_unsafe(columns, batch_size=self.batch_size)
+
+    def _first_frame(self) -> TensorDict:
+        return TensorDict._new_unsafe(self.reader.observation(), batch_size=self.batch_size)
+
+
+class EcoDrivingEnv(EcoDrivingBase):
+    """One intersection; SUMO starts at the first reset.
+
+    Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule, so any number of environments play
+    the same episodes. ``reset(TensorDict({("context", "episode"): ...}))`` plays a given episode again; ``reset(
+    context=..., seed=...)`` plays any context.
+
+    Emits (``A`` agent slots, ``V`` vehicle slots; masks say which slots hold something):
+
+    - ``("agents", "observation")`` ``[A, F]`` (names in :attr:`observation_names`), ``("agents", "mask")`` ``[A]``,
+      ``("agents", "vehicle")`` ``[A]``, ``("agents", "reward")`` ``[A, 1]``, and per-agent and root done, terminated and
+      truncated.
+    - with the groups of ``config.emit``: ``("vehicles", ...)`` ``[V]``, ``("signal", ...)``, ``("context", ...)`` ``[1]``,
+      ``("metrics", "approach", ...)`` ``[P]`` and ``("metrics", "episode", ...)`` ``[1]``, final at the last step.
+
+    A CV that leaves the region is terminated (value zero); at the horizon everyone still present is truncated
+    (bootstrap). The episode's ``return`` is the sum over steps of the mean reward over the agents that acted.
+    """
+
+    def __init__(
+        self,
+        contexts: Contexts | None = None,
+        *,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+        worker: int = 0,
+        num_workers: int = 1,
+    ) -> None:
+        config = config or EnvConfig()
+        super().__init__(contexts, config, seed, [], bytearray(frame_bytes(config, 1)))
+        self._episode, self._stride = worker, num_workers
+        self._simulator: Simulator | None = None
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulator behind this environment (created when first needed)."""
+        if self._simulator is None:
+            frame = {name: array[0] for name, array in self.frames.items()}
+            self._simulator = Simulator(self.config, frame, load_weights())
+        return self._simulator
+
+    def _reset(
+        self,
+        tensordict: TensorDictBase | None = None,
+        *,
+        context: Context | None = None,
+        seed: int | None = None,
+        **_: Any,
+    ) -> TensorDictBase:
+        requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
+        if requested is not None:
+            episode = int(requested)
+        else:
+            episode = self._episode
+            self._episode += self._stride
+        planned, planned_seed = self.schedule(episode) if context is None else (context, 0)
+        self.simulator.reset(planned, planned_seed if seed is None else seed, episode)
+        return self._first_frame()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self._simulator is None or self._simulator.road is None:
+            raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
+        self.reader.write_action(tensordict)
+        self._simulator.step()
+        return self._next_frame()
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """End SUMO; the process can then open another environment."""
+        if self._simulator is not None:
+            self._simulator.close()
+            self._simulator = None
+        if not self.is_closed:
+            super().close(raise_if_closed=raise_if_closed)
+
+
