@@ -81,7 +81,7 @@ def test_cv_vehicle_decides_the_parameters_of_cvs_only():
     human = sample_traffic(make_context(adoption=0.5, cv_vehicle="human"), ROAD, 3, 900.0)
     baseline = sample_traffic(make_context(adoption=0.0), ROAD, 3, 900.0)
     published = np.array(list(PAPER_CV.values()))
-    assert (rows(paper, paper.is_cv, DRIVER).T == published).all()
+    assert (published == rows(paper, paper.is_cv, DRIVER).T).all()
     assert_same(human, baseline, [name for name in COLUMNS if name != "is_cv"])
     assert_same(human, paper, ["is_cv", "moves_class", "source_type"])
 
