@@ -45,7 +45,10 @@ from izoo.envs.layout import (
 from izoo.envs.sumo import SumoSession, sumo_arguments
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS
-from izoo.networks.build import build_net
+try:
+    from izoo.networks.build import build_net
+except ImportError:
+    def build_net(s): return s.net_path
 from izoo.networks.roadnet import RoadNet, read_road
 from izoo.traffic.episode import Traffic, sample_traffic, write_routes
 

@@ -1,0 +1,173 @@
+"""Several environments at once: one worker process each, one batch, one wait per step."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import weakref
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl._utils import logger
+
+from izoo.emissions.weights import load_weights
+from izoo.envs.config import EnvConfig
+from izoo.envs.env import Contexts, EcoDrivingBase
+from izoo.envs.layout import frame_bytes
+from izoo.envs.worker import Worker, WorkerLost, shared_memory_file
+from izoo.errors import IzooError
+
+
+class SumoParallelEnv(EcoDrivingBase):
+    """``N`` intersections, each simulated by a process of its own; batch size ``[N]``.
+
+    It offers what TorchRL's ``ParallelEnv`` does and replaces its inside: workers write their frames into shared arrays,
+    the parent sleeps while it waits, and a worker that dies or hangs is replaced alone: its step is reported as
+    truncated, with the observation it last had, and the others do not notice. Workers start at the first reset.
+
+    Args:
+        num_workers: ``N``.
+        contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` workers share the schedule.
+        first_episode: number of the first episode, for runs that continue.
+    """
+
+    def __init__(
+        self,
+        num_workers: int = 2,
+        contexts: Contexts | None = None,
+        *,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+        first_episode: int = 0,
+    ) -> None:
+        if num_workers < 1:
+            raise IzooError(f"num_workers is {num_workers}; one worker or more is needed.")
+        config = config or EnvConfig()
+        if config.gui:
+            raise IzooError("env.gui works with one environment only; use EcoDrivingEnv (collector=single).")
+        self._memory = shared_memory_file(frame_bytes(config, num_workers))
+        super().__init__(contexts, config, seed, [num_workers], mmap.mmap(self._memory, 0))
+        self.num_workers = num_workers
+        self.restarts = 0
+        self._next_episode = np.arange(num_workers) + first_episode
+        self._workers: list[Worker | None] = [None] * num_workers
+        self._started = False
+        self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
+
+    def episodes_begun(self) -> int:
+        """How many episodes of the schedule have been handed out; a continued run starts from there."""
+        return int(self._next_episode.min())
+
+    def _worker(self, index: int) -> Worker:
+        worker = self._workers[index]
+        if worker is not None and worker.episodes >= self.config.recycle_episodes:
+            worker.close()
+            worker = None
+        if worker is None:
+            setup = (self.config, index, self.num_workers, load_weights())
+            worker = self._workers[index] = Worker(self._memory, setup, self.config.watchdog_s)
+        return worker
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+        requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        chosen = range(self.num_workers) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()
+        plan = {}
+        for index in chosen:
+            if requested is not None:
+                plan[index] = int(requested[index])
+            else:
+                plan[index] = int(self._next_episode[index])
+                self._next_episode[index] += self.num_workers
+        self._begin_episodes(plan)
+        return self._first_frame()
+
+    def _begin_episodes(self, plan: dict[int, int]) -> None:
+        """Start the planned episodes ``{worker: episode}`` side by side; a worker lost meanwhile gets a second try."""
+        for attempt in range(2):
+            lost = {}
+            for index, episode in plan.items():
+                try:
+                    self._worker(index).reset(*self.schedule(episode), episode)
+                except WorkerLost as error:
+                    lost[index] = error
+            failures = self._collect([index for index in plan if index not in lost], lost)
+            if failures:
+                raise failures[0]
+            for index, error in lost.items():
+                if attempt == 1:
+                    raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {error}")
+                self._replace(index, error)
+            plan = {index: plan[index] for index in lost}
+        self._started = True
+
+    def _collect(self, waiting: list[int], lost: dict[int, WorkerLost]) -> list[Exception]:
+        """Wait for every worker, whatever happens to the others, so that none is left with an unread answer."""
+        failures: list[Exception] = []
+        for index in waiting:
+            try:
+                self._workers[index].wait()  # type: ignore[union-attr]
+            except WorkerLost as error:
+                lost[index] = error
+            except (IzooError, RuntimeError) as error:
+                failures.append(error)
+        return failures
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if not self._started:
+            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
+        self.reader.write_action(tensordict)
+        lost: dict[int, WorkerLost] = {}
+        waiting = []
+        for index, worker in enumerate(self._workers):
+            try:
+                worker.step()  # type: ignore[union-attr]
+                waiting.append(index)
+            except WorkerLost as error:
+                lost[index] = error
+        failures = self._collect(waiting, lost)
+        if failures:
+            raise failures[0]
+        for index, error in lost.items():
+            self._replace(index, error)
+            self._truncate(index, tensordict)
+        return self._next_frame()
+
+    def _replace(self, index: int, reason: Exception) -> None:
+        logger.warning("simulation worker %d is replaced: %s", index, reason)
+        worker = self._workers[index]
+        if worker is not None:
+            worker.kill()
+        self._workers[index] = None
+        self.restarts += 1
+        self._worker(index)
+
+    def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
+        """Report a lost step: the state before it, truncated, without reward."""
+        row = {name: array[index] for name, array in self.frames.items()}
+        row["observation"][:] = tensordict.get(("agents", "observation"))[index].numpy()
+        row["mask"][:] = tensordict.get(("agents", "mask"))[index].numpy()
+        row["agent_vehicle"][:] = tensordict.get(("agents", "vehicle"))[index].numpy()
+        row["agent_truncated"][:] = row["mask"]
+        row["agent_terminated"][:] = 0
+        row["reward"][:] = 0.0
+        row["reward_vector"][:] = 0.0
+        row["terminated"][:] = 0
+        row["truncated"][:] = 1
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """End all workers."""
+        self._finalizer()
+        self._started = False
+        if not self.is_closed:
+            super().close(raise_if_closed=raise_if_closed)
+
+
+def _close(workers: list[Worker | None], memory: int) -> None:
+    for index, worker in enumerate(workers):
+        if worker is not None:
+            worker.close()
+            workers[index] = None
+    os.close(memory)

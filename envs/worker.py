@@ -1,0 +1,177 @@
+"""The process behind one row of a :class:`~izoo.envs.parallel.SumoParallelEnv`, and the parent's handle on it.
+
+Frames travel through memory that both map; the socket carries one byte per step, and a pickled message at the start and
+at each reset. Only izoo's own values are ever pickled. A worker ends by itself when its parent is gone, because the
+socket then closes, and nothing that it maps has a name in the file system.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import pickle
+import socket
+import struct
+import subprocess
+import sys
+import traceback
+from typing import Any
+
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import map_frames
+from izoo.errors import IzooError
+
+STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
+DONE, FAILED = b"k", b"e"
+_STARTUP_S = 60.0
+_LENGTH = struct.Struct("!Q")
+
+
+class WorkerLost(Exception):
+    """A worker process has ended, or has not answered in time."""
+
+
+def shared_memory_file(size: int) -> int:
+    """Return a descriptor of ``size`` bytes of anonymous memory that child processes can map."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("izoo-frames")
+    else:
+        import tempfile
+
+        with tempfile.TemporaryFile() as file:
+            descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, size)
+    return descriptor
+
+
+class Worker:
+    """Parent's handle on one worker process, which starts at once and in the background."""
+
+    def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
+        self._socket, child = socket.socketpair()
+        # A session of its own keeps the terminal's Ctrl-C away: the parent decides when workers end.
+        program = f"import sys; sys.path[:] = {sys.path!r}; from izoo.envs.worker import main; main({child.fileno()}, {memory})"
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", program], pass_fds=(child.fileno(), memory), start_new_session=True
+        )
+        child.close()
+        self._watchdog_s = watchdog_s
+        self.episodes = 0
+        self._send(INIT, setup)
+        self._ready = False
+
+    def reset(self, context: Any, seed: int, episode: int) -> None:
+        """Ask for a new episode; :meth:`wait` for its first frame."""
+        self.episodes += 1
+        self._send(RESET, (context, seed, episode))
+
+    def step(self) -> None:
+        """Ask for a step; :meth:`wait` for its frame."""
+        try:
+            self._socket.send(STEP)
+        except OSError as error:
+            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
+
+    def wait(self) -> None:
+        """Wait for the answer.
+
+        Raises:
+            WorkerLost: the process ended or did not answer in time.
+            IzooError: the worker refused, for a reason that the caller can mend.
+        """
+        if not self._ready:
+            self._answer(max(self._watchdog_s, _STARTUP_S))
+            self._ready = True
+        self._answer(self._watchdog_s)
+
+    def _answer(self, timeout_s: float) -> None:
+        self._socket.settimeout(timeout_s)
+        try:
+            answer = self._socket.recv(1)
+            if answer == DONE:
+                return
+            if answer == FAILED:
+                is_users, text = pickle.loads(_receive(self._socket))
+                raise IzooError(text) if is_users else RuntimeError(f"a simulation worker failed:\n{text}")
+        except TimeoutError as error:
+            raise WorkerLost(f"no answer for {timeout_s:g} s") from error
+        except OSError as error:
+            raise WorkerLost(str(error)) from error
+        raise WorkerLost(f"its process has ended ({self.process.poll()})")
+
+    def _send(self, kind: bytes, message: Any) -> None:
+        data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+        try:
+            self._socket.sendall(kind + _LENGTH.pack(len(data)) + data)
+        except OSError as error:
+            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
+
+    def kill(self) -> None:
+        """End the process at once."""
+        self.process.kill()
+        self._socket.close()
+        self.process.wait()
+
+    def close(self, patience_s: float = 5.0) -> None:
+        """Ask the process to end, and end it if it does not."""
+        with contextlib.suppress(OSError):
+            self._socket.send(CLOSE)
+        self._socket.close()
+        try:
+            self.process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+
+def _receive(connection: socket.socket) -> bytes:
+    (length,) = _LENGTH.unpack(_exactly(connection, _LENGTH.size))
+    return _exactly(connection, length)
+
+
+def _exactly(connection: socket.socket, length: int) -> bytes:
+    chunks = []
+    while length:
+        chunk = connection.recv(min(length, 1 << 20))
+        if not chunk:
+            raise EOFError
+        chunks.append(chunk)
+        length -= len(chunk)
+    return b"".join(chunks)
+
+
+def main(descriptor: int, memory: int) -> None:
+    """Serve one parent until it says goodbye or is gone."""
+    connection = socket.socket(fileno=descriptor)
+    simulator = None
+    try:
+        while True:
+            kind = connection.recv(1)
+            if kind in (b"", CLOSE):
+                return
+            try:
+                if kind == STEP:
+                    simulator.step()
+                elif kind == RESET:
+                    simulator.reset(*pickle.loads(_receive(connection)))
+                elif kind == INIT:
+                    simulator = _make_simulator(memory, *pickle.loads(_receive(connection)))
+                connection.send(DONE)
+            except (IzooError, ArithmeticError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
+                is_users = isinstance(error, IzooError)
+                data = pickle.dumps((is_users, str(error) if is_users else traceback.format_exc()))
+                connection.sendall(FAILED + _LENGTH.pack(len(data)) + data)
+    except (BrokenPipeError, ConnectionResetError, EOFError):
+        return
+    finally:
+        if simulator is not None:
+            simulator.close()
+
+
+def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int, weights: Any) -> Any:
+    from izoo.envs.simulator import Simulator
+
+    for array in weights:
+        array.flags.writeable = False  # as load_weights() returns them: one compiled variant serves both
+    frames = map_frames(mmap.mmap(memory, 0), config, num_workers)
+    return Simulator(config, {name: array[index] for name, array in frames.items()}, weights)
