@@ -7,7 +7,6 @@ normalisation and logs see no padding.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -313,7 +312,6 @@ class PPO:
             "critic": self.critic.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "kl_weight": float(self.loss.kl_weight),
-            "config": {key: value for key, value in dataclasses.asdict(self.config).items() if key != "hidden"},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

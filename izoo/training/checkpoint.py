@@ -1,0 +1,112 @@
+"""Checkpoints that are either whole or absent: written beside, flushed to the disk, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from izoo.errors import IzooError
+
+FORMAT = "izoo-checkpoint-1"
+_NAME = re.compile(r"step-(\d+)\.pt")
+
+
+def folder_of(run_dir: Path) -> Path:
+    """Return the folder that holds a run's checkpoints."""
+    return run_dir / "checkpoints"
+
+
+def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
+    """Write ``checkpoints/step-<frames>.pt``, then remove all but the ``keep`` newest.
+
+    Args:
+        run_dir: the run.
+        frames: environment steps so far; orders the checkpoints.
+        state: tensors, numbers, strings and containers of them.
+        keep: at least 1.
+
+    Raises:
+        OSError: the disk is full or not writable; older checkpoints are untouched.
+    """
+    folder = folder_of(run_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"step-{frames:012d}.pt"
+    partial = path.with_suffix(".partial")
+    try:
+        with partial.open("wb") as file:
+            torch.save({"format": FORMAT, "frames": frames, **state}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+        _sync_folder(folder)
+    except (OSError, RuntimeError) as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        # torch reports a write that failed underneath it as a RuntimeError.
+        raise error if isinstance(error, OSError) else OSError(str(error).splitlines()[0]) from error
+    for old in listed(run_dir)[:-keep]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def listed(run_dir: Path) -> list[Path]:
+    """Return a run's checkpoints, oldest first."""
+    folder = folder_of(run_dir)
+    return sorted(path for path in folder.glob("step-*.pt") if _NAME.fullmatch(path.name))
+
+
+def load(path: Path) -> dict[str, Any]:
+    """Read one checkpoint file.
+
+    Raises:
+        IzooError: the file is missing, cut short, or not a checkpoint of izoo; the one before it is named.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise IzooError(f"there is no checkpoint {path}.") from None
+    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError, ValueError, KeyError) as error:
+        raise IzooError(f"{path} is cut short or not a checkpoint.{_previous(path)}") from error
+    if not isinstance(state, dict) or state.get("format") != FORMAT:
+        raise IzooError(f"{path} is not a checkpoint of this version of izoo ({FORMAT}).{_previous(path)}")
+    return state
+
+
+def find(where: Path) -> Path:
+    """Return the checkpoint that ``where`` names: a checkpoint file, or a run folder's newest.
+
+    Raises:
+        IzooError: nothing is there.
+    """
+    if where.is_file():
+        return where
+    if not where.is_dir():
+        raise IzooError(f"{where} does not exist; give the folder of a training run.")
+    found = listed(where)
+    if not found:
+        raise IzooError(f"{where} holds no checkpoint; give the folder of a training run that has saved at least one.")
+    return found[-1]
+
+
+def run_of(checkpoint: Path) -> Path:
+    """Return the run folder that a checkpoint file belongs to."""
+    return checkpoint.parent.parent
+
+
+def _previous(path: Path) -> str:
+    earlier = [other for other in listed(run_of(path)) if other.name < path.name]
+    return f" The one before it is {earlier[-1]}: name that file instead." if earlier else " There is none before it."
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

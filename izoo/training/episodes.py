@@ -1,0 +1,52 @@
+"""What the episodes that end within a batch achieved."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+
+from izoo.algos.base import MASK, REWARD
+from izoo.metrics.masked import masked_mean
+from izoo.metrics.scores import score_tensors
+
+LOGGED_SCORES = {
+    "emission_g_per_vehicle": "emission_g_per_vehicle",
+    "throughput": "throughput_veh_per_episode",
+    "approach_speed_mps": "approach_speed_mps",
+    "stopped_time_s_per_vehicle": "stopped_time_s_per_vehicle",
+    "travel_time_s_per_vehicle": "travel_time_s_per_vehicle",
+    "deferred_share": "deferred_share",
+    "unfinished_share": "unfinished_share",
+}
+"""Scores that training logs, and the name each has in ``metrics.csv``."""
+
+
+def episode_stats(batch: TensorDictBase) -> dict[str, float]:
+    """Summarise a batch: the reward of all valid agent-steps, and the scores of the episodes that ended in it.
+
+    Args:
+        batch: ``[N, T]`` steps with the ``metrics`` group.
+
+    Returns:
+        ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,
+        ``collisions``, and :data:`LOGGED_SCORES` pooled over them (every vehicle weighs the same). What is unknown is
+        left out.
+    """
+    mask, reward = batch.get(MASK), batch.get(("next", *REWARD)).squeeze(-1)
+    stats = {"agents": float(mask.sum(-1).float().mean())}
+    if mask.any():
+        stats["reward"] = float(masked_mean(reward, mask, tuple(range(mask.ndim))))
+    ended = batch.get(("next", "done")).squeeze(-1)
+    count = int(ended.sum())
+    stats["episodes"] = float(count)
+    if count == 0:
+        return stats
+    final = batch.get(("next", "metrics"))[ended]
+    episode = final.get("episode")
+    stats["return"] = float(episode.get("return").mean())
+    stats["collisions"] = float(episode.get("collisions").mean())
+    sums = {name: value.double().sum() for name, value in final.get("approach").items() if name != "mask"}
+    for name, (value, valid) in score_tensors(sums).items():
+        if name in LOGGED_SCORES and bool(valid):
+            per_episode = count if name == "throughput" else 1
+            stats[LOGGED_SCORES[name]] = float(value) / per_episode
+    return stats

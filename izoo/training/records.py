@@ -1,0 +1,134 @@
+"""Metrics of a run: ``metrics.csv`` always, Weights & Biases or TensorBoard on request, and the learning curve."""
+
+from __future__ import annotations
+
+import csv
+import netrc
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from izoo.conf.options import LoggerConfig
+from izoo.errors import IzooError
+
+FIRST_COLUMNS = (
+    *("frames", "seconds", "frames_per_s", "episodes", "return", "reward"),
+    *("emission_g_per_vehicle", "throughput_veh_per_episode"),
+)
+WANDB_HOST = "api.wandb.ai"
+
+
+class Sink(Protocol):
+    """A TorchRL logger, as far as it is used here."""
+
+    def log_scalar(self, name: str, value: float, step: int | None = None) -> None:
+        """Log one number."""
+        ...
+
+
+class MetricsTable:
+    """The rows of ``metrics.csv``, one per batch; a number that a batch does not have is an empty cell.
+
+    Args:
+        path: the file; rows that it already has are kept.
+        last_frames: rows beyond this many frames are dropped: a resumed run writes them again.
+    """
+
+    def __init__(self, path: Path, last_frames: int = 0) -> None:
+        self.path = path
+        self.rows: list[dict[str, str]] = []
+        if path.exists():
+            with path.open(newline="") as file:
+                rows = [row for row in csv.DictReader(file) if row.get("frames", "").isdigit()]
+            self.rows = [row for row in rows if int(row["frames"]) <= last_frames]
+        self.columns: list[str] = list(self.rows[0]) if self.rows else []
+        if self.rows:
+            self._rewrite()
+
+    def append(self, row: Mapping[str, float]) -> None:
+        """Add a row; the file is complete after every call."""
+        text = {key: _number(value) for key, value in row.items()}
+        self.rows.append(text)
+        new = [key for key in row if key not in self.columns]
+        if new or not self.path.exists():
+            known = {*self.columns, *new}
+            first = [key for key in FIRST_COLUMNS if key in known]
+            self.columns = [*first, *(key for key in [*self.columns, *new] if key not in first)]
+            self._rewrite()
+            return
+        with self.path.open("a", newline="") as file:
+            csv.DictWriter(file, self.columns, restval="").writerow(text)
+
+    def series(self, name: str) -> tuple[list[int], list[float]]:
+        """Return frames and values of a column, without the rows that lack it."""
+        pairs = [(int(row["frames"]), float(row[name])) for row in self.rows if row.get(name)]
+        return [frames for frames, _ in pairs], [value for _, value in pairs]
+
+    def _rewrite(self) -> None:
+        partial = self.path.with_suffix(".partial")
+        with partial.open("w", newline="") as file:
+            writer = csv.DictWriter(file, self.columns, restval="")
+            writer.writeheader()
+            writer.writerows(self.rows)
+        partial.replace(self.path)
+
+
+def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:
+    """Return the loggers besides the CSV that ``config`` asks for."""
+    if config.name == "wandb":
+        return [_wandb(config, run_dir)]
+    if config.name == "tensorboard":
+        return [_tensorboard(run_dir)]
+    return []
+
+
+def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:
+    """Send a row of the table to every logger."""
+    for sink in sinks:
+        for name, value in row.items():
+            if name != "frames":
+                sink.log_scalar(name, value, step=int(row["frames"]))
+
+
+def close_all(sinks: list[Sink]) -> None:
+    """Let the loggers finish writing."""
+    for sink in sinks:
+        experiment: Any = getattr(sink, "experiment", None)
+        finish = getattr(experiment, "finish", None) or getattr(experiment, "close", None)
+        if finish is not None:
+            finish()
+
+
+def _wandb(config: LoggerConfig, run_dir: Path) -> Sink:
+    os.environ.setdefault("WANDB_SILENT", "true")
+    os.environ.setdefault("WANDB_CONSOLE", "off")
+    from torchrl.record.loggers.wandb import WandbLogger
+
+    return WandbLogger(
+        exp_name=run_dir.name, offline=not _has_wandb_key(), save_dir=str(run_dir), project=config.project
+    )
+
+
+def _has_wandb_key() -> bool:
+    if os.environ.get("WANDB_MODE") in ("offline", "disabled"):
+        return False
+    if os.environ.get("WANDB_API_KEY"):
+        return True
+    try:
+        return netrc.netrc().authenticators(WANDB_HOST) is not None
+    except (OSError, netrc.NetrcParseError):
+        return False
+
+
+def _tensorboard(run_dir: Path) -> Sink:
+    try:
+        from torchrl.record.loggers.tensorboard import TensorboardLogger
+
+        return TensorboardLogger(exp_name="tensorboard", log_dir=str(run_dir))
+    except ImportError as error:
+        raise IzooError("logger=tensorboard needs the package tensorboard: pip install 'izoo[tensorboard]'.") from error
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else f"{value:.7g}"

@@ -1,0 +1,213 @@
+"""A training run from its options to its last table."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from izoo.conf.options import TrainConfig
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextSource, RandomSchedule, Schedule, episode_seed
+from izoo.envs.layout import observation_names
+from izoo.errors import IzooError
+from izoo.training import checkpoint, plots, records, runs
+from izoo.training.collectors import BatchSource, ShiftedSchedule
+from izoo.training.episodes import episode_stats
+from izoo.training.interrupt import graceful_interrupt
+from izoo.training.progress import ProgressBar
+
+CHANGEABLE = ("total_frames", "num_workers", "collector", "logger", "evaluation", "checkpoint", "resume")
+"""Options that may differ when a run is resumed; the others are part of what the run is."""
+MAX_LEARNER_THREADS = 8
+EVALUATION_STREAM = 7919
+"""Separates the draws of evaluation contexts from those of training episodes."""
+
+
+def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Train as ``config`` says and return the run folder.
+
+    Args:
+        config: the options.
+        given: names of the options that were written on the command line; matters when resuming.
+    """
+    source = None
+    if config.resume is None:
+        # Contexts are read before the folder is made, so that bad input leaves nothing behind.
+        source = config.contexts.build()
+        run_dir, state = runs.create(config), None
+    else:
+        run_dir, config, state = _resumed(config, given)
+    session = Session(config, run_dir, source or config.contexts.build())
+    if state is not None:
+        session.restore(state)
+    session.run()
+    return run_dir
+
+
+def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainConfig, dict[str, Any]]:
+    for name in sorted(given):
+        if name.split(".")[0] not in CHANGEABLE:
+            raise IzooError(
+                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
+                f"only these can: {', '.join(CHANGEABLE)}."
+            )
+    path = checkpoint.find(Path(config.resume or ""))
+    run_dir = checkpoint.run_of(path)
+    stored = runs.read_config(run_dir)
+    changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
+    config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
+    runs.write_config(run_dir, config)
+    return run_dir, config, checkpoint.load(path)
+
+
+class Session:
+    """One stretch of a training run.
+
+    Args:
+        config: options of the run.
+        run_dir: its folder.
+        source: where its contexts come from.
+    """
+
+    def __init__(self, config: TrainConfig, run_dir: Path, source: ContextSource) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self.run_dir, self.source = config, run_dir, source
+        self.features = len(observation_names(config.env))
+        self.algorithm = runs.make_algorithm(config.algo, self.features)
+        self.frames = self.batches = self.episodes = 0
+        self.seconds = 0.0
+        self._saved_at = -1
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        if state["features"] != self.features:
+            raise IzooError("the checkpoint was trained with another observation than the options of its run describe.")
+        self.algorithm.load_state_dict(state["algorithm"])
+        self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
+        self.seconds = state["seconds"]
+        self._saved_at = self.frames
+        torch.set_rng_state(state["torch_rng"])
+        print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
+
+    def run(self) -> None:
+        """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate."""
+        self.table = records.MetricsTable(self.run_dir / runs.METRICS_FILE, self.frames)
+        sinks = records.make_sinks(self.config.logger, self.run_dir)
+        print(f"Run folder: {self.run_dir}", flush=True)
+        with graceful_interrupt() as interrupt:
+            try:
+                if self.frames < self.config.total_frames:
+                    self._learn(interrupt, sinks)
+                self._save()
+                self._plot()
+            finally:
+                records.close_all(sinks)
+            self._evaluate()
+        print(f"Run folder: {self.run_dir}", flush=True)
+
+    def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+        config = self.config
+        batches = BatchSource(config, self.algorithm.policy, self._schedule())
+        try:
+            with ProgressBar(config.total_frames, self.frames) as bar:
+                while self.frames < config.total_frames and not interrupt.requested:
+                    row = self._batch(batches)
+                    self.table.append(row)
+                    records.log_all(sinks, row)
+                    bar.update(self.frames, row)
+                    if self.batches % config.checkpoint.every_batches == 0:
+                        self._save()
+                        self._plot()
+        finally:
+            batches.close()
+
+    def _batch(self, batches: BatchSource) -> dict[str, float]:
+        """Collect one batch, learn from it, and return its row of the table."""
+        start = time.perf_counter()
+        torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
+        batch = batches.next()
+        collected = time.perf_counter()
+        torch.set_num_threads(min(os.cpu_count() or 1, MAX_LEARNER_THREADS))
+        stats = episode_stats(batch)
+        learned = self.algorithm.update(batch, self.frames / self.config.total_frames)
+        torch.set_num_threads(1)
+        batches.synchronise(self.algorithm.policy)
+        seconds = time.perf_counter() - start
+        self.frames += batch.numel()
+        self.batches += 1
+        self.episodes += int(stats.pop("episodes"))
+        self.seconds += seconds
+        return {
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "frames_per_s": batch.numel() / seconds,
+            "episodes": self.episodes,
+            **stats,
+            **learned,
+            "collect_s": collected - start,
+            "update_s": seconds - (collected - start),
+        }
+
+    def _schedule(self) -> Schedule:
+        """Return the training episodes that have not been begun yet."""
+        schedule: Schedule = RandomSchedule(self.source, self.config.seed)
+        if self.frames == 0:
+            return schedule
+        begun = self.frames // self.config.env.control_steps + self.config.num_workers
+        return ShiftedSchedule(schedule, begun)
+
+    def _save(self) -> None:
+        if self._saved_at == self.frames or self.batches == 0:
+            return
+        state = {
+            "algorithm": self.algorithm.state_dict(),
+            "features": self.features,
+            "batches": self.batches,
+            "episodes": self.episodes,
+            "seconds": self.seconds,
+            "torch_rng": torch.get_rng_state(),
+        }
+        try:
+            checkpoint.save(self.run_dir, self.frames, state, self.config.checkpoint.keep)
+            self._saved_at = self.frames
+        except OSError as error:
+            kept = checkpoint.listed(self.run_dir)
+            print(
+                f"Could not save a checkpoint: {error}. The last good one is {kept[-1] if kept else 'none'}.",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def _plot(self) -> None:
+        if self.table.rows:
+            title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
+            plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title)
+
+    def _evaluate(self) -> None:
+        """Print the brief comparison with human driving and store it in the run folder."""
+        options = self.config.evaluation
+        if options.contexts == 0 or self.batches == 0:
+            return
+        from izoo.evaluation import evaluate_policy, print_summary, summarise
+
+        generator = np.random.default_rng([self.config.seed, EVALUATION_STREAM])
+        contexts: list[Context] = [self.source.sample(generator) for _ in range(options.contexts)]
+        unique = list({context.content_hash: context for context in contexts}.values())
+        seeds = [episode_seed(self.config.seed + EVALUATION_STREAM, number) for number in range(options.seeds)]
+        print(f"Comparing with human driving: {len(unique)} contexts, {len(seeds)} seeds each.", flush=True)
+        table = evaluate_policy(
+            self.algorithm.policy,
+            unique,
+            seeds,
+            self.config.env,
+            num_workers=self.config.num_workers,
+            out_dir=self.run_dir,
+        )
+        print_summary(summarise(table))
