@@ -1,0 +1,46 @@
+"""Weather by city and season against the tables of neuralmoves."""
+
+import subprocess
+import sys
+
+import pytest
+from neuralmoves.defaults import load_county_meteorology
+
+from izoo.contexts.context import SEASONS
+from izoo.contexts.weather import CITY_COUNTIES, SEASON_MONTHS, WEATHER_PUBLISHED, weather
+from izoo.errors import IzooError
+
+
+@pytest.mark.parametrize("city", CITY_COUNTIES)
+@pytest.mark.parametrize("season", SEASONS)
+def test_weather_is_the_mean_of_the_seasons_months(city, season):
+    table = load_county_meteorology()
+    rows = table[(table.countyID == CITY_COUNTIES[city]) & table.monthID.isin(SEASON_MONTHS[season])]
+    assert len(rows) == 3
+    temperature, humidity = weather(city, season)
+    assert temperature == pytest.approx(((rows.temperature_F - 32.0) / 1.8).mean())
+    assert humidity == pytest.approx(rows.relHumidity_pct.mean())
+
+
+def test_seasons_share_the_year_and_look_like_the_cities():
+    assert sorted(month for months in SEASON_MONTHS.values() for month in months) == list(range(1, 13))
+    assert set(SEASON_MONTHS) == set(SEASONS) and len(CITY_COUNTIES) == 10
+    assert weather("chicago", "winter")[0] < 2.0 < weather("houston", "winter")[0]
+    assert weather("salt_lake_city", "summer")[1] < weather("atlanta", "summer")[1]
+
+
+def test_published_weather_is_that_of_the_protocols():
+    assert dict(WEATHER_PUBLISHED) == {"salt_lake_city": (20.0, 46.0), "atlanta": (22.8, 83.0)}
+
+
+def test_unknown_names_are_refused_with_what_exists():
+    with pytest.raises(IzooError, match=r"unknown city 'salt-lake-city'; .*Did you mean 'salt_lake_city'"):
+        weather("salt-lake-city", "summer")
+    with pytest.raises(IzooError, match="unknown season 'autumn'; choose one of: winter, spring, summer, fall"):
+        weather("boston", "autumn")
+
+
+def test_importing_it_does_not_import_torch_or_pandas():
+    code = "import sys, izoo.contexts.weather; print([name for name in ('torch', 'pandas') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
