@@ -40,6 +40,24 @@ def test_the_same_arguments_give_the_same_vehicles():
     assert len(one) != len(sample_traffic(make_context(), ROAD, 8, 600.0))
 
 
+def test_a_seed_means_the_same_vehicles_forever():
+    traffic = sample_traffic(make_context(adoption=0.5), ROAD, 12345, 60.0)
+    np.testing.assert_allclose(
+        traffic.depart_s[:6], [0.144749, 0.955656, 1.103998, 1.778252, 1.858790, 2.426223], atol=1e-6
+    )
+    assert rows(
+        traffic, slice(0, 6), ["approach", "exit", "source", "depart_lane", "is_cv", "moves_class"]
+    ).tolist() == [
+        [2, 3, 1, 2, 0, 3],
+        [1, 1, 3, 0, 1, 1],
+        [0, 0, 0, 0, 1, 0],
+        [1, 1, 1, 0, 1, 0],
+        [1, 1, 0, 0, 1, 0],
+        [1, 55, 30, 1, 1, 39],
+    ]
+    np.testing.assert_allclose(traffic.tau_s[:6], [1.0, 1.0, 0.304939, 0.325239, 1.0, 0.288826], atol=1e-6)
+
+
 def test_rates_routes_and_lanes_follow_the_specification():
     traffic = sample_traffic(make_context(500.0), ROAD, 0, 36_000.0)
     expected = 500.0 * 2 * 10
