@@ -74,8 +74,8 @@ class BriefEvaluationConfig:
 
 
 def training_env() -> EnvConfig:
-    """Return the environment that training uses: learners need no vehicles, and fewer leaves are faster."""
-    return EnvConfig(emit=("metrics",))
+    """Return the environment that training uses: learners need the agents alone, and fewer leaves are faster."""
+    return EnvConfig(emit=())
 
 
 @dataclass(frozen=True)

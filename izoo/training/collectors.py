@@ -16,7 +16,7 @@ from torchrl.envs.utils import ExplorationType
 from izoo.conf.options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.interrupt import workers_ignore_interrupts
 
 
@@ -63,11 +63,11 @@ class BatchSource:
 
 
 def _single(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> Collector:
-    return _collector(EcoDrivingEnv(schedule, config=config.env, seed=config.seed), policy, frames)
+    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed), policy, frames)
 
 
 def _parallel(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> Collector:
-    env = SumoParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
+    env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
     return _collector(env, policy, frames)
 
 
@@ -84,13 +84,14 @@ def _multisync(config: TrainConfig, policy: TensorDictModuleBase, schedule: Sche
         exploration_type=ExplorationType.RANDOM,
         track_traj_ids=False,
         trust_policy=True,
+        auto_register_policy_transforms=False,
         cat_results="stack",
     )
 
 
 def _worker_env(config: TrainConfig, schedule: Schedule, worker: int, num_workers: int) -> EnvBase:
     torch.manual_seed(config.seed * 65_537 + worker)
-    return EcoDrivingEnv(schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers)
+    return TrainingEnv(schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers)
 
 
 def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
@@ -102,6 +103,7 @@ def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Colle
         exploration_type=ExplorationType.RANDOM,
         track_traj_ids=False,
         trust_policy=True,
+        auto_register_policy_transforms=False,
     )
 
 

@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from izoo.algos.base import MASK, REWARD
 from izoo.metrics.masked import masked_mean
 from izoo.metrics.scores import score_tensors
+from izoo.training.environments import TOTALS, split_totals
 
 LOGGED_SCORES = {
     "emission_g_per_vehicle": "emission_g_per_vehicle",
@@ -24,7 +25,7 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     """Summarise a batch: the reward of all valid agent-steps, and the scores of the episodes that ended in it.
 
     Args:
-        batch: ``[N, T]`` steps with the ``metrics`` group.
+        batch: ``[N, T]`` steps of a training environment.
 
     Returns:
         ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,
@@ -40,11 +41,10 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     stats["episodes"] = float(count)
     if count == 0:
         return stats
-    final = batch.get(("next", "metrics"))[ended]
-    episode = final.get("episode")
-    stats["return"] = float(episode.get("return").mean())
-    stats["collisions"] = float(episode.get("collisions").mean())
-    sums = {name: value.double().sum() for name, value in final.get("approach").items() if name != "mask"}
+    episode, approach = split_totals(batch.get(("next", TOTALS))[ended])
+    stats["return"] = float(episode["return"].mean())
+    stats["collisions"] = float(episode["collisions"].mean())
+    sums = {name: value.double().sum() for name, value in approach.items()}
     for name, (value, valid) in score_tensors(sums).items():
         if name in LOGGED_SCORES and bool(valid):
             per_episode = count if name == "throughput" else 1
