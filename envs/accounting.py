@@ -11,6 +11,7 @@ from numba import njit
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2
 from izoo.envs.layout import (
     ACCEL,
+    AGENT,
     APPROACH,
     COMMANDED,
     COUNTED,
@@ -18,6 +19,7 @@ from izoo.envs.layout import (
     DEFERRED,
     EMISSION,
     ENTRY_M,
+    EPISODE_METRIC,
     EXIT,
     IS_CV,
     JUNCTION_M,
@@ -25,7 +27,6 @@ from izoo.envs.layout import (
     METRIC,
     MIN_TTC,
     PATH_POSITION,
-    PRESENT,
     PREV_ACCEL,
     SPEED,
     SUM_ACCEL,
@@ -39,6 +40,9 @@ from izoo.envs.layout import (
 from izoo.networks.clock import RED
 from izoo.networks.roadnet import APPROACHING
 
+GRIDLOCK_S = 180.0
+"""The region is in gridlock when none of its vehicles has moved for this long."""
+MOVING_MPS = 0.1
 STOPPED_MPS = 1.0
 """A vehicle slower than this is stopped, in the metrics (the reward has its own ``tau_mps``, equal by default)."""
 
@@ -65,6 +69,14 @@ _NAN_ACTIONS = METRIC["nan_actions"]
 _LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
 _RED_CROSSINGS_CV = METRIC["red_crossings_cv"]
 _RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
+_UNSLOTTED_STEPS = METRIC["unslotted_steps"]
+_STEPS = EPISODE_METRIC["steps"]
+_RETURN = EPISODE_METRIC["return"]
+_REWARD_SUM = EPISODE_METRIC["reward_sum"]
+_EPISODE_AGENT_STEPS = EPISODE_METRIC["agent_steps"]
+_EPISODE_VEHICLE_STEPS = EPISODE_METRIC["vehicle_steps"]
+_STILL_S = EPISODE_METRIC["still_s"]
+_GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
 @njit(cache=True)
@@ -237,11 +249,24 @@ def pay(acting_row, terms, fleet, shortest_ttc_s, weights, eta, safety, scale, r
 
 
 @njit(cache=True)
-def present_rows(flags, rows):  # type: ignore[no-untyped-def]
-    """Write the rows that hold a vehicle; return how many."""
-    n = 0
-    for r in range(flags.shape[0]):
-        if flags[r, PRESENT]:
-            rows[n] = r
-            n += 1
-    return n
+def sum_episode(rows, acting_row, floats, ints, flags, reward, step_s, sums, episode):  # type: ignore[no-untyped-def]
+    """Add the step to the episode's numbers ``episode [E]``, and CVs without a slot to their approach."""
+    agents, total, fastest = 0, 0.0, 0.0
+    for a in range(acting_row.shape[0]):
+        if acting_row[a] >= 0:
+            agents += 1
+            total += reward[a]
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        fastest = max(fastest, floats[r, SPEED])
+        if flags[r, IS_CV] and ints[r, AGENT] < 0:
+            sums[ints[r, APPROACH], _UNSLOTTED_STEPS] += 1
+    episode[_STEPS] += 1
+    episode[_REWARD_SUM] += total
+    episode[_EPISODE_AGENT_STEPS] += agents
+    episode[_EPISODE_VEHICLE_STEPS] += rows.shape[0]
+    if agents:
+        episode[_RETURN] += total / agents
+    episode[_STILL_S] = episode[_STILL_S] + step_s if rows.shape[0] and fastest < MOVING_MPS else 0.0
+    if episode[_STILL_S] >= GRIDLOCK_S:
+        episode[_GRIDLOCK] = 1.0

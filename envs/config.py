@@ -17,8 +17,8 @@ class RewardConfig:
     """Weights of the reward (spec 7).
 
     ``r_i = (eta * fleet mean of x_j + (1 - eta) * x_i + safety * min TTC) / scale`` with
-    ``x = v + alpha * stopped + beta * e - comfort * |a_t| - realism * |a_t - a_{t-1}|``, where ``v`` is in m/s, ``e`` in
-    g of CO2 per step, and ``stopped`` is 1 below ``tau_mps`` (or ``(tau - v) / tau`` there with ``soft_stop``).
+    ``x = v + alpha * stopped + beta * e - comfort * |a_t| - realism * |a_t - a_{t-1}|``, where ``v`` is in m/s, ``e``
+    in g of CO2 per step, and ``stopped`` is 1 below ``tau_mps`` (or ``(tau - v) / tau`` there with ``soft_stop``).
 
     Attributes:
         eta: share of the fleet mean; 1 pays every CV the same.

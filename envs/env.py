@@ -63,6 +63,20 @@ class EcoDrivingBase(EnvBase):
         columns["agents"]._set_str("reward", self.reader.reward(), validated=True, inplace=False, non_blocking=False)
         return TensorDict._new_unsafe(columns, batch_size=self.batch_size)
 
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step, and begin new episodes where one has ended; return the step and the state to act on next.
+
+        The same as TorchRL's own, without checks that the specs' test has made once.
+        """
+        following = self._step(tensordict)
+        tensordict._set_str("next", following, validated=True, inplace=False, non_blocking=False)
+        ended = following._get_str("done", None)
+        root = following.exclude("reward", ("agents", "reward"), ("agents", "reward_vector"))
+        if self.frames["truncated"].any():
+            root._set_str("_reset", ended.clone(), validated=True, inplace=False, non_blocking=False)
+            root = self.reset(root.select("_reset"))
+        return tensordict, root
+
     def _first_frame(self) -> TensorDict:
         return TensorDict._new_unsafe(self.reader.observation(), batch_size=self.batch_size)
 
@@ -77,10 +91,11 @@ class EcoDrivingEnv(EcoDrivingBase):
     Emits (``A`` agent slots, ``V`` vehicle slots; masks say which slots hold something):
 
     - ``("agents", "observation")`` ``[A, F]`` (names in :attr:`observation_names`), ``("agents", "mask")`` ``[A]``,
-      ``("agents", "vehicle")`` ``[A]``, ``("agents", "reward")`` ``[A, 1]``, and per-agent and root done, terminated and
-      truncated.
-    - with the groups of ``config.emit``: ``("vehicles", ...)`` ``[V]``, ``("signal", ...)``, ``("context", ...)`` ``[1]``,
-      ``("metrics", "approach", ...)`` ``[P]`` and ``("metrics", "episode", ...)`` ``[1]``, final at the last step.
+      ``("agents", "vehicle")`` ``[A]``, ``("agents", "reward")`` ``[A, 1]``, and per-agent and root done, terminated
+      and truncated.
+    - with the groups of ``config.emit``: ``("vehicles", ...)`` ``[V]``, ``("signal", ...)``, ``("context", ...)``
+      ``[1]``, ``("metrics", "approach", ...)`` ``[P]`` and ``("metrics", "episode", ...)`` ``[1]``, final at the last
+      step.
 
     A CV that leaves the region is terminated (value zero); at the horizon everyone still present is truncated
     (bootstrap). The episode's ``return`` is the sum over steps of the mean reward over the agents that acted.
@@ -140,5 +155,3 @@ class EcoDrivingEnv(EcoDrivingBase):
             self._simulator = None
         if not self.is_closed:
             super().close(raise_if_closed=raise_if_closed)
-
-

@@ -1,8 +1,8 @@
 """Compiled kernels that turn what SUMO reports into a frame: places, neighbours, the signal clock, observations.
 
 All kernels work on the simulator's tables: ``floats [C, *]``, ``ints [C, *]`` and ``flags [C, *]`` with one row per
-vehicle (columns in :mod:`izoo.envs.layout`), and on ``rows [n]``, the rows that hold a vehicle. They know nothing of SUMO
-and can be called with hand-placed vehicles.
+vehicle (columns in :mod:`izoo.envs.layout`), and on ``rows [n]``, the rows that hold a vehicle. They know nothing of
+SUMO and can be called with hand-placed vehicles.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def find_behind(lane, position, length, approach, me, floats, order, start, road
 
 @njit(cache=True)
 def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore[no-untyped-def]
-    """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s (infinite when not closing)."""
+    """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s, infinite when not closing."""
     # Vehicles of one lane stand in driving order, so the leader on the own lane is the next one, unless side by side.
     for j in range(rows.shape[0]):
         r = rows[j]
@@ -317,5 +317,3 @@ def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type
             floats_out[v, :] = 0.0
             ints_out[v, :] = 0
             flags_out[v, :] = 0
-
-

@@ -23,9 +23,9 @@ from izoo.errors import IzooError
 class SumoParallelEnv(EcoDrivingBase):
     """``N`` intersections, each simulated by a process of its own; batch size ``[N]``.
 
-    It offers what TorchRL's ``ParallelEnv`` does and replaces its inside: workers write their frames into shared arrays,
-    the parent sleeps while it waits, and a worker that dies or hangs is replaced alone: its step is reported as
-    truncated, with the observation it last had, and the others do not notice. Workers start at the first reset.
+    It offers what TorchRL's ``ParallelEnv`` does and replaces its inside: workers write their frames into shared
+    arrays, the parent sleeps while it waits, and a worker that dies or hangs is replaced alone: its step is reported
+    as truncated, with the observation it last had, and the others do not notice. Workers start at the first reset.
 
     Args:
         num_workers: ``N``.

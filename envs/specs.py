@@ -1,6 +1,7 @@
 """What an environment emits, as TorchRL specs, and how a frame's arrays become a TensorDict.
 
-Shapes: ``[*B, A, F]`` with ``B`` environments, ``A`` agent slots, ``F`` features; ``V`` vehicle slots, ``P`` approaches.
+Shapes: ``[*B, A, F]`` with ``B`` environments, ``A`` agent slots, ``F`` features; ``V`` vehicle slots, ``P``
+approaches.
 """
 
 from __future__ import annotations
@@ -190,5 +191,3 @@ class FrameReader:
 def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:
     # The specs' test compares shapes once; checking them in every step would cost more than the copies.
     return TensorDict._new_unsafe(columns, batch_size=batch)
-
-

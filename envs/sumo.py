@@ -129,13 +129,12 @@ class SumoSession:
 
     def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
         """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""
-        lane_of, position_of, speed_of, signals_of = self._lane, self._position, self._speed, self._signals
         n = len(names)
         return (
-            np.fromiter([lane_numbers[lane_of(name)] for name in names], np.int64, n),
-            np.fromiter([position_of(name) for name in names], np.float64, n),
-            np.fromiter([speed_of(name) for name in names], np.float64, n),
-            np.fromiter([signals_of(name) for name in names], np.int64, n),
+            np.fromiter(map(lane_numbers.__getitem__, map(self._lane, names)), np.int64, n),
+            np.fromiter(map(self._position, names), np.float64, n),
+            np.fromiter(map(self._speed, names), np.float64, n),
+            np.fromiter(map(self._signals, names), np.int64, n),
         )
 
     def acceleration(self, name: str) -> float:

@@ -51,7 +51,10 @@ class Worker:
     def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
         self._socket, child = socket.socketpair()
         # A session of its own keeps the terminal's Ctrl-C away: the parent decides when workers end.
-        program = f"import sys; sys.path[:] = {sys.path!r}; from izoo.envs.worker import main; main({child.fileno()}, {memory})"
+        program = (
+            f"import sys; sys.path[:] = {sys.path!r}; "
+            f"from izoo.envs.worker import main; main({child.fileno()}, {memory})"
+        )
         self.process = subprocess.Popen(
             [sys.executable, "-c", program], pass_fds=(child.fileno(), memory), start_new_session=True
         )

@@ -47,6 +47,7 @@ EPISODE_METRICS: tuple[str, ...] = (
     "agent_steps",  # valid agent-steps
     "unslotted",  # CVs that found no free agent slot
     "collisions",  # all collisions in the controlled region
+    "still_s",  # for how long, until now, no vehicle of a non-empty region has moved
     "gridlock",  # 1 if no vehicle of a non-empty region moved for 180 s or longer
     "vehicle_steps",  # vehicles in the region, summed over steps
 )

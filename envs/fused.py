@@ -1,0 +1,212 @@
+"""One compiled call per step: everything between reading SUMO and handing out a frame.
+
+Calling compiled code costs some microseconds per array that is passed, so the kernels of :mod:`izoo.envs.kernels` and
+:mod:`izoo.envs.accounting` are joined here, and arrays that live as long as an episode travel in tuples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from izoo.emissions.kernel import emission_rate_kernel
+from izoo.envs.accounting import account, pay, reward_terms, sum_episode
+from izoo.envs.kernels import (
+    agent_vehicles,
+    emit_vehicles,
+    find_leaders,
+    observe,
+    place,
+    read_clock,
+    sort_lanes,
+)
+from izoo.envs.layout import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, WRONG_LANE
+
+
+class Tables(NamedTuple):
+    """The simulator's tables (columns in :mod:`izoo.envs.layout`) and the working memory of the sort.
+
+    ``floats [C, *]``, ``ints [C, *]``, ``flags [C, *]``, ``terms [C, 5]`` (individual reward terms), ``sums [P, M]``
+    and ``episode [E]`` (metrics), ``agent_row [A]`` (-1: empty), ``order [C]``, ``lane_start [L + 1]``.
+    """
+
+    floats: np.ndarray
+    ints: np.ndarray
+    flags: np.ndarray
+    terms: np.ndarray
+    sums: np.ndarray
+    episode: np.ndarray
+    agent_row: np.ndarray
+    order: np.ndarray
+    lane_start: np.ndarray
+
+
+class ClockArrays(NamedTuple):
+    """Tables of :class:`~izoo.networks.clock.SignalClock`, and the clock's present state ``[P, Q]``."""
+
+    cycle_s: float
+    offset_s: float
+    phase_begin_s: np.ndarray
+    colour: np.ndarray
+    legal_on_red: np.ndarray
+    change_s: np.ndarray
+    second_green_s: np.ndarray
+    third_green_s: np.ndarray
+    now: np.ndarray
+    time_left_s: np.ndarray
+    until_second_s: np.ndarray
+    until_third_s: np.ndarray
+
+
+class Rules(NamedTuple):
+    """What stays fixed for an episode: weather, reward, sensors, and what is emitted."""
+
+    step_s: float
+    temperature_c: float
+    humidity_pct: float
+    tau_mps: float
+    soft_stop: bool
+    weights: np.ndarray
+    eta: float
+    safety: float
+    scale: float
+    sensor_range_m: float
+    neighbours: np.ndarray
+    features: np.ndarray
+    emit_vehicles: bool
+    emit_signal: bool
+
+
+class Out(NamedTuple):
+    """The frame's arrays that are written in every step."""
+
+    observation: np.ndarray
+    mask: np.ndarray
+    agent_vehicle: np.ndarray
+    agent_terminated: np.ndarray
+    reward: np.ndarray
+    reward_vector: np.ndarray
+    vehicle_floats: np.ndarray
+    vehicle_ints: np.ndarray
+    vehicle_flags: np.ndarray
+    signal_colour: np.ndarray
+    signal_time_left_s: np.ndarray
+
+
+@njit(cache=True)
+def emit_co2(rows, tables, rules, surrogate):  # type: ignore[no-untyped-def]
+    """Write each vehicle's CO2 of the step in g; electric CVs emit nothing."""
+    n = rows.shape[0]
+    inputs = np.empty((3, n), np.float32)
+    classes = np.empty(n, np.int64)
+    active = np.empty(n, np.uint8)
+    rate = np.empty(n, np.float32)
+    for j in range(n):
+        r = rows[j]
+        inputs[0, j] = tables.floats[r, SPEED]
+        inputs[1, j] = tables.floats[r, ACCEL]
+        inputs[2, j] = tables.floats[r, GRADE]
+        classes[j] = tables.ints[r, MOVES_CLASS]
+        active[j] = tables.flags[r, ELECTRIC] == 0
+    emission_rate_kernel(
+        inputs[0], inputs[1], inputs[2], classes, active, rules.temperature_c, rules.humidity_pct, surrogate, rate
+    )
+    for j in range(n):
+        tables.floats[rows[j], EMISSION] = rate[j] * rules.step_s
+
+
+@njit(cache=True)
+def make_frame(  # type: ignore[no-untyped-def]
+    rows, reading, acting, leavers, time_s, phase, measured, tables, road, clock, rules, surrogate, out, suspects
+):
+    """Turn what SUMO reported into the next frame.
+
+    Args:
+        rows: ``[n]`` rows of the vehicles in the region.
+        reading: tuple of ``[n]`` arrays: region lane, lane position in m, speed in m/s, signal bits.
+        acting: ``[A]`` row behind every slot that acted in this step, -1 elsewhere.
+        leavers: rows whose vehicle has left; they still hold its last state, and lose their agent slot here.
+        time_s: simulated time after the step.
+        phase: the signal phase in force during the step.
+        measured: whether the step counts (the first frame of an episode does not).
+        suspects: ``[C]`` output: agents' rows on a lane that does not lead to their exit.
+
+    Returns:
+        The phase in force from now on, and the number of suspects.
+    """
+    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    lane, position, speed, signals = reading
+    place(rows, lane, position, speed, signals, floats, ints, flags, road, rules.step_s)
+    sort_lanes(rows, floats, ints, tables.lane_start.shape[0] - 1, tables.order, tables.lane_start)
+    find_leaders(rows, floats, ints, flags, tables.order, tables.lane_start, road)
+    emit_co2(rows, tables, rules, surrogate)
+    if measured:
+        before, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
+        account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
+    phase = read_clock(
+        time_s,
+        clock.cycle_s,
+        clock.offset_s,
+        clock.phase_begin_s,
+        clock.colour,
+        clock.change_s,
+        clock.second_green_s,
+        clock.third_green_s,
+        clock.now,
+        clock.time_left_s,
+        clock.until_second_s,
+        clock.until_third_s,
+    )
+    fleet = np.empty(5)
+    shortest = reward_terms(rows, floats, rules.tau_mps, rules.soft_stop, tables.terms, fleet)
+    pay(
+        acting,
+        tables.terms,
+        fleet,
+        shortest,
+        rules.weights,
+        rules.eta,
+        rules.safety,
+        rules.scale,
+        out.reward,
+        out.reward_vector,
+        rows.shape[0] == 0,
+    )
+    out.agent_terminated[:] = 0
+    for j in range(leavers.shape[0]):
+        slot = ints[leavers[j], AGENT]
+        if slot >= 0:
+            tables.agent_row[slot] = -1
+            out.agent_terminated[slot] = 1
+    state = (clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s)
+    observe(
+        tables.agent_row,
+        floats,
+        ints,
+        flags,
+        tables.order,
+        tables.lane_start,
+        road,
+        state,
+        rules.features,
+        rules.neighbours,
+        rules.sensor_range_m,
+        out.observation,
+    )
+    agent_vehicles(tables.agent_row, out.mask, out.agent_vehicle)
+    if rules.emit_vehicles:
+        emit_vehicles(floats, ints, flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
+    if rules.emit_signal:
+        out.signal_colour[: clock.now.shape[0], : clock.now.shape[1]] = clock.now
+        out.signal_time_left_s[: clock.now.shape[0], : clock.now.shape[1]] = clock.time_left_s
+    if measured:
+        sum_episode(rows, acting, floats, ints, flags, out.reward, rules.step_s, tables.sums, tables.episode)
+    count = 0
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if flags[r, WRONG_LANE] and ints[r, AGENT] >= 0:
+            suspects[count] = r
+            count += 1
+    return phase, count
