@@ -82,7 +82,6 @@ def _multisync(config: TrainConfig, policy: TensorDictModuleBase, schedule: Sche
         frames_per_batch=frames,
         total_frames=-1,
         exploration_type=ExplorationType.RANDOM,
-        track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,
         cat_results="stack",
