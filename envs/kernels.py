@@ -32,6 +32,7 @@ from izoo.envs.layout import (
     LOCATION,
     MOVEMENT,
     PATH_POSITION,
+    PLACE,
     PREV_ACCEL,
     REGION_LANE,
     SPEED,
@@ -44,7 +45,7 @@ from izoo.envs.layout import (
 from izoo.networks.roadnet import APPROACHING, INSIDE, LEAVING, RoadNet
 
 NO_TTC = np.inf
-_AHEAD_LIMIT = 12  # lanes that a search along a route may visit; routes through the region are shorter
+_ROUTE_LIMIT = 12  # lanes that a search along a route may visit; routes through the region are shorter
 
 
 class RoadArrays(NamedTuple):
@@ -144,17 +145,30 @@ def sort_lanes(rows, floats, ints, num_lanes, order, start):  # type: ignore[no-
 
 
 @njit(cache=True)
-def find_ahead(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
-    """Return the row of the first vehicle at or ahead of ``position`` along the way to ``exit_`` and its gap.
+def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped-def]
+    """Return the place in ``order`` of the first vehicle on ``lane`` at or beyond ``position`` (its end if none)."""
+    low, high = start[lane], start[lane + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if floats[order[middle], LANE_POSITION] < position:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
-    The gap in m is from ``position`` to the other's rear bumper. Row -1 means that nobody is there.
+
+@njit(cache=True)
+def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+    """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
+
+    ``first`` is the place in ``order`` where the search on ``lane`` begins. The gap in m is from ``position`` to the
+    other's rear bumper. Row -1 means that nobody is there.
     """
-    for k in range(start[lane], start[lane + 1]):
-        other = order[k]
-        if other != me and floats[other, LANE_POSITION] >= position:
-            return other, floats[other, LANE_POSITION] - floats[other, LENGTH] - position
+    if first < start[lane + 1]:
+        other = order[first]
+        return other, floats[other, LANE_POSITION] - floats[other, LENGTH] - position
     travelled = road.lane_length[lane] - position
-    for _ in range(_AHEAD_LIMIT):
+    for _ in range(_ROUTE_LIMIT):
         lane = road.next_lane[lane, exit_]
         if lane < 0:
             break
@@ -167,17 +181,17 @@ def find_ahead(lane, position, exit_, me, floats, order, start, road):  # type: 
 
 
 @njit(cache=True)
-def find_behind(lane, position, length, approach, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+def find_behind(lane, position, last, length, approach, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle behind ``position`` along the way from ``approach`` and its gap.
 
-    The gap in m is from the rear bumper of a vehicle of ``length`` at ``position`` to the other's front bumper.
+    ``last`` is the place in ``order`` where the search on ``lane`` begins, backwards. The gap in m is from the rear
+    bumper of a vehicle of ``length`` at ``position`` to the other's front bumper.
     """
-    for k in range(start[lane + 1] - 1, start[lane] - 1, -1):
-        other = order[k]
-        if other != me and floats[other, LANE_POSITION] < position:
-            return other, position - length - floats[other, LANE_POSITION]
+    if last >= start[lane]:
+        other = order[last]
+        return other, position - length - floats[other, LANE_POSITION]
     travelled = position
-    for _ in range(_AHEAD_LIMIT):
+    for _ in range(_ROUTE_LIMIT):
         lane = road.prev_lane[lane, approach]
         if lane < 0:
             break
@@ -192,11 +206,11 @@ def find_behind(lane, position, length, approach, me, floats, order, start, road
 @njit(cache=True)
 def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore[no-untyped-def]
     """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s, infinite when not closing."""
-    # Vehicles of one lane stand in driving order, so the leader on the own lane is the next one, unless side by side.
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        lane = ints[r, REGION_LANE]
-        leader, gap = find_ahead(lane, floats[r, LANE_POSITION], ints[r, EXIT], r, floats, order, start, road)
+    for k in range(rows.shape[0]):
+        r = order[k]
+        ints[r, PLACE] = k
+        lane, position = ints[r, REGION_LANE], floats[r, LANE_POSITION]
+        leader, gap = find_ahead(lane, position, k + 1, ints[r, EXIT], r, floats, order, start, road)
         floats[r, TTC] = NO_TTC
         flags[r, HAS_LEADER] = leader >= 0
         if leader >= 0:
@@ -259,14 +273,14 @@ def observe(agent_row, floats, ints, flags, order, start, road, clock, features,
         line[14] = next3[p, q] / TIME_SCALE_S
         column = 15
         for j in range(neighbours.shape[0]):
-            _see(neighbours[j], r, lane, p, q, floats, flags, order, start, road, sensor_range_m, line, column)
+            _see(neighbours[j], r, lane, p, q, floats, ints, flags, order, start, road, sensor_range_m, line, column)
             column += 6
         for j in range(features.shape[2]):
             line[column + j] = features[p, q, j]
 
 
 @njit(cache=True)
-def _see(which, r, lane, p, q, floats, flags, order, start, road, sensor_range_m, line, column):  # type: ignore[no-untyped-def]
+def _see(which, r, lane, p, q, floats, ints, flags, order, start, road, sensor_range_m, line, column):  # type: ignore[no-untyped-def]
     """Write the six numbers of one neighbour."""
     side = which // 2
     seen_lane = lane
@@ -281,10 +295,16 @@ def _see(which, r, lane, p, q, floats, flags, order, start, road, sensor_range_m
     line[column + 5] = 1.0
     # Lanes of one edge end together, so positions on them compare from the end.
     position += road.lane_length[seen_lane] - road.lane_length[lane]
-    if which % 2 == 0:
-        other, gap = find_ahead(seen_lane, position, q, r, floats, order, start, road)
+    if side == 0:
+        ahead, behind = ints[r, PLACE] + 1, ints[r, PLACE] - 1
     else:
-        other, gap = find_behind(seen_lane, position, floats[r, LENGTH], p, r, floats, order, start, road)
+        ahead = first_from(seen_lane, position, floats, order, start)
+        behind = ahead - 1
+    if which % 2 == 0:
+        other, gap = find_ahead(seen_lane, position, ahead, q, r, floats, order, start, road)
+    else:
+        length = floats[r, LENGTH]
+        other, gap = find_behind(seen_lane, position, behind, length, p, r, floats, order, start, road)
     if other < 0 or gap > sensor_range_m:
         return
     line[column] = floats[other, SPEED] / SPEED_SCALE_MPS

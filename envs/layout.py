@@ -50,8 +50,8 @@ VEHICLE_INTS = (
 )
 """Columns of ``("vehicles", name)`` as int32."""
 (LOCATION, APPROACH, EXIT, LANE, MOVEMENT, MOVES_CLASS, NUMBER, REGION_LANE) = range(8)
-(AGENT,) = range(8, 9)
-NUM_INTS = 9
+(AGENT, PLACE) = range(8, 10)
+NUM_INTS = 10
 
 VEHICLE_FLAGS = ("present", "is_cv", "blinker_left", "blinker_right", "has_leader", "deferred")
 """Columns of ``("vehicles", name)`` as bool."""
