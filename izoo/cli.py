@@ -10,6 +10,7 @@ import inspect
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,8 @@ from izoo.errors import IzooError, unknown_choice
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+HELP_WIDTH = 110
+Work = Callable[[Any, frozenset[str]], object]
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
 
 
@@ -30,14 +33,16 @@ class Command:
         name: also the name of its YAML file in ``izoo/conf``.
         summary: one sentence for ``--help``.
         examples: command lines for ``--help``, without ``python -m``.
-        load: imports what is heavy and returns ``(config class, run)``; ``run(config, given)`` does the work, ``given``
-            being the names of the options that were written on the command line.
+        config: imports and returns the dataclass of the options.
+        work: imports and returns what does the work, ``work()(config, given)``, where ``given`` are the names of the
+            options that were written on the command line. It is called once the options are known to be good.
     """
 
     name: str
     summary: str
     examples: tuple[str, ...]
-    load: Callable[[], tuple[type, Callable[[Any, frozenset[str]], object]]]
+    config: Callable[[], type]
+    work: Callable[[], Work]
 
 
 def run(command: Command, argv: Sequence[str] | None = None) -> int:
@@ -64,25 +69,23 @@ def _run(command: Command, words: Sequence[str]) -> int:
             raise unknown_choice("flag", flag, FLAGS)
     if "--version" in flags:
         return 0
-    config_class, work = command.load()
+    config_class = command.config()
     from izoo.conf import compose
 
     if "--help" in flags or "-h" in flags:
         print(help_text(command, config_class, compose.choices()))
         return 0
     if "-m" in flags or "--multirun" in flags:
-        return _multirun(command, config_class, work, options)
+        return _multirun(command, config_class, options)
     config = compose.compose_config(command.name, config_class, options)
     if "--cfg" in flags:
         print(to_yaml(config), end="")
         return 0
-    work(config, _given(options))
+    command.work()(config, _given(options))
     return 0
 
 
-def _multirun(
-    command: Command, config_class: type, work: Callable[[Any, frozenset[str]], object], options: Sequence[str]
-) -> int:
+def _multirun(command: Command, config_class: type, options: Sequence[str]) -> int:
     """Run once for each combination, through Hydra's launcher; the first bad input stops the sweep."""
     import hydra
     from omegaconf import DictConfig
@@ -99,7 +102,7 @@ def _multirun(
             if getattr(config, "run_dir", "") is None:
                 output = hydra.core.hydra_config.HydraConfig.get().runtime.output_dir
                 config = dataclasses.replace(config, run_dir=output)
-            work(config, given)
+            command.work()(config, given)
         except IzooError as error:
             print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
             raise SystemExit(EXIT_BAD_INPUT) from None
@@ -142,7 +145,7 @@ def help_text(command: Command, config_class: type, groups: dict[str, tuple[str,
     if chosen:
         lines += ["", "Choices:"]
         lines += [f"  {name}={' | '.join(groups[name])}" for name in chosen]
-    lines += ["", "Options, with their defaults:"]
+    lines += ["", "Options, with their defaults (another choice has options of its own: --cfg shows them):"]
     nested = [name for name in fields if dataclasses.is_dataclass(getattr(default, name))]
     lines += _describe({name: getattr(default, name) for name in fields if name not in nested}, "", config_class)
     for name in nested:
@@ -166,8 +169,8 @@ def _describe(values: dict[str, Any], prefix: str, owner: type) -> list[str]:
     lines = []
     for name, value in values.items():
         lines.append(f"  {prefix}{name}={_as_word(value)}")
-        lines.append(f"      {meanings.get(name, '')}".rstrip())
-    return [line for line in lines if line.strip()]
+        lines += textwrap.wrap(meanings.get(name, ""), HELP_WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return lines
 
 
 def _as_word(value: Any) -> str:
@@ -185,7 +188,7 @@ def attribute_docs(owner: type) -> dict[str, str]:
     docs: dict[str, str] = {}
     names: list[str] = []
     for line in section.splitlines():
-        head = re.match(r"    ([a-z_0-9, ]+): (.*)", line)
+        head = re.match(r"    (\w+(?:, \w+)*): (.*)", line)
         if head:
             names = [name.strip() for name in head.group(1).split(",")]
             docs.update({name: head.group(2) for name in names})

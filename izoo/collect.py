@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from izoo import cli
 
@@ -27,11 +27,16 @@ def load(folder: Path | str) -> TensorDictBase:
     return load_dataset(folder)
 
 
-def _load() -> tuple[type, Callable[[Any, frozenset[str]], object]]:
+def _config() -> type:
     from izoo.conf.options import CollectConfig
+
+    return CollectConfig
+
+
+def _work() -> cli.Work:
     from izoo.training.dataset import collect
 
-    return CollectConfig, collect
+    return collect
 
 
 COMMAND = cli.Command(
@@ -41,7 +46,8 @@ COMMAND = cli.Command(
         "izoo.collect policy=random frames=20000 out=DIR",
         "izoo.collect policy=runs/RUN frames=100000 out=DIR contexts=dataset contexts.path=DATASET",
     ),
-    load=_load,
+    config=_config,
+    work=_work,
 )
 
 

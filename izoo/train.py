@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from izoo import cli
 
 
-def _load() -> tuple[type, Callable[[Any, frozenset[str]], object]]:
+def _config() -> type:
     from izoo.conf.options import TrainConfig
+
+    return TrainConfig
+
+
+def _work() -> cli.Work:
     from izoo.training.session import train
 
-    return TrainConfig, train
+    return train
 
 
 COMMAND = cli.Command(
@@ -26,7 +30,8 @@ COMMAND = cli.Command(
         "izoo.train -m seed=0,1,2,3",
         "izoo.train resume=runs/RUN total_frames=500000",
     ),
-    load=_load,
+    config=_config,
+    work=_work,
 )
 
 

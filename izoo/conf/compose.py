@@ -127,8 +127,22 @@ def _unknown_option(key: str, legal: Sequence[str], everything: Sequence[str]) -
     by_leaf = {path.rsplit(".", 1)[-1]: path for path in reversed(everything)}
     leaf = difflib.get_close_matches(key.rsplit(".", 1)[-1], by_leaf, n=1, cutoff=0.75)
     close = difflib.get_close_matches(key, [*legal, *everything], n=1, cutoff=0.8) or [by_leaf[name] for name in leaf]
+    owners = _choices_with(key)
     hint = f" Did you mean {close[0]!r}?" if close else ""
+    if owners:
+        hint = f" It is an option of {' and '.join(owners)}, which is not chosen."
     return IzooError(f"unknown option {key!r}; choose one of: {', '.join(legal)}.{hint}")
+
+
+def _choices_with(key: str) -> list[str]:
+    """Return the choices, such as ``contexts=dataset``, that have the option ``key``."""
+    group, _, name = key.partition(".")
+    found = []
+    for choice in choices().get(group, ()):
+        text = resources.files(CONFIG_MODULE).joinpath(group, f"{choice}.yaml").read_text()
+        if name in OmegaConf.create(text):
+            found.append(f"{group}={choice}")
+    return found
 
 
 def _paths(node: Any, prefix: str = "") -> Iterator[str]:
