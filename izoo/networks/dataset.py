@@ -17,27 +17,15 @@ from typing import Any
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.contexts.spec import IntersectionSpec
+from izoo.contexts.weather import CITY_COUNTIES, WEATHER_PUBLISHED
 from izoo.errors import IzooError, check_choice
 from izoo.networks.netspec import spec_from_net
+from izoo.networks.osm_store import CMDP_FILE, load_cmdp
 
 NET_FILE, INFLOW_FILE = "net.net.xml", "inflows.txt"
 MARKER = ".importing"
 """Stands in the target of an import that has not finished; such a folder is never read."""
-CITY_NAMES = (
-    "atlanta",
-    "boston",
-    "chicago",
-    "dallas_fort_worth",
-    "houston",
-    "los_angeles",
-    "new_york_manhattan",
-    "salt_lake_city",
-    "san_francisco",
-    "seattle",
-)
 APPROACH_CHOICES = ("one", "all")
-PUBLISHED_WEATHER = {"salt_lake_city": (20.0, 46.0), "atlanta": (22.8, 83.0)}
-"""Temperature (degrees C) and relative humidity (%) of the published protocol; other cities take the first."""
 _DOWNLOAD_HINT = "fetch the folder again from the published dataset"
 
 
@@ -63,7 +51,7 @@ def load_intersection(folder: Path | str) -> IntersectionSpec:
     return spec_from_net(
         net,
         name=f"{folder.parent.name}/{folder.name}",
-        city=city if city in CITY_NAMES else None,
+        city=city if city in CITY_COUNTIES else None,
         inflows=lambda legs, incoming: read_inflows(folder / INFLOW_FILE, legs, incoming),
     )
 
@@ -74,20 +62,20 @@ def load_dataset(
     """Load the contexts of a dataset folder, or of a single intersection folder, in natural order of the ids.
 
     Args:
-        path: a folder of intersection folders, a folder of such folders (one per city), or one intersection folder.
+        path: a folder of intersection folders, a folder of such folders (one per city), one intersection folder, or a
+            folder that was built from OpenStreetMap.
         approaches: ``one``: a context per incoming approach; ``all``: one per intersection, fed from every approach.
         with_demand_only: leave out contexts without any demand.
         **context_fields: fields of every :class:`~izoo.contexts.context.Context`; the weather defaults to the
-            published values of the city (spec 11).
+            published values of the city, elsewhere to those of Salt Lake City (spec 11).
 
     Raises:
         IzooError: nothing usable is there, or a folder is broken; the message names the file and the remedy.
     """
     check_choice("approaches", approaches, APPROACH_CHOICES)
     contexts: list[Context] = []
-    for folder in find_intersections(path):
-        spec = load_intersection(folder)
-        temperature, humidity = PUBLISHED_WEATHER.get(spec.city or "", PUBLISHED_WEATHER["salt_lake_city"])
+    for spec in load_specs(path):
+        temperature, humidity = WEATHER_PUBLISHED.get(spec.city or "", WEATHER_PUBLISHED["salt_lake_city"])
         fields = {"temperature_c": temperature, "humidity_pct": humidity, **context_fields}
         legs: Iterable[str | None] = spec.approach_names if approaches == "one" else (None,)
         found = [Context(spec, approach=leg, **fields) for leg in legs]
@@ -95,6 +83,13 @@ def load_dataset(
     if not contexts:
         raise IzooError(f"no approach in {path} has demand; check the {INFLOW_FILE} files, or ask for all approaches.")
     return ContextList(contexts)
+
+
+def load_specs(path: Path | str) -> list[IntersectionSpec]:
+    """Load every intersection under ``path``; see :func:`load_dataset` for what may stand there."""
+    if (Path(path).expanduser() / CMDP_FILE).is_file():
+        return load_cmdp(path)
+    return [load_intersection(folder) for folder in find_intersections(path)]
 
 
 def find_intersections(path: Path | str) -> list[Path]:

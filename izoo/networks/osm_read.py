@@ -1,0 +1,185 @@
+"""Reads the drivable streets of an OpenStreetMap extract (``.osm``, ``.osm.pbf``, compressed or not).
+
+Positions are metres east and north of the extract's centre; at the size of a city the projection is true to 0.1 %.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from izoo.errors import IzooError
+
+SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2")
+EARTH_RADIUS_M = 6_371_000.0
+DRIVABLE = frozenset(
+    f"{name}{suffix}" for name in ("motorway", "trunk", "primary", "secondary", "tertiary") for suffix in ("", "_link")
+) | {"unclassified", "residential", "living_street", "road"}
+"""Values of ``highway`` that count as streets; service roads and driveways do not."""
+_CLOSED = ("no", "private", "agricultural", "forestry", "delivery")
+
+
+@dataclass(frozen=True)
+class Way:
+    """A drivable way: its node ids in drawing order, and its tags. ``oneway`` is 1, -1 (against the order) or 0."""
+
+    id: int
+    nodes: tuple[int, ...]
+    tags: dict[str, str]
+    oneway: int
+
+    @property
+    def name(self) -> str:
+        """Street name, or its reference number, or an empty string."""
+        return self.tags.get("name") or self.tags.get("ref") or ""
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """A turn restriction such as ``no_left_turn`` from one way into another."""
+
+    kind: str
+    from_way: int
+    to_way: int
+
+
+@dataclass(frozen=True)
+class StreetMap:
+    """Streets of one extract.
+
+    Attributes:
+        ways: drivable ways by id; a way that leaves the extract is cut where its nodes are missing.
+        position_m: per node, metres east and north of the centre.
+        lonlat: per node, degrees.
+        signals: signal nodes on drivable ways, with the direction (``forward``, ``backward`` or ``""``) they face.
+        restrictions: turn restrictions between drivable ways.
+    """
+
+    ways: dict[int, Way]
+    position_m: dict[int, tuple[float, float]]
+    lonlat: dict[int, tuple[float, float]]
+    signals: dict[int, str]
+    restrictions: tuple[Restriction, ...]
+
+
+def read_streets(path: Path | str) -> StreetMap:
+    """Read an extract.
+
+    Raises:
+        IzooError: osmium is not installed; the file is missing, of another format or malformed, or has no streets.
+    """
+    path = Path(path).expanduser()
+    if not path.is_file():
+        raise IzooError(f"{path} does not exist; give the path of an OpenStreetMap extract ({', '.join(SUFFIXES)}).")
+    if not path.name.endswith(SUFFIXES):
+        raise IzooError(f"{path} is not an OpenStreetMap extract by its name; it must end in {', '.join(SUFFIXES)}.")
+    osmium = _osmium()
+    try:
+        ways, restrictions = _read_ways(osmium, path)
+        lonlat, signals = _read_nodes(osmium, path, {node for way in ways for node in way.nodes})
+    except (RuntimeError, ValueError, OSError, UnicodeDecodeError) as error:
+        raise IzooError(f"{path} cannot be read as OpenStreetMap data ({error}); export the extract again.") from error
+    kept = {way.id: way for whole in ways for way in _cut(whole, lonlat)}
+    if not kept:
+        raise IzooError(f"{path} holds no drivable streets; export an extract that contains streets with their nodes.")
+    used = {node for way in kept.values() for node in way.nodes}
+    lonlat = {node: place for node, place in lonlat.items() if node in used}
+    return StreetMap(
+        ways=kept,
+        position_m=_project(lonlat),
+        lonlat=lonlat,
+        signals={node: facing for node, facing in signals.items() if node in used},
+        restrictions=tuple(found for found in restrictions if found.from_way in kept and found.to_way in kept),
+    )
+
+
+def _osmium() -> Any:
+    try:
+        return importlib.import_module("osmium")
+    except ImportError as error:
+        raise IzooError("OpenStreetMap needs the package osmium; install it with: pip install 'izoo[osm]'") from error
+
+
+def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
+    ways: list[Way] = []
+    restrictions: list[Restriction] = []
+    for item in osmium.FileProcessor(str(path), osmium.osm.WAY | osmium.osm.RELATION):
+        tags = item.tags
+        if item.is_way():
+            if tags.get("highway") in DRIVABLE and _open_to_cars(tags):
+                nodes = tuple(node.ref for node in item.nodes)
+                ways.append(Way(item.id, nodes, {tag.k: tag.v for tag in tags}, _oneway(tags)))
+        elif tags.get("type") == "restriction" and tags.get("restriction"):
+            role = {member.role: member.ref for member in item.members if member.type == "w"}
+            if "from" in role and "to" in role:
+                restrictions.append(Restriction(tags["restriction"], role["from"], role["to"]))
+    return ways, restrictions
+
+
+def _read_nodes(osmium: Any, path: Path, wanted: set[int]) -> tuple[dict[int, tuple[float, float]], dict[int, str]]:
+    lonlat: dict[int, tuple[float, float]] = {}
+    signals: dict[int, str] = {}
+    for node in osmium.FileProcessor(str(path), osmium.osm.NODE):
+        if node.id not in wanted or not node.location.valid():
+            continue
+        lonlat[node.id] = (node.location.lon, node.location.lat)
+        if node.tags.get("highway") == "traffic_signals":
+            signals[node.id] = node.tags.get("traffic_signals:direction") or node.tags.get("direction") or ""
+    return lonlat, signals
+
+
+def _open_to_cars(tags: Any) -> bool:
+    if tags.get("area") == "yes":
+        return False
+    for key in ("motorcar", "motor_vehicle", "vehicle", "access"):
+        value = tags.get(key)
+        if value is not None:
+            return value not in _CLOSED
+    return True
+
+
+def _oneway(tags: Any) -> int:
+    value = tags.get("oneway")
+    if value in ("yes", "true", "1"):
+        return 1
+    if value in ("-1", "reverse"):
+        return -1
+    implied = tags.get("junction") in ("roundabout", "circular") or tags.get("highway") in ("motorway", "motorway_link")
+    return 1 if implied and value is None else 0
+
+
+def _cut(way: Way, lonlat: dict[int, tuple[float, float]]) -> Iterator[Way]:
+    """The longest stretch of ``way`` whose nodes are all in the extract, if it has two nodes or more."""
+    stretches: list[list[int]] = [[]]
+    for node in way.nodes:
+        if node not in lonlat:
+            stretches.append([])
+        elif not stretches[-1] or stretches[-1][-1] != node:
+            stretches[-1].append(node)
+    best = max(stretches, key=len)
+    if len(best) > 1:
+        yield Way(way.id, tuple(best), way.tags, way.oneway)
+
+
+def _project(lonlat: dict[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+    lon0 = sum(lon for lon, _ in lonlat.values()) / len(lonlat)
+    lat0 = sum(lat for _, lat in lonlat.values()) / len(lonlat)
+    metres = math.radians(1.0) * EARTH_RADIUS_M
+    shrink = math.cos(math.radians(lat0))
+    return {node: ((lon - lon0) * metres * shrink, (lat - lat0) * metres) for node, (lon, lat) in lonlat.items()}
+
+
+def neighbours(streets: StreetMap) -> dict[int, list[tuple[int, Way, int]]]:
+    """Per node: the nodes next to it, the way in between, and 1 or -1: with or against the way's order."""
+    found: dict[int, list[tuple[int, Way, int]]] = defaultdict(list)
+    for way in streets.ways.values():
+        for one, two in itertools.pairwise(way.nodes):
+            found[one].append((two, way, 1))
+            found[two].append((one, way, -1))
+    return found
