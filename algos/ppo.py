@@ -305,7 +305,9 @@ class PPO:
         mask, done = batch.get(base.MASK), batch.get(("next", *base.DONE))
         terminated, reward = batch.get(("next", *base.TERMINATED)), batch.get(("next", *base.REWARD))
         observation, successor = batch.get(base.OBSERVATION), batch.get(("next", *base.OBSERVATION))
-        value = reward.new_zeros(reward.shape)
+        # What stands in an empty slot must not reach its neighbours in time, whatever it is.
+        reward = torch.where(mask.unsqueeze(-1), reward, torch.zeros_like(reward))
+        value = torch.zeros_like(reward)
         value[mask] = self.critic.module(observation[mask])
         boundary = mask & done.squeeze(-1)
         boundary[:, -1] = mask[:, -1]
