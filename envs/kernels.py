@@ -42,6 +42,7 @@ from izoo.envs.layout import (
     TTC,
     WRONG_LANE,
 )
+from izoo.networks.clock import NEVER_S
 from izoo.networks.roadnet import APPROACHING, INSIDE, LEAVING, RoadNet
 
 NO_TTC = np.inf
@@ -228,7 +229,8 @@ def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore
 def read_clock(time_s, cycle_s, offset_s, begin, colour, change, second, third, now, left, next2, next3):  # type: ignore[no-untyped-def]
     """Evaluate the signal clock at ``time_s`` for all movements ``[P, Q]``; return the phase.
 
-    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``.
+    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``,
+    at most ``NEVER_S``.
     """
     in_cycle = (time_s - offset_s) % cycle_s
     phase = np.searchsorted(begin, in_cycle + 1e-6, side="right") - 1
@@ -236,9 +238,9 @@ def read_clock(time_s, cycle_s, offset_s, begin, colour, change, second, third, 
     for p in range(now.shape[0]):
         for q in range(now.shape[1]):
             now[p, q] = colour[p, q, phase]
-            left[p, q] = max(change[p, q, phase] - elapsed, 0.0)
-            next2[p, q] = max(second[p, q, phase] - elapsed, 0.0)
-            next3[p, q] = max(third[p, q, phase] - elapsed, 0.0)
+            left[p, q] = min(max(change[p, q, phase] - elapsed, 0.0), NEVER_S)
+            next2[p, q] = min(max(second[p, q, phase] - elapsed, 0.0), NEVER_S)
+            next3[p, q] = min(max(third[p, q, phase] - elapsed, 0.0), NEVER_S)
     return phase
 
 

@@ -15,7 +15,7 @@ from izoo.errors import IzooError
 
 GREEN, YELLOW, RED = 0, 1, 2
 NEVER_S = 300.0
-"""Reported for a change or a green that never comes (a movement without green, or one that is always green)."""
+"""The longest time reported: for a change or a green that never comes (a movement without green, or always green)."""
 _COLOUR = {"G": GREEN, "g": GREEN, "O": GREEN, "o": GREEN, "y": YELLOW, "Y": YELLOW}
 
 
@@ -28,7 +28,7 @@ class SignalClock:
         phase_begin_s: ``[K]`` begin of each phase within the cycle.
         colour: ``[P, Q, K]`` int8: 0 green (``G`` or ``g``), 1 yellow, 2 red.
         legal_on_red: ``[P, Q, K]`` bool: crossing on red after a stop is legal (``s``).
-        change_s: ``[P, Q, K]`` from the phase's begin until the colour changes.
+        change_s: ``[P, Q, K]`` from the phase's begin until the colour changes; infinite if it never does.
         second_green_s, third_green_s: ``[P, Q, K]`` until the second and third green interval begin; a current green
             counts as the first.
         green_s, red_s: ``[P, Q]`` green per cycle, and the rest of the cycle.
@@ -78,7 +78,7 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
 def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndarray, offset_s: float) -> SignalClock:
     """Derive all tables from phase durations ``[K]`` and colours ``[P, Q, K]``."""
     begin = np.concatenate([[0.0], np.cumsum(duration_s)[:-1]])
-    change = np.full(colour.shape, NEVER_S)
+    change = np.full(colour.shape, np.inf)
     second, third = change.copy(), change.copy()
     for p in range(colour.shape[0]):
         for q in range(colour.shape[1]):
@@ -104,7 +104,7 @@ def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndar
 def _look_ahead(colour: np.ndarray, duration_s: np.ndarray, k: int) -> tuple[float, list[float]]:
     """Time from the begin of phase ``k`` to the next colour change and to the first three green intervals."""
     count = len(duration_s)
-    change, elapsed = NEVER_S, 0.0
+    change, elapsed = np.inf, 0.0
     greens = [0.0] if colour[k] == GREEN else []
     for step in range(1, 3 * count + 1):
         elapsed += float(duration_s[(k + step - 1) % count])
@@ -113,4 +113,4 @@ def _look_ahead(colour: np.ndarray, duration_s: np.ndarray, k: int) -> tuple[flo
             change = min(change, elapsed)
             if now == GREEN:
                 greens.append(elapsed)
-    return change, [*greens[:3], *[NEVER_S] * (3 - len(greens[:3]))]
+    return change, [*greens[:3], *[np.inf] * (3 - len(greens[:3]))]
