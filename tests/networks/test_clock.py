@@ -1,0 +1,138 @@
+"""The signal clock: tables by hand, by brute force, and against SUMO's own signal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from izoo.contexts.source import ContextList
+from izoo.envs import kernels
+from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
+from izoo.networks.roadnet import RoadNet, read_road
+from tests.networks.handmade import write_handmade
+
+
+def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
+    """Return the phase and ``[4, P, Q]``: colour, time left, second and third green."""
+    shape = clock.colour.shape[:2]
+    now, out = np.zeros(shape, np.int64), np.zeros((3, *shape))
+    tables = (clock.phase_begin_s, clock.colour, clock.change_s, clock.second_green_s, clock.third_green_s)
+    phase = kernels.read_clock(time_s, clock.cycle_s, clock.offset_s, *tables, now, *out)
+    return int(phase), np.stack([now, *out])
+
+
+@pytest.fixture(scope="module")
+def clock(tmp_path_factory: pytest.TempPathFactory) -> SignalClock:
+    return read_road(write_handmade(tmp_path_factory.mktemp("net"))).clock
+
+
+def test_green_and_red_per_cycle(clock: SignalClock) -> None:
+    assert clock.cycle_s == 65.0 and clock.offset_s == 7.0
+    assert clock.green_s.tolist() == [[0.0, 36.0, 30.0], [20.0, 0.0, 20.0]]
+    assert (clock.red_s + clock.green_s == 65.0).all()
+
+
+def test_right_on_red_is_red_but_legal(clock: SignalClock) -> None:
+    assert clock.colour[1, 0].tolist() == [RED, RED, RED, RED, GREEN, YELLOW]
+    assert clock.legal_on_red[1, 0].tolist() == [True] * 4 + [False] * 2
+    assert not clock.legal_on_red[0].any()
+
+
+# The plan starts at 7 s: through A green 0-30, A's left green 0-30 and 33-39, B green 42-62 of a cycle of 65 s.
+@pytest.mark.parametrize(
+    ("time_s", "movement", "expected"),
+    [
+        (7.0, (0, 2), (GREEN, 30.0, 65.0, 130.0)),
+        (17.0, (0, 2), (GREEN, 20.0, 55.0, 120.0)),
+        (37.0, (0, 2), (YELLOW, 3.0, 100.0, 165.0)),
+        (47.0, (0, 2), (RED, 25.0, 90.0, 155.0)),
+        (17.0, (0, 1), (GREEN, 20.0, 23.0, 55.0)),
+        (38.0, (0, 1), (YELLOW, 2.0, 34.0, 67.0)),
+        (41.0, (0, 1), (GREEN, 5.0, 31.0, 64.0)),
+        (59.0, (0, 1), (RED, 13.0, 46.0, 78.0)),
+        (8.0, (1, 0), (RED, 41.0, 106.0, 171.0)),
+        (2.0, (1, 0), (GREEN, 2.0, 47.0, 112.0)),
+        (52.0, (1, 2), (GREEN, 17.0, 62.0, 127.0)),
+    ],
+)
+def test_by_hand(clock: SignalClock, time_s: float, movement: tuple[int, int], expected: tuple[float, ...]) -> None:
+    _, state = evaluate(clock, time_s)
+    assert state[:, movement[0], movement[1]] == pytest.approx(expected)
+
+
+def test_a_movement_without_green_never_changes() -> None:
+    clock = make_clock(np.array([20.0, 30.0]), np.full((1, 1, 2), RED, np.int8), np.zeros((1, 1, 2), bool), 0.0)
+    for time_s in (0.0, 19.5, 33.0, 80.0):
+        assert evaluate(clock, time_s)[1][:, 0, 0].tolist() == [RED, NEVER_S, NEVER_S, NEVER_S]
+    assert clock.green_s[0, 0] == 0.0
+
+
+def test_a_movement_that_is_always_green_never_changes() -> None:
+    clock = make_clock(np.array([20.0, 30.0]), np.full((1, 1, 2), GREEN, np.int8), np.zeros((1, 1, 2), bool), 0.0)
+    assert evaluate(clock, 12.0)[1][:, 0, 0].tolist() == [GREEN, NEVER_S, NEVER_S, NEVER_S]
+    assert clock.green_s[0, 0] == 50.0
+
+
+def test_against_brute_force() -> None:
+    """Random plans, read off a timeline of half seconds."""
+    generator = np.random.default_rng(3)
+    for _ in range(40):
+        phases = int(generator.integers(2, 7))
+        duration = generator.integers(2, 20, phases).astype(float)
+        colour = generator.integers(0, 3, (1, 1, phases)).astype(np.int8)
+        clock = make_clock(duration, colour, np.zeros(colour.shape, bool), float(generator.integers(-5, 30)))
+        timeline = np.tile(np.repeat(colour[0, 0], (2 * duration).astype(int)), 6)
+        starts = np.flatnonzero((timeline == GREEN) & (np.roll(timeline, 1) != GREEN))
+        for tick in generator.integers(0, int(2 * clock.cycle_s), 5).tolist():
+            _, state = evaluate(clock, clock.offset_s + tick / 2.0)
+            assert state[0, 0, 0] == timeline[tick]
+            changes = np.flatnonzero(timeline[tick:] != timeline[tick])
+            assert state[1, 0, 0] == (min(changes[0] / 2.0, NEVER_S) if len(changes) else NEVER_S)
+            if len(starts):
+                greens = [0.0] if timeline[tick] == GREEN else []
+                greens += ((starts[starts > tick] - tick) / 2.0).tolist()
+                assert state[2:, 0, 0].tolist() == [min(time_s, NEVER_S) for time_s in greens[1:3]]
+
+
+def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> None:
+    """Compare the clock with the state that SUMO's signal has in every step."""
+    from izoo.envs.sumo import SumoSession, sumo_arguments
+
+    routes = folder / "none.rou.xml"
+    routes.write_text("<routes/>")
+    session = SumoSession()
+    session.load(sumo_arguments(road.path, routes, 0, 0.5))
+    import libsumo
+
+    try:
+        links = signal_links(road)
+        letters = {"G": GREEN, "g": GREEN, "y": YELLOW, "r": RED, "s": RED}
+        while session.time_s < duration_s:
+            before = session.time_s
+            session.advance()
+            # What SUMO reports after a step is the state that was in force during it.
+            state = libsumo.trafficlight.getRedYellowGreenState("TL")
+            _, ours = evaluate(road.clock, before)
+            for (p, q), indices in links.items():
+                assert ours[0, p, q] == min(letters[state[link]] for link in indices), (before, p, q)
+    finally:
+        session.close()
+
+
+def signal_links(road: RoadNet) -> dict[tuple[int, int], list[int]]:
+    from defusedxml import ElementTree
+
+    links: dict[tuple[int, int], list[int]] = {}
+    for connection in ElementTree.parse(road.path).getroot().findall("connection"):
+        if connection.get("tl") == "TL" and connection.get("to").startswith("TL2"):
+            key = road.approaches.index(connection.get("from")[0]), road.exits.index(connection.get("to")[3])
+            links.setdefault(key, []).append(int(connection.get("linkIndex")))
+    return links
+
+
+def test_against_sumo_on_published_nets(dataset: ContextList, tmp_path: Path) -> None:
+    paths = sorted({str(context.intersection.net_path) for context in dataset})
+    for path in paths[::12]:
+        follow_sumo(read_road(path), tmp_path, 130.0)
