@@ -1,0 +1,118 @@
+"""Nets on disk, by content hash: whole or absent, whoever reads or writes at the same time."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import platformdirs
+
+from izoo.errors import IzooError
+
+CACHE_ENV = "IZOO_CACHE_DIR"
+MAX_ENTRIES = 20_000
+"""Procedural training never ends, so the oldest nets (of about 50 kB) go when there are more than this."""
+SPARE_S = 3600.0
+"""Nets younger than this stay, whatever their number: someone may be about to load them."""
+_SEAL = "<!-- sha256 "
+_TIDY_EVERY = 500
+_stored = 0
+
+
+def cache_folder(cache_dir: Path | None = None) -> Path:
+    """Return the folder of the nets, made if absent.
+
+    Args:
+        cache_dir: where to cache; ``None`` means the environment variable ``IZOO_CACHE_DIR`` or else the user's cache
+            folder.
+
+    Raises:
+        IzooError: the folder cannot be made.
+    """
+    root = Path(cache_dir or os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo"))
+    folder = root / "nets"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    return folder
+
+
+def lookup(folder: Path, key: str) -> Path | None:
+    """Return the entry ``key``, or ``None`` where it is absent, truncated or altered."""
+    path = _entry(folder, key)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    body, seal, rest = data.rpartition(_SEAL.encode())
+    return path if seal and rest == _digest(body) else None
+
+
+def store(folder: Path, key: str, text: str) -> Path:
+    """Write an entry in one go, replacing what is there, and return its path.
+
+    Raises:
+        IzooError: the folder cannot be written to.
+    """
+    global _stored
+    body = text.encode()
+    try:
+        handle, name = tempfile.mkstemp(prefix=".new-", dir=folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(body + _SEAL.encode() + _digest(body))
+            Path(name).replace(_entry(folder, key))
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    _stored += 1
+    if _stored % _TIDY_EVERY == 0:
+        tidy(folder)
+    return _entry(folder, key)
+
+
+def tidy(folder: Path, max_entries: int = MAX_ENTRIES, spare_s: float = SPARE_S) -> None:
+    """Remove the oldest entries beyond ``max_entries``, but none younger than ``spare_s``."""
+    entries: list[tuple[float, str]] = []
+    for entry in os.scandir(folder):
+        with contextlib.suppress(OSError):
+            if entry.name.endswith(".net.xml"):
+                entries.append((entry.stat().st_mtime, entry.path))
+    surplus = sorted(entries)[: max(len(entries) - max_entries, 0)]
+    for written_s, path in surplus:
+        if time.time() - written_s >= spare_s:
+            Path(path).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def workspace(folder: Path) -> Iterator[Path]:
+    """Give a folder for intermediate files, inside the cache, and remove it afterwards."""
+    try:
+        scratch = tempfile.TemporaryDirectory(prefix=".work-", dir=folder, ignore_cleanup_errors=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    with scratch as name:
+        yield Path(name)
+
+
+def _entry(folder: Path, key: str) -> Path:
+    return folder / f"{key}.net.xml"
+
+
+def _digest(body: bytes) -> bytes:
+    return f"{hashlib.sha256(body).hexdigest()} -->\n".encode()
+
+
+def _unwritable(folder: Path, error: OSError) -> IzooError:
+    return IzooError(
+        f"cannot write to the cache folder {folder} ({error.strerror or error}); set {CACHE_ENV} to a folder that can "
+        "be written to."
+    )
