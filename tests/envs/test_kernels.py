@@ -1,0 +1,461 @@
+"""What a CV observes, number by number, with vehicles placed by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from izoo.contexts.context import Context
+from izoo.contexts.features import OBSERVED
+from izoo.contexts.spec import Approach, IntersectionSpec, Leg
+from izoo.envs import kernels
+from izoo.envs.config import NEIGHBOURS
+from izoo.envs.context_table import observed_table
+from izoo.envs.layout import (
+    ACCEL,
+    BLINKER_LEFT,
+    BLINKER_RIGHT,
+    FAR_M,
+    FRESH,
+    GAP,
+    GRADE,
+    HAS_LEADER,
+    LANE,
+    LANE_POSITION,
+    LEADER_SPEED,
+    LENGTH,
+    LOCATION,
+    MOVEMENT,
+    NEIGHBOUR_FEATURES,
+    PATH_POSITION,
+    PREV_ACCEL,
+    SPEED,
+    STOP_LINE,
+    TTC,
+    WRONG_LANE,
+)
+from izoo.networks.roadnet import APPROACHING, INSIDE, LEAVING, LEFT, STRAIGHT, RoadNet, read_road
+from tests.envs.placed import LEFT_BLINKER, RIGHT_BLINKER, STEP_S, Scene
+from tests.networks.handmade import write_handmade
+
+ABSENT = {"speed": 0.0, "distance": 4.0, "blinker_left": 0.0, "blinker_right": 0.0, "present": 0.0}
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory: pytest.TempPathFactory) -> RoadNet:
+    return read_road(write_handmade(tmp_path_factory.mktemp("net")))
+
+
+@pytest.fixture
+def scene(road: RoadNet) -> Scene:
+    return Scene(road)
+
+
+def neighbour(seen: dict[str, float], who: str) -> dict[str, float]:
+    return {what: seen[f"{who}_{what}"] for what in NEIGHBOUR_FEATURES}
+
+
+def assert_sees(seen: dict[str, float], who: str, gap_m: float, speed: float) -> None:
+    got = neighbour(seen, who)
+    assert got["present"] == got["lane_exists"] == 1.0
+    assert got["distance"] == pytest.approx(gap_m / 250.0, abs=1e-6)
+    assert got["speed"] == pytest.approx(speed / 15.0)
+
+
+# -- ego ---------------------------------------------------------------------------------------------------------------
+
+
+def test_ego_approaching(scene: Scene) -> None:
+    me = scene.put("A2TL_1", 40.0, speed=12.0)
+    seen = scene.see(me)
+    assert seen["speed"] == pytest.approx(12.0 / 15.0)
+    assert seen["stop_line_distance"] == pytest.approx(-(301.0 - 40.0) / 250.0)
+    assert (seen["location_approaching"], seen["location_inside"], seen["location_leaving"]) == (1.0, 0.0, 0.0)
+    assert seen["lane"] == 1.0
+    assert (seen["intention_right"], seen["intention_straight"], seen["intention_left"]) == (0.0, 1.0, 0.0)
+
+
+def test_ego_in_the_pocket(scene: Scene) -> None:
+    seen = scene.see(scene.put("A2TL_intern_1", 60.0))
+    assert seen["stop_line_distance"] == pytest.approx(-40.0 / 250.0) and seen["lane"] == 0.5
+
+
+def test_ego_inside_has_distance_zero(scene: Scene) -> None:
+    me = scene.put(":TL_9_0", 3.0, way="AB")
+    seen = scene.see(me)
+    assert seen["stop_line_distance"] == 0.0 and seen["location_inside"] == 1.0 and seen["intention_left"] == 1.0
+    assert scene.floats[me, PATH_POSITION] == pytest.approx(8.0 + 3.0)
+    assert scene.ints[me, LOCATION] == INSIDE
+
+
+def test_ego_leaving_counts_from_the_exit(scene: Scene) -> None:
+    """The distance after the line is the position on the exit; the path position goes on through the junction."""
+    me = scene.put(":TL_9_0", 11.0, way="AB")
+    scene.read()
+    scene.move(me, "TL2B_0", 4.0, 10.0)
+    seen = scene.see(me)
+    assert seen["stop_line_distance"] == pytest.approx(4.0 / 250.0) and seen["location_leaving"] == 1.0
+    assert scene.floats[me, PATH_POSITION] == pytest.approx(20.0 + 4.0)
+    assert scene.ints[me, LOCATION] == LEAVING
+
+
+def test_path_position_is_continuous(scene: Scene) -> None:
+    me = scene.put("A2TL_1", 199.5, speed=1.0)
+    ways = [("A2TL_1", 200.0), (":S_0_1", 0.5), ("A2TL_intern_1", 0.0), ("A2TL_intern_1", 100.0), (":TL_0_1", 0.0)]
+    ways += [(":TL_0_1", 20.0), ("TL2C_1", 0.0)]
+    path = []
+    for lane, position in ways:
+        scene.move(me, lane, position, 1.0)
+        scene.read()
+        path.append(scene.floats[me, PATH_POSITION])
+    assert path == pytest.approx([-101.0, -100.5, -100.0, 0.0, 0.0, 20.0, 20.0])
+
+
+def test_the_only_lane_counts_as_rightmost(scene: Scene) -> None:
+    assert scene.see(scene.put("B2TL_0", 20.0, way="BA"))["lane"] == 0.0
+
+
+def test_right_turn(scene: Scene) -> None:
+    seen = scene.see(scene.put("B2TL_0", 20.0, way="BA"))
+    assert seen["intention_right"] == 1.0 and seen["stop_line_distance"] == pytest.approx(-130.0 / 250.0)
+
+
+def test_empty_slots_are_zero(scene: Scene) -> None:
+    me = scene.put("A2TL_1", 40.0)
+    out = scene.look(-1, me, -1, features=np.ones((2, 3, 2)))
+    assert not out[[0, 2]].any() and out[1].any()
+
+
+# -- signal ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("way", "lane", "time_s", "expected"),
+    [
+        ("AC", "A2TL_0", 17.0, ([1, 0, 0], 20.0, 55.0, 120.0)),
+        ("AB", "A2TL_1", 17.0, ([1, 0, 0], 20.0, 23.0, 55.0)),
+        ("AC", "A2TL_0", 38.0, ([0, 1, 0], 2.0, 99.0, 164.0)),
+        ("BA", "B2TL_0", 8.0, ([0, 0, 1], 41.0, 106.0, 171.0)),  # right on red counts as red
+    ],
+)
+def test_signal_of_the_own_movement(
+    scene: Scene, way: str, lane: str, time_s: float, expected: tuple[list[int], float, float, float]
+) -> None:
+    seen = scene.see(scene.put(lane, 10.0, way=way), time_s=time_s)
+    assert [seen["signal_green"], seen["signal_yellow"], seen["signal_red"]] == expected[0]
+    clock = [seen["signal_time_left"], seen["signal_second_green"], seen["signal_third_green"]]
+    assert clock == pytest.approx([value / 100.0 for value in expected[1:]])
+
+
+# -- neighbours --------------------------------------------------------------------------------------------------------
+
+
+def test_leader_and_follower_on_the_own_lane(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 100.0, length=5.0)
+    scene.put("A2TL_0", 150.0, speed=3.0, length=12.0)
+    scene.put("A2TL_0", 180.0, speed=6.0)
+    scene.put("A2TL_0", 70.0, speed=9.0)
+    scene.put("A2TL_0", 40.0, speed=12.0)
+    seen = scene.see(me)
+    assert_sees(seen, "leader", 150.0 - 12.0 - 100.0, 3.0)
+    assert_sees(seen, "follower", 100.0 - 5.0 - 70.0, 9.0)
+
+
+def test_leader_through_the_junction(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_2", 90.0, way="AB")
+    scene.put("TL2B_0", 30.0, speed=7.0, way="AB", length=6.0)
+    assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 12.0 + 30.0 - 6.0, 7.0)
+
+
+def test_leader_inside_the_junction_comes_before_one_behind_it(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_2", 90.0, way="AB")
+    scene.put("TL2B_0", 30.0, way="AB")
+    scene.put(":TL_9_0", 2.0, speed=2.0, way="AB")
+    assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 2.0 - 5.0, 2.0)
+
+
+def test_leader_through_the_split_depends_on_the_way(scene: Scene) -> None:
+    straight = scene.put("A2TL_1", 190.0, way="AC")
+    left = scene.put("A2TL_1", 150.0, way="AB")
+    scene.put("A2TL_intern_1", 20.0, speed=1.0, way="AC")
+    scene.put("A2TL_intern_2", 40.0, speed=2.0, way="AB")
+    assert_sees(scene.see(straight), "leader", 10.0 + 1.0 + 20.0 - 5.0, 1.0)
+    assert_sees(scene.see(left), "leader", 190.0 - 5.0 - 150.0, 10.0)
+    scene.move(straight, "A2TL_0", 190.0, 10.0)
+    assert_sees(scene.see(left), "leader", 50.0 + 1.0 + 40.0 - 5.0, 2.0)
+
+
+def test_vehicles_of_another_way_are_not_in_the_way(scene: Scene) -> None:
+    """A vehicle that crosses the junction from B does not lead one that goes straight on from A."""
+    me = scene.put("A2TL_intern_1", 99.0, way="AC")
+    scene.put(":TL_5_0", 10.0, way="BC")
+    assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
+
+
+def test_leader_on_the_exit_that_came_from_elsewhere(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_0", 95.0, way="AC")
+    scene.put("TL2C_0", 8.0, speed=4.0, way="BC")
+    assert_sees(scene.see(me), "leader", 5.0 + 20.0 + 8.0 - 5.0, 4.0)
+
+
+def test_follower_through_the_junction(scene: Scene) -> None:
+    me = scene.put("TL2B_0", 9.0, way="AB", length=7.0)
+    scene.put("A2TL_intern_2", 80.0, speed=5.0, way="AB")
+    assert_sees(scene.see(me), "follower", 9.0 - 7.0 + 12.0 + 8.0 + 20.0, 5.0)
+
+
+def test_follower_comes_along_the_own_way(scene: Scene) -> None:
+    me = scene.put("TL2C_0", 9.0, way="BC")
+    scene.put("A2TL_intern_0", 99.0, way="AC")
+    scene.put("B2TL_0", 149.0, speed=2.0, way="BC")
+    assert_sees(scene.see(me), "follower", 9.0 - 5.0 + 14.0 + 1.0, 2.0)
+
+
+def test_lanes_to_the_left_and_right(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_1", 50.0, length=5.0)
+    scene.put("A2TL_intern_2", 65.0, speed=1.0, way="AB")
+    scene.put("A2TL_intern_2", 30.0, speed=2.0, way="AB")
+    scene.put("A2TL_intern_0", 80.0, speed=3.0)
+    scene.put("A2TL_intern_0", 20.0, speed=4.0)
+    seen = scene.see(me)
+    assert_sees(seen, "left_leader", 65.0 - 5.0 - 50.0, 1.0)
+    assert_sees(seen, "left_follower", 50.0 - 5.0 - 30.0, 2.0)
+    assert_sees(seen, "right_leader", 80.0 - 5.0 - 50.0, 3.0)
+    assert_sees(seen, "right_follower", 50.0 - 5.0 - 20.0, 4.0)
+    assert neighbour(seen, "leader") == neighbour(seen, "follower") == ABSENT | {"lane_exists": 1.0}
+
+
+def test_a_neighbour_alongside_leads_when_its_front_is_ahead(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 50.0, length=5.0)
+    scene.put("A2TL_1", 52.0, speed=1.0, length=5.0)
+    assert_sees(scene.see(me), "left_leader", -3.0, 1.0)
+    scene.move(1, "A2TL_1", 48.0, 1.0)
+    seen = scene.see(me)
+    assert_sees(seen, "left_follower", 50.0 - 5.0 - 48.0, 1.0)
+    assert seen["left_leader_present"] == 0.0
+
+
+def test_neighbours_on_lanes_of_another_length(road: RoadNet) -> None:
+    """Lanes of one edge end side by side: positions are compared from the end."""
+    lengths = road.lane_length.copy()
+    lengths[road.lane_ids.index("A2TL_1")] = 190.0
+    scene = Scene(road)
+    scene.lanes = scene.lanes._replace(lane_length=lengths)
+    me = scene.put("A2TL_0", 100.0)  # 100 m before the end
+    scene.put("A2TL_1", 110.0, speed=1.0)  # 80 m before the end
+    scene.put("A2TL_1", 70.0, speed=2.0)  # 120 m before the end
+    seen = scene.see(me)
+    assert_sees(seen, "left_leader", 20.0 - 5.0, 1.0)
+    assert_sees(seen, "left_follower", 20.0 - 5.0, 2.0)
+    other = scene.see(1)
+    assert_sees(other, "right_follower", 20.0 - 5.0, 10.0)
+
+
+def test_neighbouring_lane_followed_through_the_junction(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_1", 95.0)
+    scene.put("TL2C_0", 10.0, speed=8.0)
+    scene.put("TL2C_1", 30.0, speed=9.0)
+    seen = scene.see(me)
+    assert_sees(seen, "right_leader", 5.0 + 20.0 + 10.0 - 5.0, 8.0)
+    assert_sees(seen, "leader", 5.0 + 20.0 + 30.0 - 5.0, 9.0)
+
+
+def test_no_lane_and_an_empty_lane_differ(scene: Scene) -> None:
+    seen = scene.see(scene.put("A2TL_0", 50.0))
+    for who in ("left_leader", "left_follower", "leader", "follower"):
+        assert neighbour(seen, who) == ABSENT | {"lane_exists": 1.0}
+    for who in ("right_leader", "right_follower"):
+        assert neighbour(seen, who) == ABSENT | {"lane_exists": 0.0}
+    assert ABSENT["distance"] == FAR_M / 250.0
+
+
+@pytest.mark.parametrize(("signals", "left", "right"), [(0, 0, 0), (RIGHT_BLINKER, 0, 1), (LEFT_BLINKER, 1, 0)])
+def test_blinkers(scene: Scene, signals: int, left: int, right: int) -> None:
+    me = scene.put("A2TL_1", 50.0)
+    other = scene.put("A2TL_1", 90.0, signals=signals | 8)  # other bits, such as the brake light, do not matter
+    seen = neighbour(scene.see(me), "leader")
+    assert (seen["blinker_left"], seen["blinker_right"]) == (left, right)
+    assert (scene.flags[other, BLINKER_LEFT], scene.flags[other, BLINKER_RIGHT]) == (left, right)
+
+
+def test_sensor_range_is_bumper_to_bumper(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 50.0, length=5.0)
+    scene.put("A2TL_0", 95.0, length=5.0)  # 40 m ahead
+    scene.put("A2TL_0", 5.0, length=5.0)  # 40 m behind
+    for range_m, present in ((40.0, 1.0), (39.9, 0.0)):
+        seen = scene.see(me, range_m=range_m)
+        assert seen["leader_present"] == seen["follower_present"] == present
+        assert seen["leader_distance"] == pytest.approx(40.0 / 250.0 if present else 4.0)
+        assert seen["leader_lane_exists"] == 1.0
+
+
+@pytest.mark.parametrize("chosen", [(), ("follower",), ("right_leader", "leader"), NEIGHBOURS[::-1]])
+def test_chosen_neighbours(scene: Scene, chosen: tuple[str, ...]) -> None:
+    """A selection shows the same numbers in the order asked for, and nothing else."""
+    me = scene.put("A2TL_intern_1", 50.0)
+    for k, lane in enumerate(("A2TL_intern_0", "A2TL_intern_1", "A2TL_intern_2")):
+        scene.put(lane, 70.0 + k, speed=1.0 + k)
+        scene.put(lane, 20.0 + k, speed=5.0 + k)
+    whole, part = scene.see(me), scene.see(me, neighbours=chosen)
+    assert len(part) == 15 + 6 * len(chosen)
+    assert all(part[name] == whole[name] for name in part)
+
+
+def test_context_features_come_last_and_by_movement(scene: Scene) -> None:
+    features = np.arange(12.0).reshape(2, 3, 2)
+    out = scene.look(
+        scene.put("A2TL_1", 10.0, way="AB"), scene.put("B2TL_0", 10.0, way="BC"), features=features, neighbours=()
+    )
+    assert out[:, -2:].tolist() == [[2.0, 3.0], [10.0, 11.0]]
+
+
+def test_every_observed_feature(road: RoadNet) -> None:
+    approach = Approach(("s",), 100.0, 15.0, 0.0, 1000.0)
+    spec = IntersectionSpec("hand/1", "procedural", tuple(Leg(n, 0.0, approach, 1, 100.0, 15.0) for n in "ABC"))
+    context = Context(spec, adoption=0.5, engine="electric", temperature_c=30.0, humidity_pct=80.0)
+    table = observed_table(context, road, OBSERVED)
+    expected = {
+        "adoption": 0.5,
+        "green_s": 36.0 / 100.0,
+        "red_s": 29.0 / 100.0,
+        "temperature_c": 30.0 / 40.0,
+        "humidity_pct": 80.0 / 100.0,
+        "engine": 1.0,
+        "lane_count": 3.0 / 4.0,
+        "lane_length_m": 301.0 / 250.0,
+        "speed_limit_mps": 15.0 / 15.0,
+    }
+    assert dict(zip(OBSERVED, table[0, 1].tolist(), strict=True)) == pytest.approx(expected)
+    assert dict(zip(OBSERVED, table[1, 2].tolist(), strict=True)) == pytest.approx(
+        expected
+        | {"green_s": 0.2, "red_s": 0.45, "lane_count": 0.25, "lane_length_m": 150.0 / 250.0, "speed_limit_mps": 0.8}
+    )
+    assert observed_table(context, road, ("humidity_pct",)).shape == (2, 3, 1)
+    assert observed_table(context, road, ()).shape == (2, 3, 0)
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+def test_speed_and_acceleration(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 50.0, speed=10.0)
+    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a newcomer
+    scene.flags[me, FRESH] = 1
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (1.5, 1.5)
+    scene.move(me, "A2TL_0", 55.0, 9.0)
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == ((9.0 - 10.0) / STEP_S, 1.5)
+    scene.move(me, "A2TL_0", 60.0, 9.0)
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (0.0, -2.0)
+
+
+def test_lane_columns(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_2", 30.0, way="AB")
+    scene.read()
+    assert scene.ints[me, LANE] == 2 and scene.ints[me, MOVEMENT] == LEFT and scene.ints[me, LOCATION] == APPROACHING
+    assert scene.floats[me, LANE_POSITION] == 30.0 and scene.floats[me, STOP_LINE] == -70.0
+
+
+@pytest.mark.parametrize(
+    ("lane", "way", "wrong"),
+    [
+        ("A2TL_0", "AC", 0),
+        ("A2TL_0", "AB", 1),
+        ("A2TL_1", "AB", 0),
+        ("A2TL_intern_1", "AB", 1),
+        ("A2TL_intern_2", "AB", 0),
+        ("A2TL_intern_2", "AC", 1),
+        (":TL_2_0", "AB", 0),
+        ("TL2B_0", "AB", 0),
+    ],
+)
+def test_lanes_that_do_not_lead_to_the_exit(scene: Scene, lane: str, way: str, wrong: int) -> None:
+    me = scene.put(lane, 1.0, way=way)
+    scene.read()
+    assert scene.flags[me, WRONG_LANE] == wrong
+
+
+@pytest.mark.parametrize(
+    ("lane", "position", "grade"),
+    [
+        ("A2TL_0", 0.0, 1.0),
+        ("A2TL_0", 200.0, 1.0),
+        ("A2TL_intern_0", 49.9, 0.0),
+        ("A2TL_intern_0", 50.0, -4.0),
+        ("A2TL_intern_0", 100.0, -4.0),
+        (":TL_0_0", 10.0, 0.0),
+    ],
+)
+def test_grade(scene: Scene, lane: str, position: float, grade: float) -> None:
+    me = scene.put(lane, position)
+    scene.read()
+    assert scene.floats[me, GRADE] == pytest.approx(grade)
+
+
+def test_sort_by_lane_and_position(scene: Scene) -> None:
+    generator = np.random.default_rng(1)
+    lanes = generator.choice(["A2TL_0", "A2TL_intern_1", "TL2C_0"], 12)
+    for lane, position in zip(lanes, generator.uniform(0.0, 100.0, 12), strict=True):
+        scene.put(str(lane), float(position))
+    scene.read()
+    numbers = [scene.road.lane_ids.index(str(lane)) for lane in lanes]
+    expected = sorted(range(12), key=lambda r: (numbers[r], scene.floats[r, LANE_POSITION]))
+    assert scene.order.tolist() == expected
+    for number in range(len(scene.road.lane_ids)):
+        assert scene.start[number + 1] - scene.start[number] == numbers.count(number)
+
+
+def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
+    fast = scene.put("A2TL_0", 100.0, speed=14.0)
+    slow = scene.put("A2TL_0", 135.0, speed=4.0)
+    scene.put("A2TL_1", 101.0, speed=0.0)
+    scene.read()
+    assert scene.flags[fast, HAS_LEADER] == 1
+    assert (scene.floats[fast, GAP], scene.floats[fast, LEADER_SPEED]) == (30.0, 4.0)
+    assert scene.floats[fast, TTC] == pytest.approx(30.0 / 10.0)
+    assert scene.flags[slow, HAS_LEADER] == 0 and scene.floats[slow, GAP] == scene.floats[slow, LEADER_SPEED] == 0.0
+    assert scene.floats[slow, TTC] == np.inf
+
+
+def test_time_to_collision_needs_closing_speed(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 100.0, speed=4.0)
+    scene.put("A2TL_0", 135.0, speed=4.0)
+    scene.read()
+    assert scene.floats[me, TTC] == np.inf
+
+
+def test_bodies_in_contact_have_no_time_left(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 100.0, speed=4.0)
+    scene.put("A2TL_0", 103.0, speed=0.0)
+    scene.read()
+    assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0
+
+
+def test_rows_need_not_be_in_order(scene: Scene) -> None:
+    """Vehicles keep their rows while others come and go: gaps in the numbering must not matter."""
+    me = scene.put("A2TL_0", 100.0, row=7)
+    scene.put("A2TL_0", 140.0, speed=2.0, row=3)
+    scene.put("A2TL_0", 60.0, speed=1.0, row=11)
+    seen = scene.see(me)
+    assert_sees(seen, "leader", 35.0, 2.0)
+    assert_sees(seen, "follower", 35.0, 1.0)
+
+
+def test_straight_is_known_from_the_way(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 1.0, way="AC")
+    scene.read()
+    assert scene.ints[me, MOVEMENT] == STRAIGHT and scene.floats[me, SPEED] == 10.0 and scene.floats[me, LENGTH] == 5.0
+
+
+def test_emitted_rows_are_zero_where_nobody_is(scene: Scene) -> None:
+    scene.put("A2TL_0", 100.0, row=1)
+    scene.floats[0] = np.nan  # what an earlier occupant has left
+    scene.ints[0] = 99
+    scene.read()
+    floats, ints, flags = np.full((4, 10), np.nan), np.full((4, 8), 7), np.full((4, 6), 7, np.uint8)
+    kernels.emit_vehicles(scene.floats, scene.ints, scene.flags, floats, ints, flags)
+    for row in (0, 2, 3):
+        assert not floats[row].any() and not ints[row].any() and not flags[row].any()
+    assert floats[1, SPEED] == 10.0 and flags[1, 0] == 1
