@@ -104,9 +104,8 @@ def _list(options: argparse.Namespace) -> None:
         listed = approach is None and scenario.adoption in catalogue.ADOPTIONS
         identity = str(catalogue.find_id(*scenario)) if listed else "-"
         place = f"{scenario.city}/{scenario.intersection}" + (f"/{approach}" if approach else "")
-        print(
-            f"{identity:>8}  {place:28} {scenario.season:7} {scenario.adoption:<6.3g} {scenario.hour:9} {scenario.engine}"
-        )
+        settings = f"{scenario.season:7} {scenario.adoption:<6.3g} {scenario.hour:9} {scenario.engine}"
+        print(f"{identity:>8}  {place:28} {settings}")
     if shown < len(scenarios):
         print(f"... {len(scenarios) - shown} more; --limit 0 prints all", file=sys.stderr)
 

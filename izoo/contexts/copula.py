@@ -94,11 +94,6 @@ def source_marginal(city: str, feature: str) -> Marginal:
     return published
 
 
-def shape_weights() -> dict[str, int]:
-    """Return how many Salt Lake City intersections have each number of legs."""
-    return dict(_package_json("slc_joint.json")["legs_per_intersection"])
-
-
 def _latent(spearman: Sequence[float] | np.ndarray) -> np.ndarray:
     """Pearson correlation of the normals that gives a rank correlation."""
     return 2.0 * np.sin(np.pi / 6.0 * np.asarray(spearman))
