@@ -357,7 +357,7 @@ class Simulator:
         frame["truncated"][:] = final
         if final or "metrics" in self.config.emit:
             frame["approach_metrics"][:] = self.sums
-            frame["episode_metrics"][:] = self.episode_sums
+        frame["episode_metrics"][:] = self.episode_sums
 
     def _finish(self) -> None:
         accounting.book_unfinished(self.rows, self.floats, self.ints, self.flags, self.sums)
