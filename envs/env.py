@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
@@ -147,6 +148,20 @@ class EcoDrivingEnv(EcoDrivingBase):
         self.reader.write_action(tensordict)
         self._simulator.step()
         return self._next_frame()
+
+    def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
+        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.
+
+        TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
+        """
+        if self._simulator is None or self._simulator.road is None:
+            raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
+        from izoo.envs.render import draw
+
+        simulator = self._simulator
+        title = f"{simulator.context.name}   t = {simulator.time_s:.1f} s"
+        colour = simulator.clock.now
+        return draw(simulator.road, simulator.vehicles(), colour, title=title, span_m=span_m, size_px=size_px)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End SUMO; the process can then open another environment."""

@@ -41,6 +41,9 @@ from izoo.envs.layout import (
     NUMBER,
     PRESENT,
     SPEED,
+    VEHICLE_FLAGS,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
 )
 from izoo.envs.sumo import SumoSession, sumo_arguments
 from izoo.errors import IzooError
@@ -121,6 +124,18 @@ class Simulator:
         final = self.steps >= self.config.control_steps
         self._write_progress(final)
         return final
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return self._started_s + self.steps * self.config.step_s
+
+    def vehicles(self) -> dict[str, np.ndarray]:
+        """Return the emitted columns of all rows, ``[C]`` each, whether or not they are emitted."""
+        columns = dict(zip(VEHICLE_FLOATS, self.floats.T, strict=False))
+        columns |= zip(VEHICLE_INTS, self.ints.T, strict=False)
+        columns |= zip(VEHICLE_FLAGS, self.flags.T.astype(bool), strict=False)
+        return columns
 
     def close(self) -> None:
         """End SUMO and remove the episode's files."""
@@ -302,7 +317,7 @@ class Simulator:
             self.session.read(self._row_names, self.lane_numbers),
             acting,
             np.array(leavers, np.int64) if leavers else _NOBODY,
-            self._started_s + self.steps * self.config.step_s,
+            self.time_s,
             self.phase,
             measured,
             self.tables,
