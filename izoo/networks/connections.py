@@ -45,7 +45,8 @@ def _approach_links(spec: IntersectionSpec, leg: Leg) -> list[Link]:
     exits = exits_by_turn(spec.legs, leg.name)
     for index, turns in enumerate(leg.approach.lanes):
         for turn in turns:
-            if turn not in exits:
+            # In finished nets a turn without an exit is a U-turn.
+            if turn not in exits and spec.net_path is None:
                 raise IzooError(
                     f"intersection {spec.name}: lane {index} of approach {leg.name} may go {_TURN_WORDS[turn]}, but no "
                     f"leg with outgoing lanes lies there (exits of {leg.name}: {exits}); remove the turn from the lane."
