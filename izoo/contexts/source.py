@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from izoo.contexts.context import Context
 from izoo.errors import IzooError
 
 
+@runtime_checkable
 class ContextSource(Protocol):
     """A CMDP: something that contexts can be drawn from."""
 
@@ -117,15 +118,15 @@ def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule
     """
     if isinstance(contexts, Context):
         return RoundRobinSchedule([contexts], seed)
-    if hasattr(contexts, "sample"):
+    if isinstance(contexts, ContextSource):
         return RandomSchedule(contexts, seed)
     if isinstance(contexts, Sequence):
         return RandomSchedule(ContextList(contexts), seed)
     if callable(contexts):
         return contexts
     raise IzooError(
-        f"contexts is a {type(contexts).__name__}; give a Context, a sequence of them, a source with sample(generator), "
-        "or a schedule that maps an episode number to (context, seed)."
+        f"contexts is a {type(contexts).__name__}; give a Context, a sequence of them, a source with "
+        "sample(generator), or a schedule that maps an episode number to (context, seed)."
     )
 
 

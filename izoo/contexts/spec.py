@@ -123,6 +123,9 @@ class GhostSpec:
         offset_s: shift of the ghost signals against the main one.
         straight_source_length_m, turning_source_length_m: lengths of the two feeding edges; ``None`` repeats the
             approach's length.
+        repeats_main: the straight source follows the main signal of the leg's own straight movement, shifted by
+            ``offset_s``, and the turning source gets the rest of that cycle (procedural worlds); the green times above
+            then do not count.
         outer_gates: whether gates of 82 s green, 3 s yellow and 5 s red stand at the outer ends of the sources.
     """
 
@@ -132,6 +135,7 @@ class GhostSpec:
     offset_s: float = 0.0
     straight_source_length_m: float | None = None
     turning_source_length_m: float | None = None
+    repeats_main: bool = False
     outer_gates: bool = True
 
 
