@@ -229,7 +229,9 @@ def _label(axes: Axes, spec: IntersectionSpec, name: str, street: str, extent_m:
         lines.append("leads away only")
     else:
         approach = leg.approach
-        lines.append(f"{approach.length_m:.0f} m, {approach.speed_limit_mps:.1f} m/s, {100 * approach.grade:+.1f} %")
+        lines.append(
+            f"{approach.length_m:.0f} m, {approach.speed_limit_mps:.1f} m/s, {100 * approach.grade + 0.0:+.1f} %"
+        )
         lines.append(f"{approach.aadt_per_lane:,.0f} veh/day per lane")
     if leg.exit_lanes == 0:
         lines.append("leads in only")

@@ -100,10 +100,14 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
                 first = next(iter(unusable.items()))
                 raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
             _publish(target, staging, rows, unusable, source.name)
-        except BaseException:
+        except BaseException as error:
             shutil.rmtree(staging, ignore_errors=True)
-            if fresh and target.exists() and not any(target.iterdir()):
+            if fresh and target.is_dir() and not any(target.iterdir()):
                 target.rmdir()
+            if isinstance(error, OSError):
+                raise IzooError(
+                    f"cannot write to {target}: {error.strerror or error}; choose another target."
+                ) from error
             raise
     return ImportReport(target, tuple(rows), unusable)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from izoo.errors import IzooError
 from izoo.networks.osm_approach import Guessed, approach_of, exit_of
 from izoo.networks.osm_cluster import Core, StreetGraph, find_cores
 from izoo.networks.osm_legs import Street, find_streets
-from izoo.networks.osm_read import StreetMap, read_streets
+from izoo.networks.osm_read import Restriction, StreetMap, read_streets
 from izoo.networks.osm_store import check_target, save_cmdp
 from izoo.networks.osm_tables import Elevation, TrafficCounts, read_counts
 
@@ -119,6 +119,9 @@ class _Builder:
     def __init__(self, streets: StreetMap, name: str, elevation: Elevation | None, counts: TrafficCounts) -> None:
         self.streets, self.name, self.elevation, self.counts = streets, name, elevation, counts
         self.graph = StreetGraph(streets)
+        self.restrictions: dict[int, list[Restriction]] = defaultdict(list)
+        for restriction in streets.restrictions:
+            self.restrictions[restriction.from_way].append(restriction)
         self.specs: dict[str, IntersectionSpec] = {}
         self.details: dict[str, dict] = {}
         self.skipped: dict[str, str] = {}
@@ -182,8 +185,8 @@ class _Builder:
         """Turns that restrictions forbid from all of an approach into streets that leave the intersection."""
         words = {"left_turn": "l", "right_turn": "r", "straight_on": "s"}
         found: set[str] = set()
-        for restriction in self.streets.restrictions:
-            if restriction.from_way in from_ways and restriction.to_way in to_ways:
+        for restriction in (rule for way in from_ways for rule in self.restrictions.get(way, ())):
+            if restriction.to_way in to_ways:
                 rule, _, what = restriction.kind.partition("_")
                 if what in words and rule in ("no", "only"):
                     found |= {words[what]} if rule == "no" else set("rsl") - {words[what]}

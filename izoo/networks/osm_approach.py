@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 from izoo.contexts.spec import Approach
@@ -68,7 +69,7 @@ def approach_of(
         guessed: takes the names of imputed values.
     """
     main = max(street.arriving, key=lambda stub: (len(_side(stub).lanes.turns), stub.length_m))
-    sides = [_side(stub) if stub is main else _joining(stub, main, street) for stub in street.arriving]
+    sides = [_side(stub) if stub is main else _joining(graph, stub, main, street) for stub in street.arriving]
     limit, limit_guessed = speed_limit(main.pieces[0].way, -main.pieces[0].outward)
     tagged = Lanes(
         tuple(turns for side in sides for turns in side.lanes.turns)[:MAX_LANES],
@@ -82,10 +83,10 @@ def approach_of(
     if main.cut:
         # The other carriageway tells how far the neighbour is where this one leaves the extract.
         length = max([length, *(stub.length_m for stub in street.leaving)])
-    extra = sum(len(side.lanes.turns) - side.main for side in sides)
     pocket = max((side.pocket_m for side in sides if side.main < len(side.lanes.turns)), default=0.0)
     pocket = min(max(pocket, MIN_POCKET_M), POCKET_WITHIN_M)
-    right, left = _pockets(turns, extra) if pocket + MIN_MAIN_M <= length else (0, 0)
+    fits = pocket + MIN_MAIN_M <= length
+    right, left = _pockets(sides, street.arriving.index(main), turns) if fits else (0, 0)
     for what, was_guessed in (
         ("lanes", tagged.guessed),
         ("turns", turns_guessed),
@@ -130,33 +131,25 @@ def _side(stub: Stub) -> _Side:
     return _Side(lanes, len(lanes.turns), 0.0)
 
 
-def _joining(stub: Stub, main: Stub, street: Street) -> _Side:
+def _joining(graph: StreetGraph, stub: Stub, main: Stub, street: Street) -> _Side:
     """A further arriving carriageway: where it parts from the main one within 150 m, its lanes are pockets."""
     side = _side(stub)
-    shared = set(main.nodes)
-    distance, common = 0.0, None
-    for one, piece in zip(stub.nodes[1:], _node_distances(stub)[1:], strict=True):
-        if one in shared:
-            distance, common = piece, one
+    shared, distance = set(main.nodes), 0.0
+    for before, node in itertools.pairwise(stub.nodes):
+        distance += graph.distance(before, node)
+        if distance > POCKET_WITHIN_M:
             break
-    if common is None or distance > POCKET_WITHIN_M:
-        return side
-    on_right = street.arriving.index(stub) < street.arriving.index(main)
-    turn = "r" if on_right else "l"
-    turns = tuple(turns or turn for turns in side.lanes.turns)
-    return _Side(Lanes(turns, side.lanes.guessed), 0, distance)
-
-
-def _node_distances(stub: Stub) -> list[float]:
-    """Distance of every node of the walk from the core, spread evenly within a piece of unknown spacing."""
-    count = len(stub.nodes)
-    return [stub.length_m * k / (count - 1) for k in range(count)]
+        if node in shared:
+            turn = "r" if street.arriving.index(stub) < street.arriving.index(main) else "l"
+            turns = tuple(turns or turn for turns in side.lanes.turns)
+            return _Side(Lanes(turns, side.lanes.guessed), 0, distance)
+    return side
 
 
 def _has_slip(graph: StreetGraph, stub: Stub) -> bool:
     """Whether a one-way street parts from the approach within 150 m of the stop line: a slip lane for right turns."""
     walked, distance = set(stub.nodes), 0.0
-    for before, node in zip(stub.nodes, stub.nodes[1:], strict=False):
+    for before, node in itertools.pairwise(stub.nodes):
         distance += graph.distance(before, node)
         if distance > POCKET_WITHIN_M:
             return False
@@ -166,15 +159,20 @@ def _has_slip(graph: StreetGraph, stub: Stub) -> bool:
     return False
 
 
-def _pockets(turns: tuple[str, ...], extra: int) -> tuple[int, int]:
-    """Share ``extra`` pocket lanes out: lanes for left turns alone, then for right turns alone, then the left side."""
-    extra = min(extra, len(turns) - 1)
-    left = right = 0
-    while left < extra and turns[len(turns) - 1 - left] == "l":
-        left += 1
-    while left + right < extra and turns[right] == "r":
-        right += 1
-    rest = extra - left - right
-    if rest > 0 and "l" in turns[-1]:
-        return right, left + rest
-    return right + rest, left
+def _pockets(sides: list[_Side], main: int, turns: tuple[str, ...]) -> tuple[int, int]:
+    """How many of the lanes ``turns`` are pockets, on the right and on the left.
+
+    Lanes of carriageways that join beside the main one lie on their side. Of the main one's, lanes for left turns
+    alone come first, then lanes for right turns alone, then the left side if it turns left.
+    """
+    right, left = (
+        sum(len(side.lanes.turns) - side.main for side in part) for part in (sides[:main], sides[main + 1 :])
+    )
+    extra = min(len(sides[main].lanes.turns) - sides[main].main, len(turns) - 1 - right - left)
+    while extra > 0 and turns[len(turns) - 1 - left] == "l":
+        left, extra = left + 1, extra - 1
+    while extra > 0 and turns[right] == "r":
+        right, extra = right + 1, extra - 1
+    if extra > 0 and "l" in turns[-1]:
+        return right, left + extra
+    return right + max(extra, 0), left

@@ -84,17 +84,20 @@ def find_cores(graph: StreetGraph) -> list[Core]:
             node = parent[node]
         return node
 
-    pairs = list(graph.junction_links(JOIN_DUAL_M))
-    for one, two, length in pairs:
+    short_links: dict[int, set[int]] = defaultdict(set)
+    for one, two, length in graph.junction_links(JOIN_DUAL_M):
+        if length <= FILL_M:
+            short_links[one].add(two)
+            short_links[two].add(one)
         if one in parent and two in parent and (length <= JOIN_M or _dual(graph, one, two)):
             parent[root(two)] = root(one)
     groups: dict[int, set[int]] = defaultdict(set)
     for junction in parent:
         groups[root(junction)].add(junction)
-    cores = []
+    cores, signalised = [], set(signals_at)
     for group in groups.values():
         signals = frozenset(signal for junction in group for signal in signals_at[junction])
-        cores.append(Core(frozenset(_fill(group, set(parent), pairs)), signals))
+        cores.append(Core(frozenset(_fill(group, signalised, short_links)), signals))
     return sorted(cores, key=lambda core: core.id)
 
 
@@ -135,12 +138,10 @@ def _carriageways(graph: StreetGraph, node: int) -> Iterator[tuple[Way, float]]:
             yield way, math.atan2(sign * (y1 - y0), sign * (x1 - x0))
 
 
-def _fill(group: set[int], signalised: set[int], pairs: list[tuple[int, int, float]]) -> set[int]:
+def _fill(group: set[int], signalised: set[int], short_links: dict[int, set[int]]) -> set[int]:
     """Add junctions without a signal that lie between two of the group, such as a square's fourth corner."""
     touching: dict[int, set[int]] = defaultdict(set)
-    for one, two, length in pairs:
-        if length <= FILL_M:
-            for inside, outside in ((one, two), (two, one)):
-                if inside in group and outside not in signalised:
-                    touching[outside].add(inside)
+    for inside in group:
+        for outside in short_links[inside] - signalised:
+            touching[outside].add(inside)
     return group | {node for node, inner in touching.items() if len(inner) > 1}

@@ -109,7 +109,8 @@ def _osmium() -> Any:
 def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
     ways: list[Way] = []
     restrictions: list[Restriction] = []
-    for item in osmium.FileProcessor(str(path), osmium.osm.WAY | osmium.osm.RELATION):
+    everything = osmium.FileProcessor(str(path), osmium.osm.WAY | osmium.osm.RELATION)
+    for item in everything.with_filter(osmium.filter.KeyFilter("highway", "restriction")):
         tags = item.tags
         if item.is_way():
             if tags.get("highway") in DRIVABLE and _open_to_cars(tags):
@@ -125,7 +126,10 @@ def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
 def _read_nodes(osmium: Any, path: Path, wanted: set[int]) -> tuple[dict[int, tuple[float, float]], dict[int, str]]:
     lonlat: dict[int, tuple[float, float]] = {}
     signals: dict[int, str] = {}
-    for node in osmium.FileProcessor(str(path), osmium.osm.NODE):
+    nodes = osmium.FileProcessor(str(path), osmium.osm.NODE)
+    if min(wanted, default=0) > 0:  # The filter does not take the negative ids of unpublished nodes.
+        nodes = nodes.with_filter(osmium.filter.IdFilter(wanted))
+    for node in nodes:
         if node.id not in wanted or not node.location.valid():
             continue
         lonlat[node.id] = (node.location.lon, node.location.lat)

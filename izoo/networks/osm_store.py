@@ -17,6 +17,7 @@ from izoo.errors import IzooError
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
 ATTRIBUTION = "Contains information from OpenStreetMap, made available under the Open Database License (ODbL) 1.0"
+_KEY = re.compile(r"-?\d+")
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)")
 
 
@@ -45,10 +46,10 @@ def save_cmdp(
         details: further facts per intersection (street names, place).
         notes: facts about the build, for the index.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    _discard_partials(target)
     staging = target.with_name(f".{target.name}.partial-{os.getpid()}")
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _discard_partials(target)
         staging.mkdir()
         for key, spec in specs.items():
             record = {"format": FORMAT, "attribution": ATTRIBUTION, "spec": asdict(spec), **details[key]}
@@ -58,6 +59,9 @@ def save_cmdp(
         if target.exists():
             shutil.rmtree(target)
         staging.replace(target)
+    except OSError as error:
+        shutil.rmtree(staging, ignore_errors=True)
+        raise IzooError(f"cannot write to {target}: {error.strerror}; choose another target.") from error
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise
@@ -100,7 +104,7 @@ def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
 
 def _index(folder: Path) -> list[str]:
     found = _read(folder / CMDP_FILE).get("intersections")
-    if not isinstance(found, list) or not all(isinstance(key, str) and key.isalnum() for key in found):
+    if not isinstance(found, list) or not all(isinstance(key, str) and _KEY.fullmatch(key) for key in found):
         raise IzooError(f"{folder / CMDP_FILE} is damaged: its list of intersections; build the folder again.")
     return found
 

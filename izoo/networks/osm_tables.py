@@ -34,7 +34,7 @@ class Elevation:
         try:
             with rasterio.open(path) as raster:
                 self._heights = raster.read(1, masked=True).astype(float).filled(np.nan)
-                self._inverse = ~raster.transform
+                self._inverse = (~raster.transform)[:6]
                 self._crs = raster.crs
                 bounds = raster.bounds
         except rasterio.errors.RasterioError as error:
@@ -48,7 +48,8 @@ class Elevation:
         if self._crs is not None:
             xs, ys = _rasterio().warp.transform(_LONLAT, self._crs, [x], [y])
             x, y = xs[0], ys[0]
-        column, row = self._inverse * (x, y)
+        a, b, c, d, e, f = self._inverse
+        column, row = a * x + b * y + c, d * x + e * y + f
         return self._bilinear(row - 0.5, column - 0.5)
 
     def _bilinear(self, row: float, column: float) -> float:

@@ -186,7 +186,7 @@ def test_an_interrupted_import_leaves_no_trace_or_is_refused(
         real(path, staging, data)
 
     monkeypatch.setattr(importing, "_write", write_until_the_manifest)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(IzooError, match="disk full"):
         import_dataset(source, target)
     for path in (target, target / "salt-lake-city", target / "salt-lake-city" / "9"):
         with pytest.raises(IzooError, match="did not finish"):
