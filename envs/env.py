@@ -41,6 +41,7 @@ class EcoDrivingBase(EnvBase):
         self, contexts: Contexts | None, config: EnvConfig | None, seed: int, batch_size: list[int], buffer: Any
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(batch_size))
+        self.is_closed = False  # TorchRL closes only what says that it is open
         self.config = config = config or EnvConfig()
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
         self.frames = map_frames(buffer, config, *(batch_size or [1]))
@@ -72,7 +73,7 @@ class EcoDrivingBase(EnvBase):
         following = self._step(tensordict)
         tensordict._set_str("next", following, validated=True, inplace=False, non_blocking=False)
         ended = following._get_str("done", None)
-        root = following.exclude("reward", ("agents", "reward"), ("agents", "reward_vector"))
+        root = following.exclude(("agents", "reward"))
         if self.frames["truncated"].any():
             root._set_str("_reset", ended.clone(), validated=True, inplace=False, non_blocking=False)
             root = self.reset(root.select("_reset"))

@@ -22,7 +22,7 @@ from izoo.envs.kernels import (
     read_clock,
     sort_lanes,
 )
-from izoo.envs.layout import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, WRONG_LANE
+from izoo.envs.layout import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, WRONG_LANE
 
 
 class Tables(NamedTuple):
@@ -176,6 +176,7 @@ def make_frame(  # type: ignore[no-untyped-def]
     )
     out.agent_terminated[:] = 0
     for j in range(leavers.shape[0]):
+        flags[leavers[j], PRESENT] = 0
         slot = ints[leavers[j], AGENT]
         if slot >= 0:
             tables.agent_row[slot] = -1
