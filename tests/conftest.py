@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from izoo.contexts.source import ContextList
+from izoo.networks.cache import CACHE_ENV
 from izoo.networks.dataset import load_dataset
 
 
@@ -30,3 +32,11 @@ def dataset() -> ContextList:
     if not root:
         pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
     return load_dataset(Path(root) / "salt-lake-city-60")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what the tests build out of the user's cache; processes that tests start inherit the setting."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_ENV, str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -1,0 +1,212 @@
+"""The reward: its kernels against numbers worked out by hand, and an episode against the equation in torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from izoo.emissions.moves import MovesSurrogate
+from izoo.envs import EcoDrivingEnv, RewardConfig
+from izoo.envs.accounting import pay, reward_terms
+from izoo.envs.layout import ACCEL, EMISSION, NUM_FLOATS, PREV_ACCEL, REWARD_VECTOR, SPEED, TTC
+from tests.envs.worlds import crossing, episode, short
+
+ROWS = np.array([4, 1, 2])
+VEHICLES = {  # row: speed, emission, acceleration, the one before, time to collision
+    4: (10.0, 1.5, 2.0, -1.0, 6.0),
+    1: (0.25, 0.5, -3.0, -3.0, np.inf),
+    2: (5.0, 4.0, 0.0, 0.5, 2.5),
+}
+LEAVER, EMPTY = 6, -1
+
+
+def tables() -> tuple[np.ndarray, np.ndarray]:
+    floats, terms = np.zeros((8, NUM_FLOATS)), np.full((8, 5), np.nan)
+    floats[:, TTC] = np.inf
+    for row, values in VEHICLES.items():
+        floats[row, [SPEED, EMISSION, ACCEL, PREV_ACCEL, TTC]] = values
+    terms[LEAVER] = (12.0, 0.0, 1.0, -0.5, -0.25)  # of the step before
+    return floats, terms
+
+
+def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.ndarray]:
+    """Return the reward and its vector for slots that hold rows 4, 1, a leaver, and nobody."""
+    floats, terms = tables()
+    fleet = np.empty(5)
+    shortest = reward_terms(rows, floats, config.tau_mps, config.soft_stop, terms, fleet)
+    reward, vector = np.full(4, np.nan, np.float32), np.full((4, 11), np.nan, np.float32)
+    weights = np.array([1.0, config.alpha, config.beta, config.comfort, config.realism])
+    rules = (config.eta, config.safety, config.scale)
+    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shortest, weights, *rules, reward, vector, len(rows) == 0)
+    return reward, vector
+
+
+FLEET = (10.0 + 0.25 + 5.0) / 3 - 35.0 * (1 / 3) - 3.0 * (1.5 + 0.5 + 4.0) / 3
+
+
+def test_fleet_reward_by_hand() -> None:
+    reward, _ = paid(RewardConfig())
+    assert reward == pytest.approx([FLEET / 15] * 3 + [0.0])
+
+
+def test_individual_reward_by_hand() -> None:
+    reward, _ = paid(RewardConfig(eta=0.0))
+    assert reward == pytest.approx([(10.0 - 4.5) / 15, (0.25 - 35.0 - 1.5) / 15, (12.0 - 3.0) / 15, 0.0])
+
+
+def test_a_leaver_gets_its_last_individual_term_and_the_fleet_mean() -> None:
+    reward, _ = paid(RewardConfig(eta=0.75))
+    assert reward[2] == pytest.approx((0.75 * FLEET + 0.25 * 9.0) / 15)
+
+
+def test_soft_stop() -> None:
+    reward, _ = paid(RewardConfig(eta=0.0, soft_stop=True, tau_mps=2.0))
+    assert reward[1] == pytest.approx((0.25 - 35.0 * (2.0 - 0.25) / 2.0 - 1.5) / 15)
+    assert reward[0] == pytest.approx((10.0 - 4.5) / 15)
+
+
+def test_comfort() -> None:
+    base, _ = paid(RewardConfig())
+    fleet, _ = paid(RewardConfig(comfort=0.3))
+    assert fleet - base == pytest.approx([-0.3 * (2.0 + 3.0 + 0.0) / 3 / 15] * 3 + [0.0], abs=1e-6)
+    own, _ = paid(RewardConfig(eta=0.0, alpha=0.0, beta=0.0, comfort=0.3))
+    assert own == pytest.approx([(10.0 - 0.6) / 15, (0.25 - 0.9) / 15, (12.0 - 0.15) / 15, 0.0])
+
+
+def test_realism() -> None:
+    base, _ = paid(RewardConfig())
+    fleet, _ = paid(RewardConfig(realism=2.0))
+    assert fleet - base == pytest.approx([-2.0 * (3.0 + 0.0 + 0.5) / 3 / 15] * 3 + [0.0], abs=1e-6)
+    own, _ = paid(RewardConfig(eta=0.0, alpha=0.0, beta=0.0, realism=2.0))
+    assert own == pytest.approx([(10.0 - 6.0) / 15, 0.25 / 15, (12.0 - 0.5) / 15, 0.0])
+
+
+def test_safety_is_shared_and_capped() -> None:
+    base, _ = paid(RewardConfig())
+    safe, _ = paid(RewardConfig(safety=1.5))
+    assert safe - base == pytest.approx([1.5 * 2.5 / 15] * 3 + [0.0], abs=1e-6)
+    without, _ = paid(RewardConfig(), ROWS[1:2])
+    capped, _ = paid(RewardConfig(safety=1.5), ROWS[1:2])
+    assert (capped - without)[1:] == pytest.approx([1.5 * 10.0 / 15] * 2 + [0.0], abs=1e-6)
+
+
+def test_an_empty_region_pays_nothing() -> None:
+    reward, vector = paid(RewardConfig(eta=0.5, safety=1.0), ROWS[:0])
+    assert not reward.any() and not vector.any()
+
+
+def test_reward_vector_holds_the_raw_columns() -> None:
+    _, vector = paid(RewardConfig(eta=0.5))
+    fleet = [15.25 / 3, 1 / 3, 2.0, -5.0 / 3, -3.5 / 3]
+    assert vector[0] == pytest.approx([10.0, 0.0, 1.5, -2.0, -3.0, *fleet, 2.5])
+    assert vector[1] == pytest.approx([0.25, 1.0, 0.5, -3.0, 0.0, *fleet, 2.5])
+    assert vector[2] == pytest.approx([12.0, 0.0, 1.0, -0.5, -0.25, *fleet, 2.5])
+    assert not vector[3].any() and len(REWARD_VECTOR) == 11
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        RewardConfig(),
+        RewardConfig(eta=0.3, soft_stop=True, tau_mps=3.0, alpha=-10.0, beta=-1.0, scale=2.0),
+        RewardConfig(eta=0.6, comfort=0.5, realism=0.25, safety=0.1),
+    ],
+    ids=("paper", "soft", "all terms"),
+)
+def test_an_episode_is_paid_by_the_equation(config: RewardConfig) -> None:
+    """Recompute every reward of an episode from the vehicles that it reports."""
+    settings = short(reward=config, emit=("vehicles", "signal", "context", "metrics", "reward_vector"))
+    env = EcoDrivingEnv(crossing(), config=settings, seed=2)
+    try:
+        steps = episode(env)
+    finally:
+        env.close()
+    leavers = 0
+    # What a vehicle was doing: terms of the last step in which it was there, by its number.
+    last: dict[int, torch.Tensor] = {}
+    accel_before: dict[int, float] = {}
+    for t in range(len(steps)):
+        frame = steps[t]
+        if t == 0:
+            last, _, _ = individual_terms(frame["vehicles"], accel_before, config)
+            accel_before = accelerations(frame["vehicles"])
+        acting, row = frame["agents", "mask"], frame["agents", "vehicle"]
+        number = frame["vehicles", "vehicle_number"][row]
+        now, fleet, shortest = individual_terms(frame["next", "vehicles"], accel_before, config)
+        accel_before |= accelerations(frame["next", "vehicles"])
+        weights = torch.tensor([1.0, config.alpha, config.beta, config.comfort, config.realism])
+        expected = torch.zeros(len(acting))
+        for slot in torch.nonzero(acting).flatten().tolist():
+            mine = now.get(int(number[slot]), last[int(number[slot])])
+            leavers += int(number[slot]) not in now
+            total = weights @ (config.eta * fleet + (1 - config.eta) * mine) + config.safety * shortest
+            expected[slot] = total / config.scale
+            vector = torch.cat([mine, fleet, torch.tensor([shortest])])
+            torch.testing.assert_close(frame["next", "agents", "reward_vector"][slot], vector, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(frame["next", "agents", "reward"].squeeze(-1), expected, rtol=1e-4, atol=1e-4)
+        last = now
+    assert leavers > 0
+    reward, mask = steps["next", "agents", "reward"].squeeze(-1), steps["agents", "mask"]
+    final = steps["next", "metrics", "episode"][-1]
+    assert final["reward_sum"].item() == pytest.approx(reward[mask].sum().item(), rel=1e-4)
+    per_step = torch.where(mask, reward, 0.0).sum(-1) / mask.sum(-1).clamp(min=1)
+    assert final["return"].item() == pytest.approx(per_step.sum().item(), rel=1e-4)
+
+
+def accelerations(vehicles) -> dict[int, float]:  # type: ignore[no-untyped-def]
+    there = vehicles["present"]
+    return dict(zip(vehicles["vehicle_number"][there].tolist(), vehicles["accel_mps2"][there].tolist(), strict=True))
+
+
+def individual_terms(vehicles, accel_before, config):  # type: ignore[no-untyped-def]
+    """Return ``{vehicle number: terms [5]}``, their mean ``[5]``, and the smallest time to collision."""
+    there = vehicles["present"]
+    part = vehicles[there]
+    v, a = part["speed_mps"], part["accel_mps2"]
+    before = torch.tensor(
+        [accel_before.get(n, x) for n, x in zip(part["vehicle_number"].tolist(), a.tolist(), strict=True)]
+    )
+    stopped = (v < config.tau_mps).float() * ((config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0)
+    terms = torch.stack([v, stopped, part["emission_g"], -a.abs(), -(a - before).abs()], -1)
+    closing = v - part["leader_speed_mps"]
+    ttc = torch.where(part["has_leader"] & (closing > 0), part["leader_gap_m"].clamp(min=0.0) / closing, 10.0)
+    shortest = min(10.0, ttc.min().item()) if len(ttc) else 10.0
+    mean = terms.mean(0) if len(terms) else torch.zeros(5)
+    return dict(zip(part["vehicle_number"].tolist(), terms, strict=True)), mean, shortest
+
+
+@pytest.mark.parametrize("engine", ["combustion", "electric"])
+def test_emission_is_the_surrogates(engine: str) -> None:
+    """Every vehicle's CO2 is what the batched surrogate says of its reported state; electric CVs emit nothing."""
+    env = EcoDrivingEnv(crossing(engine=engine, temperature_c=31.0, grade=0.03), config=short(), seed=2)
+    try:
+        frames = episode(env)["next"]
+    finally:
+        env.close()
+    v, context = frames["vehicles"], frames["context"]
+    active = v["present"] & ~(v["is_cv"] & (engine == "electric"))
+    weather = (context["temperature_c"].expand_as(v["speed_mps"]), context["humidity_pct"].expand_as(v["speed_mps"]))
+    rate = MovesSurrogate()(
+        v["speed_mps"], v["accel_mps2"], v["grade_pct"], v["moves_class"].long(), *weather, mask=active
+    )
+    torch.testing.assert_close(v["emission_g"], rate * 0.5, rtol=1e-3, atol=1e-5)
+    assert (v["emission_g"][active] > 0).all()
+    assert (v["emission_g"][v["present"] & v["is_cv"]] == 0).all() == (engine == "electric")
+    hdv = frames["metrics", "approach", "emission_hdv_g"][-1].sum()
+    assert hdv > 0
+    assert (hdv == frames["metrics", "approach", "emission_g"][-1].sum()) == (engine == "electric")
+
+
+def test_reward_settings_do_not_change_what_happens() -> None:
+    """Weights change what is paid, not the traffic."""
+    speeds = []
+    for reward in (RewardConfig(), replace(RewardConfig(), eta=0.0, comfort=1.0)):
+        env = EcoDrivingEnv(crossing(), config=short(reward=reward), seed=2)
+        try:
+            speeds.append(episode(env)["next", "vehicles", "speed_mps"])
+        finally:
+            env.close()
+    assert torch.equal(*speeds)
