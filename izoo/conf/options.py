@@ -124,12 +124,13 @@ class CollectConfig:
     """Options of a data collection.
 
     Attributes:
-        policy: ``random``, ``uncommanded`` (every controlled vehicle is left to IDM), or the folder of a training run.
+        policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is left
+            to IDM), or the folder of a training run.
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
         env: the environment, and with ``env.emit`` what is stored.
-        shard_frames: steps per file set; a shard is written whole or not at all.
+        shard_frames: most steps per shard, a set of memory-mapped files.
         seed: base seed: episodes, drivers, exploration.
         num_workers: environments, each in a process of its own.
     """
@@ -139,7 +140,7 @@ class CollectConfig:
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
-    shard_frames: int = 10_000
+    shard_frames: int = 100_000
     seed: int = 0
     num_workers: int = 2
 

@@ -15,12 +15,11 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
-from izoo.algos.scripted import RandomDriver, UncommandedDriver
+from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
 from izoo.conf.build import to_mapping
 from izoo.conf.options import CollectConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import SumoParallelEnv
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2
 from izoo.envs.layout import observation_names
 from izoo.errors import IzooError, unknown_choice
 from izoo.training import runs
@@ -29,7 +28,8 @@ from izoo.training.progress import ProgressBar
 
 MANIFEST = "manifest.json"
 FORMAT = "izoo-dataset-1"
-SCRIPTED = ("random", "uncommanded")
+SCRIPTED = tuple(name for name in DRIVERS if name != "human")
+"""Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
 
 
@@ -69,10 +69,19 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
             trust_policy=True,
             auto_register_policy_transforms=False,
         )
+    writer = ShardWriter(config, out)
     try:
         with graceful_interrupt() as interrupt, ProgressBar(config.frames) as bar:
-            _store(config, collector, out, interrupt, bar)
+            for batch in collector:
+                writer.write(batch.transpose(0, 1).reshape(-1))
+                bar.update(writer.frames, {})
+                if interrupt.requested or writer.frames >= config.frames:
+                    break
+        writer.finish_shard()
+    except OSError as error:
+        raise IzooError(f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete.") from error
     finally:
+        writer.discard()
         collector.shutdown()
     print(f"Data: {out}", flush=True)
     return out
@@ -81,9 +90,9 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 def make_policy(config: CollectConfig) -> TensorDictModuleBase:
     """Return the policy that ``config.policy`` names: a scripted driver, or the policy of a training run."""
     if config.policy == "random":
-        return RandomDriver(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, config.seed)
-    if config.policy == "uncommanded":
-        return UncommandedDriver()
+        return RandomDriver(seed=config.seed)
+    if config.policy in SCRIPTED:
+        return make_driver(config.policy, config.env)
     if not Path(config.policy).expanduser().exists():
         error = unknown_choice("policy", config.policy, SCRIPTED)
         raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
@@ -97,77 +106,102 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
 
 
 def load(folder: Path | str) -> TensorDictBase:
-    """Open a collected data set without reading it into memory.
+    """Open a collected data set.
 
     Returns:
-        Steps ``[frames]``, memory-mapped: a TensorDict for one shard, a lazy concatenation of them for several. Steps of
-        one episode share ``("collector", "traj_ids")``.
+        Steps ``[frames]``, in the order of collection: worker after worker within a time step. One shard stays
+        memory-mapped, nothing is read; several are put together in memory (:func:`load_shards` does not).
 
     Raises:
-        IzooError: the folder is not a data set of izoo, or a shard is missing.
+        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
     """
+    shards = load_shards(folder)
+    return shards[0] if len(shards) == 1 else torch.cat(shards)
+
+
+def load_shards(folder: Path | str) -> list[TensorDictBase]:
+    """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
     folder = Path(folder).expanduser()
     path = folder / MANIFEST
     if not path.is_file():
         raise IzooError(f"{folder} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
     try:
         manifest = json.loads(path.read_text())
-        shards = [folder / shard["name"] for shard in manifest["shards"]]
+        shards = [(folder / shard["name"], int(shard["frames"])) for shard in manifest["shards"]]
     except (ValueError, KeyError, TypeError) as error:
         raise IzooError(f"{path} is damaged; collect the data again.") from error
     if manifest.get("format") != FORMAT:
         raise IzooError(f"{path} is of format {manifest.get('format')!r}; this version of izoo reads {FORMAT}.")
-    missing = [shard.name for shard in shards if not shard.is_dir()]
+    missing = [shard.name for shard, _ in shards if not shard.is_dir()]
     if missing or not shards:
-        raise IzooError(f"{folder} lacks {', '.join(missing) or 'any finished shard'}; copy it whole, or collect again.")
-    parts = [TensorDict.load_memmap(shard) for shard in shards]
-    return parts[0] if len(parts) == 1 else torch.cat([*parts])
+        raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
+    opened = [(TensorDict.load_memmap(shard), frames) for shard, frames in shards]
+    # A collection that Ctrl-C ended leaves room at the end of its last shard.
+    return [steps if len(steps) == frames else steps[:frames] for steps, frames in opened]
 
 
-def _store(config: CollectConfig, collector: Collector, out: Path, interrupt: Any, bar: ProgressBar) -> None:
-    """Write shards until all frames are stored, or Ctrl-C ends the collection early."""
-    shards: list[dict[str, Any]] = []
-    pending: list[TensorDictBase] = []
-    stored = waiting = 0
-    for batch in collector:
-        take = min(batch.numel(), config.frames - stored - waiting)
-        pending.append(batch.transpose(0, 1).reshape(-1)[:take].clone())
-        waiting += take
-        last = stored + waiting >= config.frames or interrupt.requested
-        if waiting >= config.shard_frames or last:
-            shards.append({"name": _write_shard(out, len(shards), torch.cat(pending)), "frames": waiting})
-            stored, waiting, pending = stored + waiting, 0, []
-            _write_manifest(out, config, shards)
-        bar.update(stored + waiting, {})
-        if last:
+class ShardWriter:
+    """Writes steps into memory-mapped shards of a given length, and the manifest after each finished one.
+
+    Args:
+        config: options of the collection.
+        out: an empty folder.
+    """
+
+    def __init__(self, config: CollectConfig, out: Path) -> None:
+        self.config, self.out = config, out
+        self.frames = 0
+        self._shards: list[dict[str, Any]] = []
+        self._open: TensorDictBase | None = None
+        self._filled = 0
+
+    def write(self, steps: TensorDictBase) -> None:
+        """Append ``steps [n]``, as far as they are still wanted."""
+        steps = steps[: self.config.frames - self.frames]
+        while len(steps) > 0:
+            if self._open is None:
+                length = min(self.config.shard_frames, self.config.frames - self.frames)
+                self._open = steps[0].expand(length).memmap_like(str(self._partial))
+                self._filled = 0
+            part = steps[: len(self._open) - self._filled]
+            self._open[self._filled : self._filled + len(part)] = part
+            self._filled += len(part)
+            self.frames += len(part)
+            steps = steps[len(part) :]
+            if self._filled == len(self._open):
+                self.finish_shard()
+
+    def finish_shard(self) -> None:
+        """Put the shard that is being filled in its place, and name it in the manifest."""
+        if self._open is None:
             return
+        name = f"shard-{len(self._shards):05d}"
+        self._open = None
+        self._partial.rename(self.out / name)
+        self._shards.append({"name": name, "frames": self._filled})
+        self._write_manifest()
 
+    def discard(self) -> None:
+        """Remove what was not finished."""
+        shutil.rmtree(self._partial, ignore_errors=True)
 
-def _write_shard(out: Path, index: int, steps: TensorDictBase) -> str:
-    name = f"shard-{index:05d}"
-    partial = out / f".{name}.partial"
-    try:
-        steps.memmap(str(partial))
-        partial.rename(out / name)
-    except (OSError, RuntimeError) as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise IzooError(f"could not write {out / name}: {error}; the shards before it are complete.") from error
-    return name
+    @property
+    def _partial(self) -> Path:
+        return self.out / ".shard.partial"
 
-
-def _write_manifest(out: Path, config: CollectConfig, shards: list[dict[str, Any]]) -> None:
-    manifest = {
-        "format": FORMAT,
-        "izoo": __version__,
-        "frames": sum(shard["frames"] for shard in shards),
-        "num_workers": config.num_workers,
-        "observation_names": list(observation_names(config.env)),
-        "shards": shards,
-        "options": to_mapping(config),
-    }
-    partial = out / f".{MANIFEST}.partial"
-    with partial.open("w") as file:
-        json.dump(manifest, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(out / MANIFEST)
+    def _write_manifest(self) -> None:
+        manifest = {
+            "format": FORMAT,
+            "izoo": __version__,
+            "frames": sum(shard["frames"] for shard in self._shards),
+            "num_workers": self.config.num_workers,
+            "observation_names": list(observation_names(self.config.env)),
+            "shards": self._shards,
+            "options": to_mapping(self.config),
+        }
+        partial = self.out / f".{MANIFEST}.partial"
+        with partial.open("w") as file:
+            json.dump(manifest, file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(self.out / MANIFEST)

@@ -23,7 +23,7 @@ class Interrupt:
             raise KeyboardInterrupt
         self.requested = True
         print(
-            "\nStopping after this batch: saving and evaluating briefly. Ctrl-C again stops at once.",
+            "\nFinishing this batch and closing the run in good order. Ctrl-C again stops at once.",
             file=sys.stderr,
             flush=True,
         )
