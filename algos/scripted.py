@@ -1,14 +1,44 @@
-"""Scripted drivers: policies without parameters, usable wherever a learned policy is."""
+"""Scripted drivers: policies without learning, usable wherever a policy is.
+
+Each reads ``("agents", "mask")`` ``[*B, A]``, and some ``("agents", "observation")`` ``[*B, A, F]``; all write
+``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and most ``("agents", "defer")`` ``[*B, A]``, where true leaves a CV to
+the simulator's own driver for the step. :func:`make_driver` builds one by name.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
-from izoo.algos import base
+from izoo.algos.base import ACTION, MASK, OBSERVATION
+from izoo.contexts.features import feature
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.errors import IzooError, check_range, unknown_choice
 
 DEFER = ("agents", "defer")
+
+
+class UncommandedDriver(TensorDictModuleBase):
+    """Every CV is left to the simulator's car-following model: what the CVs' vehicle parameters do by themselves.
+
+    With adoption 0 there are no CVs, and this is human driving.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION, DEFER]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write accelerations of 0, ``[*B, A, 1]``, and ``defer``, all true, ``[*B, A]``."""
+        mask = tensordict.get(MASK)
+        tensordict.set(ACTION, torch.zeros(*mask.shape, 1))
+        return tensordict.set(DEFER, torch.ones_like(mask))
 
 
 class RandomDriver(TensorDictModuleBase):
@@ -16,31 +46,201 @@ class RandomDriver(TensorDictModuleBase):
 
     Args:
         low, high: bounds of the acceleration, m/s^2.
-        seed: of the draws.
+        seed: of the draws; ``None`` takes torch's default generator, which evaluation seeds for each episode.
     """
 
-    def __init__(self, low: float, high: float, seed: int = 0) -> None:
+    def __init__(self, low: float = ACTION_LOW_MPS2, high: float = ACTION_HIGH_MPS2, seed: int | None = 0) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [base.MASK], [base.ACTION]
+        self.in_keys, self.out_keys = [MASK], [ACTION]
         self.low, self.high = low, high
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generator = None if seed is None else torch.Generator().manual_seed(seed)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write accelerations ``[*B, A, 1]``."""
-        shape = (*tensordict.get(base.MASK).shape, 1)
+        shape = (*tensordict.get(MASK).shape, 1)
         uniform = torch.rand(shape, generator=self._generator)
-        return tensordict.set(base.ACTION, self.low + (self.high - self.low) * uniform)
+        return tensordict.set(ACTION, self.low + (self.high - self.low) * uniform)
 
 
-class UncommandedDriver(TensorDictModuleBase):
-    """Every CV is left to the simulator's car-following model: what the CVs' vehicle parameters do by themselves."""
+class ScriptedDriver(TensorDictModuleBase):
+    """A rule that turns observations into accelerations; subclasses say which in :meth:`drive`."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [base.MASK], [base.ACTION, DEFER]
+        self.in_keys = [OBSERVATION, MASK]
+        self.out_keys = [ACTION, DEFER]
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return ``(acceleration [*B, A] in m/s^2, defer [*B, A] bool)``; empty slots may hold anything."""
+        raise NotImplementedError
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write accelerations of 0, ``[*B, A, 1]``, and ``defer``, all true, ``[*B, A]``."""
-        mask = tensordict.get(base.MASK)
-        tensordict.set(base.ACTION, torch.zeros(*mask.shape, 1))
-        return tensordict.set(DEFER, torch.ones_like(mask))
+        """Write the action keys; empty slots get acceleration 0."""
+        mask = tensordict.get(MASK)
+        accel, defer = self.drive(tensordict.get(OBSERVATION), mask)
+        accel = torch.where(mask, accel, torch.zeros_like(accel)).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+        tensordict.set(ACTION, accel.unsqueeze(-1))
+        tensordict.set(DEFER, defer)
+        return tensordict
+
+
+class ConstantSpeed(ScriptedDriver):
+    """Every CV aims for one speed, wherever it is; the simulator's safety checks hold it back.
+
+    Args:
+        config: settings of the environment.
+        speed_mps: the speed.
+    """
+
+    def __init__(self, config: EnvConfig, speed_mps: float = 10.0) -> None:
+        super().__init__()
+        check_range("speed_mps", speed_mps, 0.0, 60.0, "m/s")
+        self.speed_mps, self.step_s = speed_mps, config.step_s
+        self.column = observation_names(config).index("speed")
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        speed = observation[..., self.column] * SPEED_SCALE_MPS
+        return (self.speed_mps - speed) / self.step_s, torch.zeros_like(mask)
+
+
+@dataclass(frozen=True)
+class GlideConfig:
+    """Settings of :class:`Glide`.
+
+    Attributes:
+        start_lag_s: time from green until the first vehicle of a queue crosses.
+        headway_s: time between two vehicles of a discharging queue.
+        spacing_m: road that a queued vehicle takes up.
+        moving_fill: share of the road ahead of a moving leader that is assumed to fill with a queue.
+        queue_speed_mps: a leader slower than this stands in a queue that reaches back to it.
+        margin_s: a green is used only if this much of it is left on arrival.
+        late_s: vehicles that would be early by less than this are left alone.
+        floor_mps: never slower than this.
+        near_m: within this distance of the stop line a CV is left alone.
+        headway_gap_s: a CV closer than this behind its leader is left alone: it is following, not leading.
+        response_s: time in which the advised speed is approached.
+        brake_mps2, push_mps2: bounds on the commanded braking and acceleration.
+    """
+
+    start_lag_s: float = 2.0
+    headway_s: float = 2.2
+    spacing_m: float = 7.5
+    moving_fill: float = 0.15
+    queue_speed_mps: float = 2.0
+    margin_s: float = 2.0
+    late_s: float = 2.0
+    floor_mps: float = 5.0
+    near_m: float = 15.0
+    headway_gap_s: float = 1.5
+    response_s: float = 2.0
+    brake_mps2: float = 1.0
+    push_mps2: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
+            check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
+        check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
+
+
+class Glide(ScriptedDriver):
+    """Queue-aware green-light speed advice.
+
+    Each CV estimates when it can pass: the start of a green of its movement, plus the time that the queue ahead on its
+    lane needs to discharge, skipping greens that the queue uses up; and slows gently, early, to arrive then. What it
+    cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. Whoever
+    need not slow, is near the stop line, or follows closely is left to IDM.
+
+    Args:
+        config: settings of the environment; the leader and the features ``green_s``, ``red_s`` and
+            ``speed_limit_mps`` must be observed.
+        settings: of the rule.
+    """
+
+    def __init__(self, config: EnvConfig, settings: GlideConfig | None = None) -> None:
+        super().__init__()
+        self.settings = settings or GlideConfig()
+        self.columns = {name: column for column, name in enumerate(observation_names(config))}
+        needed = ("leader_present", "context_green_s", "context_red_s", "context_speed_limit_mps")
+        missing = [name for name in needed if name not in self.columns]
+        if missing:
+            raise IzooError(
+                f"glide needs {', '.join(missing)} in the observation; observe the leader (env.neighbours) and the "
+                "features green_s, red_s and speed_limit_mps (env.observed)."
+            )
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        s = self.settings
+        distance = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M)
+        speed = self._column(observation, "speed", SPEED_SCALE_MPS)
+        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
+        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
+        leader = observation[..., self.columns["leader_present"]] > 0.5
+        approaching = observation[..., self.columns["location_approaching"]] > 0.5
+        free_s = distance / limit
+        arrival_s = self.passing_time(observation, distance, free_s)
+        advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.full_like(limit, s.floor_mps))
+        following = leader & (gap < s.headway_gap_s * speed)
+        idle = (arrival_s - free_s < s.late_s) | (distance < s.near_m) | following | ~approaching | (advised >= limit)
+        accel = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
+        return accel, idle
+
+    def passing_time(self, observation: Tensor, distance: Tensor, free_s: Tensor) -> Tensor:
+        """Return in how many seconds each CV can pass the stop line, ``[*B, A]``.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            distance: ``[*B, A]`` metres to the stop line.
+            free_s: ``[*B, A]`` seconds to get there at the speed limit.
+        """
+        s = self.settings
+        queue = self.queue_ahead(observation, distance)
+        green = observation[..., self.columns["signal_green"]] > 0.5
+        red = observation[..., self.columns["signal_red"]] > 0.5
+        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        second = self._column(observation, "signal_second_green", TIME_SCALE_S)
+        third = self._column(observation, "signal_third_green", TIME_SCALE_S)
+        length = self._column(observation, "context_green_s", feature("green_s").scale)
+        cycle = length + self._column(observation, "context_red_s", feature("red_s").scale)
+        # On yellow the time left is that of the yellow, so the first green follows from the second.
+        first = torch.where(green, left - length, torch.where(red, left, (second - cycle).clamp_min(0.0)))
+        best = torch.full_like(distance, torch.inf)
+        for start, end in ((first, first + length), (second, second + length), (third, third + length)):
+            # A green that has begun has already discharged a part of the queue; what is seen is what is left.
+            discharged = start.clamp_min(0.0) + torch.where(start < 0, 0.0, s.start_lag_s) + s.headway_s * queue
+            passing = torch.maximum(discharged, free_s)
+            fits = (passing <= end - s.margin_s) & torch.isinf(best)
+            best = torch.where(fits, passing, best)
+            served = (end - start.clamp_min(0.0) - s.start_lag_s).clamp_min(0.0) / s.headway_s
+            queue = torch.where(fits, queue, (queue - served).clamp_min(0.0))
+        return torch.where(torch.isinf(best), third + length, best)
+
+    def queue_ahead(self, observation: Tensor, distance: Tensor) -> Tensor:
+        """Return how many vehicles each CV expects to pass before it, on its lane, ``[*B, A]``."""
+        s = self.settings
+        leader = observation[..., self.columns["leader_present"]] > 0.5
+        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
+        ahead_m = distance - gap
+        standing = self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
+        fill = torch.where(standing, 1.0, s.moving_fill)
+        count = 1.0 + fill * ahead_m.clamp_min(0.0) / s.spacing_m
+        return torch.where(leader & (ahead_m > 0.0), count, torch.zeros_like(count))
+
+    def _column(self, observation: Tensor, name: str, scale: float) -> Tensor:
+        return observation[..., self.columns[name]] * scale
+
+
+DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
+    "human": lambda config: UncommandedDriver(),
+    "uncommanded": lambda config: UncommandedDriver(),
+    "constant": ConstantSpeed,
+    "random": lambda config: RandomDriver(seed=None),
+    "glide": Glide,
+}
+"""Scripted drivers by name. ``human`` is human driving only where the adoption is 0, which evaluation sees to."""
+
+
+def make_driver(name: str, config: EnvConfig) -> TensorDictModuleBase:
+    """Return the scripted driver ``name`` for environments with ``config``."""
+    if name not in DRIVERS:
+        raise unknown_choice("scripted driver", name, DRIVERS)
+    return DRIVERS[name](config)

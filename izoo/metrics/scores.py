@@ -22,12 +22,14 @@ class Score:
     """A score: ``sum of numerator columns / denominator column``, or the sum alone where there is no denominator.
 
     Attributes:
+        label: the score in words.
         numerator: names of sums, added up.
         denominator: name of a sum, or ``None``.
         unit: of the score.
         better: ``lower``, ``higher`` or ``neither``.
     """
 
+    label: str
     numerator: tuple[str, ...]
     denominator: str | None
     unit: str
@@ -35,22 +37,28 @@ class Score:
 
 
 SCORES: dict[str, Score] = {
-    "emission_g_per_vehicle": Score(("emission_g",), "crossed", "g", "lower"),
-    "throughput": Score(("crossed",), None, "veh", "higher"),
-    "travel_time_s_per_vehicle": Score(("travel_time_s",), "crossed", "s", "lower"),
-    "approach_speed_mps": Score(("distance_m",), "travel_time_s", "m/s", "higher"),
-    "stopped_time_s_per_vehicle": Score(("stopped_time_s",), "crossed", "s", "lower"),
-    "emission_g_per_vehicle_step": Score(("emission_g",), "vehicle_steps", "g", "lower"),
-    "emission_hdv_g_per_vehicle": Score(("emission_hdv_g",), "crossed_hdv", "g", "lower"),
-    "region_emission_g_per_vehicle": Score(("region_emission_g",), "entered", "g", "lower"),
-    "unfinished_share": Score(("unfinished",), "entered", "", "lower"),
-    "waiting_vehicles": Score(("waiting",), None, "veh", "lower"),
-    "comfort_mps2": Score(("abs_accel_sum",), "vehicle_steps", "m/s2", "lower"),
-    "jerk_mps3": Score(("abs_jerk_sum",), "vehicle_steps", "m/s3", "lower"),
-    "min_ttc_s": Score(("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
-    "collisions": Score(("collisions_cv", "collisions_hdv"), None, "", "lower"),
-    "deferred_share": Score(("deferred_steps",), "agent_steps", "", "neither"),
-    "red_crossings": Score(("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
+    "emission_g_per_vehicle": Score("emission per vehicle", ("emission_g",), "crossed", "g", "lower"),
+    "throughput": Score("vehicles that crossed", ("crossed",), None, "veh", "higher"),
+    "travel_time_s_per_vehicle": Score("travel time to the stop line", ("travel_time_s",), "crossed", "s", "lower"),
+    "approach_speed_mps": Score("approach speed", ("distance_m",), "travel_time_s", "m/s", "higher"),
+    "stopped_time_s_per_vehicle": Score("stopped time", ("stopped_time_s",), "crossed", "s", "lower"),
+    "emission_g_per_vehicle_step": Score(
+        "emission per vehicle and step", ("emission_g",), "vehicle_steps", "g", "lower"
+    ),
+    "emission_hdv_g_per_vehicle": Score(
+        "emission per human-driven vehicle", ("emission_hdv_g",), "crossed_hdv", "g", "lower"
+    ),
+    "region_emission_g_per_vehicle": Score(
+        "emission in the whole region per vehicle", ("region_emission_g",), "entered", "g", "lower"
+    ),
+    "unfinished_share": Score("share that had not crossed", ("unfinished",), "entered", "", "lower"),
+    "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), None, "veh", "lower"),
+    "comfort_mps2": Score("mean absolute acceleration", ("abs_accel_sum",), "vehicle_steps", "m/s2", "lower"),
+    "jerk_mps3": Score("mean absolute jerk", ("abs_jerk_sum",), "vehicle_steps", "m/s3", "lower"),
+    "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
+    "collisions": Score("collisions", ("collisions_cv", "collisions_hdv"), None, "", "lower"),
+    "deferred_share": Score("share of commands left to SUMO", ("deferred_steps",), "agent_steps", "", "neither"),
+    "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
 }
 """Every score by name, the headline first (spec 10). ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
 

@@ -1,0 +1,106 @@
+"""What can be evaluated: scripted drivers, TorchRL modules, and callables, each with a name and a fingerprint."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import hashlib
+import importlib
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cloudpickle
+from torch import nn
+
+from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError, unknown_choice
+from izoo.evaluation.episode import Policy
+
+HUMAN, UNCOMMANDED = "human", "uncommanded"
+POLICY_FREE = (HUMAN, UNCOMMANDED)
+"""Drivers that command nothing: their episodes can be cached."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy to evaluate.
+
+    Attributes:
+        name: its name in tables.
+        policy: TensorDict in, TensorDict with ``("agents", "action")`` out.
+        fingerprint: differs where the policy does: class, weights, or source.
+    """
+
+    name: str
+    policy: Policy
+    fingerprint: str
+
+    def pack(self) -> bytes:
+        """Serialise for a worker process; modules travel on the CPU.
+
+        Raises:
+            IzooError: it holds something that cannot be sent.
+        """
+        policy = copy.deepcopy(self.policy).to("cpu") if isinstance(self.policy, nn.Module) else self.policy
+        try:
+            return cloudpickle.dumps(policy)
+        except Exception as error:
+            raise IzooError(f"policy {self.name!r} cannot be sent to worker processes: {error}") from error
+
+
+def as_candidate(policy: str | Policy, config: EnvConfig, name: str | None = None) -> Candidate:
+    """Return the candidate that ``policy`` means: a driver's name, ``module:function``, or the policy itself.
+
+    Raises:
+        IzooError: no such driver or function.
+    """
+    if isinstance(policy, str):
+        if ":" in policy:
+            return as_candidate(import_policy(policy), config, name or policy.rpartition(":")[2])
+        if policy not in DRIVERS:
+            raise unknown_choice("policy", policy, [*DRIVERS, "module:function"])
+        return as_candidate(make_driver(policy, config), config, name or policy)
+    if not callable(policy):
+        raise IzooError(f"a {type(policy).__name__} is no policy; give a driver's name, a module or a callable.")
+    name = name or "policy"
+    if name in POLICY_FREE and not isinstance(policy, UncommandedDriver):
+        raise IzooError(f"{name!r} is the name of a baseline; give the policy another name.")
+    return Candidate(name, policy, fingerprint(policy))
+
+
+def import_policy(reference: str) -> Policy:
+    """Import ``module:function``; a class is called without arguments."""
+    module_name, _, attribute = reference.partition(":")
+    try:
+        found: Any = functools.reduce(getattr, attribute.split("."), importlib.import_module(module_name))
+    except (ImportError, AttributeError) as error:
+        raise IzooError(f"cannot import the policy {reference!r}: {error}. It is written module:function.") from error
+    return found() if inspect.isclass(found) else found
+
+
+def fingerprint(policy: Policy) -> str:
+    """Return a digest that changes with a module's structure and weights, or with a callable's source."""
+    digest = hashlib.sha256()
+    if isinstance(policy, nn.Module):
+        settings = getattr(policy, "settings", None)
+        digest.update(_without_addresses(f"{policy!r} {settings!r}"))
+        for key, tensor in sorted(policy.state_dict().items()):
+            if hasattr(tensor, "detach"):
+                digest.update(key.encode())
+                digest.update(tensor.detach().cpu().contiguous().flatten().double().numpy().tobytes())
+        return digest.hexdigest()[:16]
+    target: Callable[..., Any] = policy if inspect.isroutine(policy) else type(policy)
+    digest.update(f"{target.__module__}:{target.__qualname__}".encode())
+    try:
+        digest.update(inspect.getsource(target).encode())
+    except (OSError, TypeError):
+        digest.update(_without_addresses(repr(policy)))
+    return digest.hexdigest()[:16]
+
+
+def _without_addresses(text: str) -> bytes:
+    return re.sub(r"0x[0-9a-f]+", "", text).encode()

@@ -1,0 +1,135 @@
+"""Evaluate a policy: paired with human driving, over worker processes, resumable."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError, check_range
+from izoo.evaluation import cache as caching
+from izoo.evaluation.episode import Policy
+from izoo.evaluation.folder import ResultFolder
+from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate, as_candidate
+from izoo.evaluation.table import identity
+from izoo.evaluation.workers import Rows, Task, play_all
+
+Key = tuple[str, str, int]
+"""Policy name, content hash of the context it is evaluated in, seed."""
+
+
+def evaluate_policy(
+    policy: str | Policy,
+    contexts: Sequence[Context],
+    seeds: Sequence[int],
+    env_config: EnvConfig | None = None,
+    num_workers: int = 2,
+    out_dir: Path | str | None = None,
+    progress: bool = True,
+    *,
+    name: str | None = None,
+    uncommanded: bool = True,
+    cache: Path | str | None = None,
+) -> pd.DataFrame:
+    """Play a policy and its baselines in every context with every seed.
+
+    Args:
+        policy: a scripted driver's name, ``module:function``, a TensorDict module, or a callable of TensorDicts.
+        contexts: the contexts; repeated ones are played once.
+        seeds: episode seeds; three or more for the tested gate to mean something.
+        env_config: the environment; what it emits is chosen here.
+        num_workers: worker processes, each with one simulator; 0 plays in this process.
+        out_dir: where ``evaluation.csv`` and ``summary.json`` go. Episodes that are already there are not played
+            again; those of other weights under the same name are replaced. ``None`` writes nothing.
+        progress: show a bar with the time left.
+        name: the policy's name in the table.
+        uncommanded: also play the CVs that nobody commands, which separates what the policy did from what the CV's
+            vehicle parameters did.
+        cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.cache.default_folder`.
+
+    Returns:
+        The content of ``evaluation.csv``: one row per (policy, context, seed, approach), including what earlier
+        evaluations left in ``out_dir``. See :mod:`izoo.evaluation.table`.
+
+    Raises:
+        IzooError: bad input, or a folder written with other settings.
+        EpisodeFailed: an episode raised or lost its process; finished ones are kept in ``out_dir``.
+    """
+    config = dataclasses.replace(env_config or EnvConfig(), emit=("metrics",))
+    check_range("num_workers", num_workers, 0, 1024)
+    if not contexts or not seeds:
+        raise IzooError("an evaluation needs one or more contexts and one or more seeds.")
+    candidate = as_candidate(policy, config, name)
+    names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
+    candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
+    folder = ResultFolder(None if out_dir is None else Path(out_dir), caching.settings(config))
+    cached = caching.EpisodeCache(Path(cache) if cache else caching.default_folder(), config)
+    with folder.open(candidate.name, candidate.fingerprint):
+        unique = list({context.content_hash: context for context in contexts}.values())
+        wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
+        todo = [entry for entry in wanted if _key(*entry) not in folder.done]
+        _play(todo, candidates, config, num_workers, folder, cached, progress)
+    return folder.table
+
+
+def _key(name: str, context: Context, seed: int) -> Key:
+    return name, context.content_hash, seed
+
+
+def _play(
+    entries: Sequence[tuple[str, Context, int]],
+    candidates: dict[str, Candidate],
+    config: EnvConfig,
+    num_workers: int,
+    folder: ResultFolder,
+    cached: caching.EpisodeCache,
+    progress: bool,
+) -> None:
+    """Take policy-free episodes from the cache where it has them, and play the rest.
+
+    Contexts that differ only in what concerns CVs share their human episodes, so an episode may answer several
+    entries.
+    """
+    waiting: dict[Key, list[tuple[str, Context, int]]] = {}
+    tasks: list[Task] = []
+    for name, context, seed in entries:
+        played = caching.baseline_context(context) if name == HUMAN else context
+        rows = cached.get(name, played, seed) if name in POLICY_FREE else None
+        if rows is not None:
+            folder.add(_relabel(rows, name, context, seed))
+            continue
+        key = _key(name, played, seed)
+        if key not in waiting:
+            tasks.append(Task(candidates[name].name, name, played, seed))
+        waiting.setdefault(key, []).append((name, context, seed))
+    policies = {name: candidates[name].pack() for name in {task.policy for task in tasks}}
+    with _progress_bar(progress and bool(tasks)) as bar:
+        row = bar.add_task("episodes", total=len(tasks))
+        for task, rows in play_all(tasks, policies, config, num_workers):
+            if task.name in POLICY_FREE:
+                cached.put(task.name, task.context, task.seed, rows)
+            for name, context, seed in waiting[_key(task.name, task.context, task.seed)]:
+                folder.add(_relabel(rows, name, context, seed))
+            bar.update(row, advance=1)
+
+
+def _relabel(rows: Rows, name: str, context: Context, seed: int) -> Rows:
+    """Give rows the identity of the context that is evaluated, which for human driving is not the one played."""
+    return [{**row, **identity(name, context, seed, row["approach"])} for row in rows]
+
+
+def _progress_bar(shown: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        disable=not shown,
+    )

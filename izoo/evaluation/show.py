@@ -1,0 +1,97 @@
+"""A summary as tables to read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from izoo.evaluation.policies import HUMAN
+from izoo.metrics.scores import SCORES
+
+SHOWN_SCORES = (
+    "emission_g_per_vehicle",
+    "throughput",
+    "travel_time_s_per_vehicle",
+    "approach_speed_mps",
+    "stopped_time_s_per_vehicle",
+    "unfinished_share",
+    "waiting_vehicles",
+    "min_ttc_s",
+    "collisions",
+    "deferred_share",
+)
+_LINES = (
+    ("benefit, mean", "exact", "mean"),
+    ("benefit, interquartile mean", "exact", "iqm"),
+    ("benefit, ratio of sums", "exact", "ratio_of_sums"),
+    ("approaches with benefit", "exact", "share_positive"),
+    ("approaches gated to 0", "exact", "share_gated"),
+    ("tested gate: benefit, mean", "tested", "mean"),
+    ("tested gate: gated to 0", "tested", "share_gated"),
+    ("no gate: benefit, mean", "ungated", "mean"),
+    ("throughput, mean change", "throughput", "mean"),
+    ("approaches that kept it", "throughput", "share_kept"),
+)
+"""Lines of a comparison: label, block and statistic."""
+
+
+def print_summary(summary: dict[str, Any], console: Console | None = None) -> None:
+    """Print what :func:`izoo.evaluation.summarise` returned: scores per policy, then each comparison."""
+    console = console or Console()
+    n = summary["n"]
+    console.print(score_table(summary))
+    for name, policy in summary["policies"].items():
+        for baseline, comparison in policy["against"].items():
+            console.print(benefit_table(name, baseline, comparison, main=baseline == policy["headline"]))
+            for what, entries in (("saturated", comparison["saturated"]), ("left out", comparison["left_out"])):
+                if entries:
+                    more = ", ..." if len(entries) > 3 else ""
+                    console.print(f"  {what}: {len(entries)} ({', '.join(entries[:3])}{more})", highlight=False)
+    console.print(
+        f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
+        f"{n['episodes']} episodes; brackets: 95 % bootstrap intervals over intersections.",
+        highlight=False,
+    )
+    if n["seeds"] < 3:
+        console.print(f"Only {n['seeds']} seed(s) per context: three or more are needed to judge throughput.")
+
+
+def score_table(summary: dict[str, Any]) -> Table:
+    """Scores side by side, human driving first; counts are means per episode and approach."""
+    scores = summary["scores"]
+    names = sorted(scores, key=lambda name: name != HUMAN)
+    table = Table(title="Scores (all vehicles that crossed)", title_justify="left")
+    table.add_column("")
+    for name in names:
+        table.add_column(name, justify="right")
+    for key in SHOWN_SCORES:
+        unit = f" ({SCORES[key].unit})" if SCORES[key].unit else ""
+        values = [scores[name][key] for name in names]
+        table.add_row(SCORES[key].label + unit, *("-" if value is None else f"{value:.4g}" for value in values))
+    return table
+
+
+def benefit_table(name: str, baseline: str, comparison: dict[str, Any], main: bool) -> Table:
+    """One policy against one baseline, under both gates, with and without saturated approaches."""
+    mark = " (headline)" if main else ""
+    table = Table(title=f"{name} against {baseline}{mark}", title_justify="left")
+    table.add_column("")
+    blocks = {"all": "all"}
+    if comparison["saturated"]:
+        blocks["unsaturated"] = "without saturated"
+    for label in blocks.values():
+        table.add_column(label, justify="right")
+    for label, block, statistic in _LINES:
+        table.add_row(label, *(percent(comparison[name][block][statistic]) for name in blocks))
+    table.add_row("approaches (n)", *(str(comparison[name]["exact"]["mean"]["n"]) for name in blocks))
+    return table
+
+
+def percent(estimate: dict[str, Any]) -> str:
+    """An estimate as per cent with its interval."""
+    if estimate["value"] is None:
+        return "-"
+    value, low, high = (round(100.0 * estimate[key], 1) + 0.0 for key in ("value", "low", "high"))  # no "-0.0"
+    return f"{value:.1f} %" + (f" [{low:.1f}, {high:.1f}]" if estimate["groups"] > 1 else "")
