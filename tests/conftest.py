@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +17,21 @@ from izoo.networks.dataset import load_dataset
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes minutes; runs when IZOO_SLOW_TESTS is set")
+    _compile_afresh(config)
+
+
+def _compile_afresh(config: pytest.Config) -> None:
+    """Forget compiled kernels when any of them has changed: numba looks only at the file of the calling one."""
+    folder = Path(config.cache.mkdir("kernels"))  # type: ignore[union-attr]
+    root = Path(__file__).parents[1]
+    sources = sorted([*root.glob("envs/*.py"), *root.glob("izoo/emissions/*.py"), *root.glob("izoo/networks/*.py")])
+    current = hashlib.sha256(b"".join(path.read_bytes() for path in sources if b"njit" in path.read_bytes()))
+    stamp = folder / "stamp"
+    if not stamp.exists() or stamp.read_text() != current.hexdigest():
+        shutil.rmtree(folder)
+        folder.mkdir()
+        stamp.write_text(current.hexdigest())
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,0 +1,189 @@
+"""Slots: who holds which, what a leaver and the horizon look like, and what happens when slots run out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from tests.envs.worlds import at_random, crossing, defer, episode, play, short, steer
+
+
+def run(config: EnvConfig, act=steer, **changes: object) -> TensorDict:  # type: ignore[no-untyped-def]
+    env = EcoDrivingEnv(crossing(**changes), config=config, seed=3)
+    try:
+        return episode(env, act)
+    finally:
+        env.close()
+
+
+@pytest.fixture(scope="module")
+def frames() -> TensorDict:
+    """An episode in which CVs leave and others take their slots."""
+    return run(short(horizon_s=120.0), inflow_vph_per_lane=500.0)
+
+
+def holders(part: TensorDict) -> torch.Tensor:
+    """Number of the vehicle in every agent slot ``[T, A]``, -1 where the slot is empty."""
+    number = torch.gather(part["vehicles", "vehicle_number"].long(), 1, part["agents", "vehicle"])
+    return torch.where(part["agents", "mask"], number, -1)
+
+
+def rows(part: TensorDict) -> torch.Tensor:
+    """Number of the vehicle in every vehicle slot ``[T, V]``, -1 where the slot is empty."""
+    return torch.where(part["vehicles", "present"], part["vehicles", "vehicle_number"].long(), -1)
+
+
+def test_the_scenario_contains_what_is_tested(frames: TensorDict) -> None:
+    """CVs leave, and a slot serves one vehicle after another."""
+    held = holders(frames)
+    served = [set(column[column >= 0].tolist()) for column in held.unbind(1)]
+    assert max(len(numbers) for numbers in served) >= 2
+    assert frames["next", "agents", "terminated"].sum() >= 5
+    everyone = [number for numbers in served for number in numbers]
+    assert len(everyone) == len(set(everyone)), "a vehicle changed its slot"
+
+
+@pytest.mark.parametrize("who", [holders, rows], ids=["agents", "vehicles"])
+def test_next_is_the_same_vehicle_or_nobody(frames: TensorDict, who) -> None:  # type: ignore[no-untyped-def]
+    """A slot freed in a step is empty in that step's ``next``: a newcomer never stands in a leaver's place."""
+    now, after = who(frames), who(frames["next"])
+    held = now >= 0
+    assert ((after == now) | (after == -1))[held].all()
+    assert (held & (after == -1)).any()
+
+
+def test_a_leaver_is_terminated(frames: TensorDict) -> None:
+    after, agents = frames["next", "agents"], frames["agents"]
+    left = agents["mask"] & ~after["mask"]
+    assert left.any()
+    assert torch.equal(left, after["terminated"].squeeze(-1))
+    assert after["done"].squeeze(-1)[left].all() and not after["truncated"].squeeze(-1)[left].any()
+    assert not after["observation"][left].any()
+    assert (after["reward"].squeeze(-1)[left] != 0).all()
+    stayed = agents["mask"] & after["mask"]
+    assert not after["done"][:-1].squeeze(-1)[stayed[:-1]].any()
+
+
+def test_a_leaver_was_on_its_exit(frames: TensorDict) -> None:
+    """Only vehicles that were about to drive out of the region disappear."""
+    left = rows(frames)[:, :] >= 0
+    left &= rows(frames["next"]) == -1
+    assert (frames["vehicles", "location"][left] == 2).all()
+
+
+def test_nothing_is_paid_or_ended_in_empty_slots(frames: TensorDict) -> None:
+    """Also a newcomer, which stands in ``next`` but did not act, is paid nothing."""
+    idle = ~frames["agents", "mask"]
+    after = frames["next", "agents"]
+    for name in ("reward", "done", "terminated", "truncated"):
+        assert not after[name].squeeze(-1)[:-1][idle[:-1]].any(), name
+    assert (idle & after["mask"]).any(), "no newcomer in the scenario"
+    for part in (frames, frames["next"]):
+        empty = ~part["agents", "mask"]
+        assert not part["agents", "observation"][empty].any() and not part["agents", "vehicle"][empty].any()
+        gone = ~part["vehicles", "present"]
+        for name, value in part["vehicles"].items():
+            assert not value[gone].any(), name
+
+
+def test_the_horizon_truncates(frames: TensorDict) -> None:
+    after = frames["next"]
+    assert after["truncated"].squeeze(-1).tolist() == [False] * (len(frames) - 1) + [True]
+    assert torch.equal(after["done"], after["truncated"]) and not after["terminated"].any()
+    last = after[-1]
+    mask = last["agents", "mask"]
+    assert mask.any()
+    assert torch.equal(last["agents", "truncated"].squeeze(-1), mask)
+    assert not (last["agents", "terminated"].squeeze(-1) & mask).any()
+    assert (last["agents", "observation"][mask].abs().sum(-1) > 0).all(), "the true last observation is needed"
+
+
+def test_observation_and_vehicle_agree(frames: TensorDict) -> None:
+    """``("agents", "vehicle")`` points at the row of the vehicle that the slot observes."""
+    mask = frames["agents", "mask"]
+    speed = torch.gather(frames["vehicles", "speed_mps"], 1, frames["agents", "vehicle"])
+    torch.testing.assert_close(frames["agents", "observation"][..., 0][mask], speed[mask] / 15.0)
+    is_cv = torch.gather(frames["vehicles", "is_cv"], 1, frames["agents", "vehicle"])
+    assert is_cv[mask].all()
+    assert (frames["vehicles", "is_cv"].sum(-1) == mask.sum(-1)).all(), "a CV has no slot though slots are free"
+
+
+def test_a_freed_slot_is_used_from_the_next_step_on() -> None:
+    """With one agent slot for many CVs, it is empty for a step at least between two of them."""
+    frames = run(short(horizon_s=150.0, num_agents=1), defer, adoption=1.0, lane_count=1, inflow_vph_per_lane=600.0)
+    held = holders(frames).squeeze(-1)
+    changes = [(a, b) for a, b in zip(held.tolist(), held.tolist()[1:], strict=False) if a != b]
+    assert len([b for a, b in changes if b >= 0]) >= 2
+    assert all(a == -1 or b == -1 for a, b in changes)
+
+
+def test_more_cvs_than_slots() -> None:
+    """Surplus CVs are driven by SUMO and counted; a CV that found no slot never gets one later."""
+    frames = run(short(num_agents=2), adoption=1.0)
+    metrics = frames["next", "metrics"]
+    cvs, slots = frames["vehicles", "is_cv"].sum(-1), frames["agents", "mask"].sum(-1)
+    assert slots.max() == 2 and cvs.max() > 2
+    after = frames["next"]
+    assert (
+        metrics["approach", "unslotted_steps"][-1].sum()
+        == (after["vehicles", "is_cv"].sum(-1) - after["agents", "mask"].sum(-1)).sum()
+    )
+    numbers = set(rows(after)[after["vehicles", "is_cv"]].tolist()) | set(
+        rows(frames)[frames["vehicles", "is_cv"]].tolist()
+    )
+    held = set(holders(frames).flatten().tolist()) | set(holders(after).flatten().tolist())
+    assert metrics["episode", "unslotted"][-1].item() == len(numbers - held)
+    waiting = frames["vehicles", "is_cv"].clone()
+    waiting.scatter_(1, frames["agents", "vehicle"], ~frames["agents", "mask"])
+    assert not frames["vehicles", "deferred"][waiting].any()
+
+
+def test_more_vehicles_than_slots() -> None:
+    """Surplus vehicles are simulated and measured all the same, and the traffic does not change."""
+    few, many = run(short(num_vehicles=3), defer), run(short(), defer)
+    assert few["vehicles", "present"].sum(-1).max() == 3
+    assert (few["agents", "vehicle"] < 3).all()
+    for name in ("entered", "crossed", "emission_g", "region_emission_g", "travel_time_s"):
+        one, other = (part["next", "metrics", "approach", name][-1] for part in (few, many))
+        assert other.sum() > 0
+        torch.testing.assert_close(one, other)
+    assert few["next", "metrics", "episode", "vehicle_steps"][-1] == many["next", "vehicles", "present"].sum()
+    assert few["next", "metrics", "episode", "unslotted"][-1] > 0
+
+
+@pytest.fixture
+def crowded() -> Iterator[EcoDrivingEnv]:
+    env = EcoDrivingEnv(
+        crossing(lane_count=4, inflow_vph_per_lane=900.0, adoption=1.0, lane_length_m=400.0),
+        config=EnvConfig(horizon_s=260.0, warmup_s=5.0, num_agents=8, num_vehicles=16),
+    )
+    yield env
+    env.close()
+
+
+def test_tables_grow(crowded: EcoDrivingEnv) -> None:
+    """More vehicles than the tables first have room for: they grow, and nothing is lost."""
+    frames = play(crowded, 380, defer)
+    assert len(crowded.simulator.names) > 256
+    steps = frames["next", "metrics", "episode", "vehicle_steps"]
+    assert steps.diff(dim=0).max() > 256
+    approach = frames["next", "metrics", "approach"][-1]
+    unfinished = int((crowded.simulator.flags[crowded.simulator.rows][:, 6:8] == [1, 0]).all(-1).sum())
+    assert approach["entered"].sum() == approach["crossed"].sum() + unfinished
+
+
+def test_random_actions_keep_the_rules() -> None:
+    frames = run(short(num_agents=8, lane_change=True), with_lane_changes, adoption=1.0)
+    now, after = holders(frames), holders(frames["next"])
+    held = now >= 0
+    assert ((after == now) | (after == -1))[held].all()
+
+
+def with_lane_changes(tensordict):  # type: ignore[no-untyped-def]
+    tensordict = at_random(int(tensordict["metrics", "episode", "steps"]))(tensordict)
+    mask = tensordict["agents", "mask"]
+    return tensordict.set(("agents", "lane_change"), torch.randint(0, 3, mask.shape))
