@@ -20,6 +20,7 @@ from izoo.networks import cache
 from izoo.networks.connections import Link
 from izoo.networks.heights import add_heights
 from izoo.networks.plain import PlainNet, plain_net
+from izoo.networks.programs import stop_mutual_waits
 from izoo.networks.signals import search_plan
 
 BUILDER_VERSION = 1
@@ -88,7 +89,7 @@ def _build(spec: IntersectionSpec, folder: Path) -> str:
     text = _checked_links(spec.name, text, plain.links, messages)
     _check_lanes(spec, text, messages)
     # The header holds the date and the folder of the build; without it equal specs give equal files.
-    return add_heights(re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL), spec)
+    return add_heights(stop_mutual_waits(re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)), spec)
 
 
 def _netconvert(name: str, plain: PlainNet, scratch: Path) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.connections import Link, signal_links
+from izoo.networks.programs import main_phases
 
 LANE_WIDTH_M = 3.2
 JOINT_M = 8.0
@@ -151,7 +152,7 @@ class _Writer:
             approach = self.spec.leg(link.from_leg).approach
             edge = f"{link.from_leg}2TL_intern" if approach and has_pocket(approach) else f"{link.from_leg}2TL"
             self.connections.append(_Connection(edge, link.from_lane, f"TL2{link.to_leg}", link.to_lane, "TL", index))
-        self.programs.append(_Program("TL", plan.offset_s, _main_phases(self.spec.name, plan, self.links)))
+        self.programs.append(_Program("TL", plan.offset_s, main_phases(self.spec.name, plan, self.links)))
 
     def add_leg(self, leg: Leg) -> None:
         """Add a leg: approach, exit, ghost junction and sources."""
@@ -252,32 +253,6 @@ class _Writer:
 def has_pocket(approach: Approach) -> bool:
     """Whether the approach is split into a main and a pocket part."""
     return approach.right_pockets + approach.left_pockets > 0
-
-
-def _main_phases(name: str, plan: SignalPlan, links: tuple[Link, ...]) -> tuple[tuple[float, str], ...]:
-    """Spell the plan out by link; movements that a phase does not name are red."""
-    movements = {(link.from_leg, link.to_leg) for link in links}
-    phases = []
-    for number, phase in enumerate(plan.phases):
-        if not 0.0 < phase.duration_s < math.inf:
-            raise IzooError(
-                f"intersection {name}: phase {number} of its plan lasts {phase.duration_s!r} s; give more than 0."
-            )
-        shown = {(start, end): colour for start, end, colour in phase.states}
-        bad = [colour for colour in shown.values() if colour not in set("Ggysr")]
-        if bad:
-            raise IzooError(f"intersection {name}: phase {number} shows {bad[0]!r}; choose one of: G, g, y, s, r.")
-        astray = sorted(set(shown) - movements)
-        if astray:
-            start, end = astray[0]
-            raise IzooError(
-                f"intersection {name}: phase {number} of its plan names the movement {start} to {end}, which no lane "
-                "serves; remove it from the plan or give a lane that turn."
-            )
-        phases.append((phase.duration_s, "".join(shown.get((link.from_leg, link.to_leg), "r") for link in links)))
-    if not phases:
-        raise IzooError(f"intersection {name}: its signal plan has no phases; give at least one, or None to search.")
-    return tuple(phases)
 
 
 def _clearance_m(spec: IntersectionSpec, leg: Leg) -> float:
