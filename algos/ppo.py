@@ -174,7 +174,7 @@ class SamplingPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write loc, scale, action ``[*B, A, 1]`` and log-probability ``[*B, A]`` into ``tensordict``."""
         agents = tensordict.get("agents")
-        loc, scale = self.network(agents.get("observation"))
+        loc, scale = self.parameters_of(agents)
         if exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
             raw = loc
         else:
@@ -187,6 +187,10 @@ class SamplingPolicy(TensorDictModuleBase):
         agents.set("action", torch.tanh(raw).mul_(self.half).add_(self.middle))
         agents.set("action_log_prob", log_prob.squeeze(-1))
         return tensordict
+
+    def parameters_of(self, agents: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Return median and spread before the tanh, ``[*B, A, 1]`` each, of the group ``agents`` ``[*B, A]``."""
+        return self.network(agents.get("observation"))
 
 
 def make_critic(features: int, config: PPOConfig) -> ValueOperator:
@@ -247,7 +251,7 @@ class PPOLoss(ClipPPOLoss):
         """Return KL(collecting policy || policy) per row; the tanh, a bijection, does not change it."""
         old = torch.distributions.Normal(tensordict.get(base.LOC), tensordict.get(base.SCALE))
         with self.actor_network_params.to_module(self.actor_network):
-            new = self.actor_network.get_dist(tensordict.select(base.OBSERVATION)).base_dist
+            new = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys)).base_dist
         return torch.distributions.kl_divergence(old, getattr(new, "base_dist", new)).sum(-1)
 
 
@@ -265,11 +269,27 @@ class PPO:
         self, config: PPOConfig, features: int, low: float, high: float, device: torch.device | str = "cpu"
     ) -> None:
         self.config = config
-        self.actor = make_actor(features, low, high, config).to(device)
-        self.policy = SamplingPolicy(self.actor, low, high)
-        self.critic = make_critic(features, config).to(device)
+        self.actor = self.make_actor(features, low, high).to(device)
+        self.policy = self.make_policy(low, high)
+        self.critic = self.make_critic(features).to(device)
         self.loss = PPOLoss(self.actor, self.critic, config).to(device)
         self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5)
+
+    def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
+        """Return the policy as the loss uses it, on flat rows."""
+        return make_actor(features, low, high, self.config)
+
+    def make_policy(self, low: float, high: float) -> SamplingPolicy:
+        """Return the policy for collection; it shares the parameters of ``actor``."""
+        return SamplingPolicy(self.actor, low, high)
+
+    def make_critic(self, features: int) -> ValueOperator:
+        """Return the value function as the loss uses it, on flat rows."""
+        return make_critic(features, self.config)
+
+    def values(self, frames: TensorDictBase, where: Tensor) -> Tensor:
+        """Return the values ``[where.sum(), 1]`` of the agents ``where`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
+        return self.critic.module(frames.get(base.OBSERVATION)[where])
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` of consecutive steps; see :class:`izoo.algos.base.Algorithm`."""
@@ -304,20 +324,20 @@ class PPO:
         """Estimate advantages and flatten: a batch ``[N, T]`` becomes rows ``[valid agent-steps]``."""
         mask, done = batch.get(base.MASK), batch.get(("next", *base.DONE))
         terminated, reward = batch.get(("next", *base.TERMINATED)), batch.get(("next", *base.REWARD))
-        observation, successor = batch.get(base.OBSERVATION), batch.get(("next", *base.OBSERVATION))
         # What stands in an empty slot must not reach its neighbours in time, whatever it is.
         reward = torch.where(mask.unsqueeze(-1), reward, torch.zeros_like(reward))
         value = torch.zeros_like(reward)
-        value[mask] = self.critic.module(observation[mask])
+        value[mask] = self.values(batch, mask)
         boundary = mask & done.squeeze(-1)
         boundary[:, -1] = mask[:, -1]
-        bootstrap = self.critic.module(successor[boundary])
-        bootstrap = torch.where(terminated[boundary], torch.zeros_like(bootstrap), bootstrap)
+        goes_on = boundary & ~terminated.squeeze(-1)
+        bootstrap = torch.zeros_like(value)
+        bootstrap[goes_on] = self.values(batch.get("next"), goes_on)
         advantage, target = generalized_advantage_estimate(
             self.config.gamma,
             self.config.gae_lambda,
             value,
-            base.next_values(value, boundary, bootstrap),
+            base.next_values(value, boundary, bootstrap[boundary]),
             reward * self.config.reward_scale,
             done,
             terminated,
