@@ -1,0 +1,160 @@
+"""How an environment's step grows with traffic, where its time goes, and what a reset costs.
+
+``python -m izoo.benchmarks.scaling [--json]`` steps one environment on procedural intersections from a handful to some
+hundreds of vehicles in the controlled region, beside bare libsumo, and times each part of a step and a reset to a cached
+net, warm-up included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+SETTLE_STEPS = 400
+RESETS = 7
+
+
+def worlds() -> list[Any]:
+    """Contexts of growing traffic, all approaches, a third of the vehicles CVs."""
+    from izoo.contexts.procedural import procedural_context
+
+    sizes = [(1, 60.0), (1, 150.0), (1, 300.0), (2, 250.0), (2, 350.0), (3, 330.0), (4, 330.0), (4, 420.0)]
+    return [
+        procedural_context(
+            lane_count=lanes,
+            phase_count=min(lanes, 2),
+            inflow_vph_per_lane=inflow,
+            lane_length_m=400.0,
+            green_s=30.0,
+            red_s=30.0,
+            approach="all",
+        )
+        for lanes, inflow in sizes
+    ]
+
+
+def measure(context: Any, steps: int) -> dict[str, float]:
+    """Return vehicles, microseconds per step (bare, environment, and its parts), and milliseconds per reset."""
+    import torch
+
+    from izoo.envs import EcoDrivingEnv, EnvConfig
+
+    env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=256, num_vehicles=1024))
+    try:
+        env.reset()
+        simulator = env.simulator
+        resets = []
+        for _ in range(RESETS):
+            begin = time.perf_counter()
+            state = env.reset()
+            resets.append(time.perf_counter() - begin)
+        bare = _time(simulator.session.advance, steps)
+        state = env.reset()
+        action = torch.full((256, 1), 2.6)
+        vehicles: list[int] = []
+
+        def step() -> None:
+            nonlocal state
+            state.set(("agents", "action"), action)
+            _, state = env.step_and_maybe_reset(state)
+            vehicles.append(len(simulator.rows))
+
+        parts = _Parts(simulator)
+        whole = _time(step, steps, parts.begin)
+        return {
+            "vehicles": float(np.mean(vehicles[SETTLE_STEPS:])),
+            "bare_us": bare,
+            "environment_us": whole,
+            **parts.means_us(steps),
+            "reset_ms": 1e3 * statistics.median(resets),
+        }
+    finally:
+        env.close()
+
+
+def _time(step: Callable[[], None], steps: int, before: Callable[[], None] = lambda: None) -> float:
+    for _ in range(SETTLE_STEPS):
+        step()
+    before()
+    begin = time.perf_counter()
+    for _ in range(steps):
+        step()
+    return 1e6 * (time.perf_counter() - begin) / steps
+
+
+class _Parts:
+    """Clocks around the parts of a simulator's step."""
+
+    NAMES = ("advance", "read", "command_speeds")
+
+    def __init__(self, simulator: Any) -> None:
+        self.seconds = dict.fromkeys(self.NAMES, 0.0)
+        for name in self.NAMES:
+            setattr(simulator.session, name, self._clocked(name, getattr(simulator.session, name)))
+
+    def begin(self) -> None:
+        """Forget what came before."""
+        self.seconds = dict.fromkeys(self.NAMES, 0.0)
+
+    def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*args: Any) -> Any:
+            begin = time.perf_counter()
+            result = call(*args)
+            self.seconds[name] += time.perf_counter() - begin
+            return result
+
+        return run
+
+    def means_us(self, steps: int) -> dict[str, float]:
+        """Return microseconds per step by part."""
+        return {f"{name}_us": 1e6 * seconds / steps for name, seconds in self.seconds.items()}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the benchmark; returns the exit code."""
+    parser = argparse.ArgumentParser("python -m izoo.benchmarks.scaling", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    parser.add_argument("--steps", type=int, default=800, help="timed steps per world (default 800)")
+    options = parser.parse_args(argv)
+    print("izoo scaling: loading torch and SUMO", file=sys.stderr, flush=True)
+    import torch
+    from rich.console import Console
+    from rich.table import Table
+
+    torch.set_num_threads(1)
+    rows = [measure(context, options.steps) for context in worlds()]
+    slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row["environment_us"] for row in rows], 1)
+    if options.json:
+        print(json.dumps({"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed}, indent=1))
+        return 0
+    table = Table(title="one environment: microseconds per step")
+    for heading in (
+        "vehicles",
+        "bare libsumo",
+        "environment",
+        "SUMO's step",
+        "reading",
+        "commands",
+        "rest",
+        "reset ms",
+    ):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        parts = [row[f"{name}_us"] for name in _Parts.NAMES]
+        rest = row["environment_us"] - sum(parts)
+        cells = (row["bare_us"], row["environment_us"], *parts, rest)
+        table.add_row(f"{row['vehicles']:.0f}", *(f"{cell:.0f}" for cell in cells), f"{row['reset_ms']:.0f}")
+    Console().print(table)
+    print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
