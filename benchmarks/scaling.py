@@ -1,8 +1,8 @@
 """How an environment's step grows with traffic, where its time goes, and what a reset costs.
 
 ``python -m izoo.benchmarks.scaling [--json]`` steps one environment on procedural intersections from a handful to some
-hundreds of vehicles in the controlled region, beside bare libsumo, and times each part of a step and a reset to a cached
-net, warm-up included.
+hundreds of vehicles in the controlled region, beside bare libsumo, and times each part of a step and a reset to a
+cached net, warm-up included.
 """
 
 from __future__ import annotations
