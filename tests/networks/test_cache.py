@@ -1,0 +1,110 @@
+"""The cache of nets: whole or absent, whatever happens."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from izoo.contexts.procedural import procedural_intersection
+from izoo.errors import IzooError
+from izoo.networks import cache
+from izoo.networks.build import build_net
+from izoo.networks.roadnet import read_road
+
+PROCESSES = 8
+
+
+def build_and_read(folder: str, barrier, results) -> None:
+    """Build the same nets as everyone else, at the same time, and read them."""
+    barrier.wait()
+    for lanes in (1, 2):
+        path = build_net(procedural_intersection(lanes), Path(folder))
+        results.put((str(path), read_road(path).sha256))
+
+
+def test_many_processes_build_at_once(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    barrier, results = context.Barrier(PROCESSES), context.Queue()
+    workers = [context.Process(target=build_and_read, args=(str(tmp_path), barrier, results)) for _ in range(PROCESSES)]
+    for worker in workers:
+        worker.start()
+    found = [results.get(timeout=120) for _ in range(2 * PROCESSES)]
+    for worker in workers:
+        worker.join(timeout=30)
+    assert [worker.exitcode for worker in workers] == [0] * PROCESSES
+    assert len(set(found)) == 2
+    assert sorted(path.name for path in (tmp_path / "nets").iterdir()) == sorted({Path(path).name for path, _ in found})
+
+
+@pytest.mark.parametrize("damage", ["truncated", "emptied", "altered", "removed"])
+def test_broken_entries_are_rebuilt(damage, tmp_path):
+    spec = procedural_intersection()
+    path = build_net(spec, tmp_path)
+    whole = path.read_bytes()
+    if damage == "removed":
+        path.unlink()
+    else:
+        middle = len(whole) // 2
+        path.write_bytes(
+            {"truncated": whole[:middle], "emptied": b"", "altered": whole[:middle] + b"x" + whole[middle + 1 :]}[
+                damage
+            ]
+        )
+    assert build_net(spec, tmp_path) == path
+    assert path.read_bytes() == whole
+
+
+def test_whole_entries_are_left_alone(tmp_path):
+    spec = procedural_intersection()
+    before = build_net(spec, tmp_path).stat()
+    after = build_net(spec, tmp_path).stat()
+    assert (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns)
+
+
+def test_nothing_is_written_outside_the_cache(tmp_path, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    for name in ("HOME", "XDG_CACHE_HOME", "TMPDIR"):
+        monkeypatch.setenv(name, str(home))
+    monkeypatch.chdir(here)
+    build_net(procedural_intersection(), tmp_path / "cache")
+    assert list(home.iterdir()) == list(here.iterdir()) == []
+    assert [path.suffixes for path in (tmp_path / "cache" / "nets").iterdir()] == [[".net", ".xml"]]
+
+
+def test_the_environment_chooses_the_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.CACHE_ENV, str(tmp_path / "chosen"))
+    assert cache.cache_folder() == tmp_path / "chosen" / "nets"
+    monkeypatch.delenv(cache.CACHE_ENV)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    assert cache.cache_folder() != tmp_path / "chosen" / "nets"
+
+
+def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(IzooError, match=r"cannot write to the cache folder .* IZOO_CACHE_DIR"):
+        cache.cache_folder(tmp_path / "file")
+
+
+def test_tidy_removes_the_oldest_but_nothing_young(tmp_path):
+    now = time.time()
+    for age in range(6):
+        path = cache.store(tmp_path, f"entry{age}", "<net/>")
+        os.utime(path, (now - 1000.0 * age, now - 1000.0 * age))
+    cache.tidy(tmp_path, max_entries=2, spare_s=2500.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"entry{age}.net.xml" for age in range(3)]
+
+
+def test_entries_are_not_half_read(tmp_path):
+    cache.store(tmp_path, "entry", "<net>\n" + "x" * 1000 + "</net>\n")
+    whole = (tmp_path / "entry.net.xml").read_bytes()
+    for cut in range(0, len(whole), 37):
+        (tmp_path / "entry.net.xml").write_bytes(whole[:cut])
+        assert cache.lookup(tmp_path, "entry") is None, cut
+    (tmp_path / "entry.net.xml").write_bytes(whole)
+    assert cache.lookup(tmp_path, "entry") == tmp_path / "entry.net.xml"

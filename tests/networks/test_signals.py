@@ -1,0 +1,186 @@
+"""The search for fixed-time plans, and the delay that it minimises."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from izoo.contexts.spec import IntersectionSpec, SignalPhase, SignalPlan
+from izoo.networks.connections import signal_links
+from izoo.networks.dataset import find_intersections, load_intersection
+from izoo.networks.delay import DelayModel, peak_movements
+from izoo.networks.signals import GREENS_S, plan_delay_s, search_plan
+from tests.networks.worlds import CROSS, intersection
+
+ANGLES = {
+    "two": (0.0, 180.0),
+    "three": (0.0, 90.0, 180.0),
+    "three equal": (0.0, 120.0, 240.0),
+    "four": CROSS,
+    "five": (0.0, 72.0, 144.0, 216.0, 288.0),
+    "six": (0.0, 60.0, 120.0, 180.0, 240.0, 300.0),
+}
+
+
+def with_demand(spec: IntersectionSpec, aadt: dict[str, float]) -> IntersectionSpec:
+    legs = tuple(
+        dataclasses.replace(leg, approach=dataclasses.replace(leg.approach, aadt_per_lane=aadt.get(leg.name, 0.0)))
+        if leg.approach is not None
+        else leg
+        for leg in spec.legs
+    )
+    return dataclasses.replace(spec, legs=legs)
+
+
+def greens(plan: SignalPlan) -> list[float]:
+    return [phase.duration_s for phase in plan.phases[::2]]
+
+
+def with_greens(plan: SignalPlan, values: tuple[float, ...]) -> SignalPlan:
+    rest = iter(values)
+    return SignalPlan(
+        tuple(phase if index % 2 else SignalPhase(next(rest), phase.states) for index, phase in enumerate(plan.phases))
+    )
+
+
+@pytest.mark.parametrize("legs", ANGLES)
+@pytest.mark.parametrize("lanes", [1, 2, 3, 6])
+def test_plans_serve_every_movement_within_the_grid(legs, lanes):
+    spec = intersection(ANGLES[legs], lanes)
+    plan = search_plan(spec)
+    assert set(greens(plan)) <= set(GREENS_S)
+    assert {phase.duration_s for phase in plan.phases[1::2]} == {3.0}
+    served = {(a, b) for phase in plan.phases for a, b, colour in phase.states if colour in "Gg"}
+    assert served == {(link.from_leg, link.to_leg) for link in signal_links(spec)}
+
+
+def test_no_other_timing_of_the_phases_is_better():
+    spec = with_demand(intersection(CROSS, 3), {"A": 9000.0, "B": 4000.0, "C": 6000.0, "D": 2500.0})
+    plan = search_plan(spec)
+    assert len(plan.phases) == 8
+    best = plan_delay_s(spec, plan)
+    generator = np.random.default_rng(5)
+    grid = list(itertools.product(GREENS_S, repeat=4))
+    for index in generator.choice(len(grid), 300, replace=False):
+        assert plan_delay_s(spec, with_greens(plan, grid[index])) >= best - 1e-9
+    for step in itertools.product((-5.0, 0.0, 5.0), repeat=4):
+        near = np.clip(np.array(greens(plan)) + step, 15.0, 45.0)
+        assert plan_delay_s(spec, with_greens(plan, tuple(near))) >= best - 1e-9
+
+
+def test_lefts_are_protected_only_where_they_have_lanes():
+    shown = [phase.states for phase in search_plan(intersection(CROSS, 3)).phases[::2]]
+    assert len(shown) == 4
+    assert set(shown[1]) == {("A", "B", "G"), ("C", "D", "G")}
+    assert not any((a, b) == ("A", "B") for a, b, _ in shown[0])
+    shared = search_plan(intersection(CROSS, 2))
+    assert len(shared.phases) == 4
+    assert ("A", "B", "g") in shared.phases[0].states
+    assert ("A", "C", "G") in shared.phases[0].states
+
+
+def test_a_left_with_nobody_against_it_goes_with_its_whole_approach():
+    spec = intersection((0.0, 90.0, 180.0), 2)
+    legs = tuple(
+        dataclasses.replace(leg, approach=dataclasses.replace(leg.approach, lanes=("s", "l")))
+        if leg.name == "A" and leg.approach
+        else leg
+        for leg in spec.legs
+    )
+    plan = search_plan(dataclasses.replace(spec, legs=legs))
+    through, change, left = plan.phases[:3]
+    assert {("A", "C", "G"), ("C", "A", "G")} <= set(through.states)
+    # A's straight movement stays green while C's turns yellow.
+    assert {("A", "C", "G"), ("C", "A", "y")} <= set(change.states)
+    assert set(left.states) == {("A", "C", "G"), ("A", "B", "G")}
+
+
+def test_fast_roads_get_four_seconds_of_yellow():
+    assert {phase.duration_s for phase in search_plan(intersection(speed_limit_mps=17.88)).phases[1::2]} == {4.0}
+
+
+def test_right_turns_show_s_where_they_may_go_on_red():
+    plan = search_plan(intersection(CROSS, 2, right_on_red=True))
+    assert ("B", "A", "s") in plan.phases[0].states
+    assert not any(colour == "s" for phase in search_plan(intersection(CROSS, 2)).phases for *_, colour in phase.states)
+
+
+def test_the_busier_axis_gets_more_green():
+    plan = search_plan(with_demand(intersection(CROSS, 2), {"A": 10_000.0, "C": 10_000.0, "B": 2000.0, "D": 2000.0}))
+    assert greens(plan)[0] > greens(plan)[1]
+
+
+def test_the_same_spec_gives_the_same_plan():
+    spec = intersection(ANGLES["six"], 3)
+    first = search_plan(spec)
+    search_plan.cache_clear()
+    assert search_plan(spec) == first
+
+
+def test_without_demand_there_is_no_delay():
+    spec = intersection(aadt=0.0)
+    assert greens(search_plan(spec)) == [15.0, 15.0]
+    assert plan_delay_s(spec) == 0.0
+
+
+def test_uniform_delay_is_that_of_the_formula():
+    spec = with_demand(intersection(CROSS, 1), {"A": 2400.0})
+    plan = search_plan(intersection(CROSS, 1))
+    straight = with_greens(plan, (30.0, 24.0))
+    movements = {(movement.start, movement.end): movement for movement in peak_movements(spec)}
+    flow = 2400.0 * 0.084
+    assert movements["A", "C"].flow_vph == pytest.approx(0.8 * flow)
+    # Without opposing traffic the permissive left goes freely for the whole green, bounded by its follow-up time.
+    left = 3600.0 / 2.5 * 30.0 / 60.0 + 2.0 * 60.0
+    lane = 1.0 / (0.8 / (1800.0 * 0.5) + 0.1 / (1530.0 * 0.5) + 0.1 / min(left, 1710.0))
+    degree = flow / lane
+    uniform = 0.5 * 60.0 * 0.5**2 / (1.0 - degree * 0.5)
+    overflow = 225.0 * (degree - 1.0 + ((degree - 1.0) ** 2 + 4.0 * degree / (lane * 0.25)) ** 0.5)
+    assert plan_delay_s(spec, straight) == pytest.approx(uniform + overflow, rel=1e-3)
+
+
+def test_opposing_traffic_slows_permissive_lefts():
+    light = with_demand(intersection(CROSS, 1), {"A": 2000.0, "C": 500.0})
+    heavy = with_demand(intersection(CROSS, 1), {"A": 2000.0, "C": 9000.0})
+    plan = search_plan(light)
+    durations_s = np.array([[phase.duration_s for phase in plan.phases]])
+    states = [phase.states for phase in plan.phases]
+    delays = [
+        DelayModel(spec, states).total(durations_s, durations_s.sum(axis=1), ("A",))[0] for spec in (light, heavy)
+    ]
+    assert delays[1] > delays[0]
+
+
+def test_time_of_a_search(capsys):
+    times = {}
+    for legs, bearings in ANGLES.items():
+        spec = intersection(bearings, 3)
+        search_plan.cache_clear()
+        begin = time.perf_counter()
+        search_plan(spec)
+        times[legs] = 1000.0 * (time.perf_counter() - begin)
+    with capsys.disabled():
+        print("\n[search: " + ", ".join(f"{legs} legs {spent:.1f} ms" for legs, spent in times.items()) + "]")
+    assert set(times) == set(ANGLES)
+
+
+@pytest.mark.skipif("IZOO_TEST_DATA" not in os.environ, reason="set IZOO_TEST_DATA to the folder of the test data")
+def test_published_plans_are_no_better_on_average(capsys):
+    found, published = [], []
+    for folder in find_intersections(Path(os.environ["IZOO_TEST_DATA"], "salt-lake-city-60")):
+        spec = load_intersection(folder)
+        published.append(plan_delay_s(spec, spec.signal_plan))
+        found.append(plan_delay_s(spec, search_plan(spec)))
+    with capsys.disabled():
+        pair = f"{statistics.median(found):.1f} s, published {statistics.median(published):.1f} s"
+        print(f"\n[delay per vehicle, median of {len(found)}: {pair}]")
+    assert len(found) > 50
+    assert statistics.median(found) <= statistics.median(published)
+    assert np.mean(np.array(found) <= np.array(published) + 0.1) > 0.8
