@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Union
 
+from izoo.algos.ddpg import DDPGConfig
 from izoo.algos.ppo import PPOConfig
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 
-AlgoConfig = Union[PPOConfig]
+AlgoConfig = Union[PPOConfig, DDPGConfig]
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from yaml import YAMLError
 
 from izoo.algos.base import Algorithm
+from izoo.algos.ddpg import DDPG
 from izoo.algos.ppo import PPO
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.options import AlgoConfig, TrainConfig
@@ -22,7 +24,8 @@ from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 
-ALGORITHMS: dict[str, type[PPO]] = {"ppo": PPO}
+ALGORITHMS: dict[str, Callable[[Any, int, float, float], Algorithm]] = {"ppo": PPO, "ddpg": DDPG}
+"""What builds an algorithm from its options, the length of an observation, and the bounds of the acceleration."""
 
 
 def make_algorithm(config: AlgoConfig, features: int) -> Algorithm:

@@ -1,0 +1,329 @@
+"""Deep deterministic policy gradient for interchangeable agents: one actor and one critic, shared by every CV.
+
+Each agent transition is an independent sample: the critic sees one agent's observation and acceleration. Valid
+transitions are stored flat (:mod:`izoo.algos.replay`), and TorchRL's own loss works on them, so that losses and logs see
+no padding.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.modules import ValueOperator
+from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
+
+from izoo.algos import base
+from izoo.algos.replay import Replay, transitions
+from izoo.errors import IzooError, check_choice, check_range
+
+ACTION_VALUE = ("agents", "state_action_value")
+
+
+@dataclass(frozen=True)
+class DDPGConfig:
+    """Hyper-parameters of DDPG; the defaults are the preset ``tuned``.
+
+    Sources: "RLlib" is the default of RLlib's DDPG, which the paper used with Ray 2.11 (since Ray 2.8 in
+    ``rllib_contrib/ddpg/src/rllib_ddpg/ddpg/ddpg.py``); "Lillicrap" is arXiv 1509.02971; "TD3" is arXiv 1802.09477;
+    "Schaul" is arXiv 1511.05952; "ours" was chosen by short runs here.
+
+    Attributes:
+        name: the algorithm.
+        frames_per_batch: environment steps, over all workers, between two rounds of updates (RLlib: one step of each of
+            ten workers; ours 1,950, one episode, since a round has a fixed cost).
+        updates_per_frame: gradient steps per environment step (RLlib one per ten workers' step, so 0.1; ours the same).
+        minibatch_rows: transitions per gradient step (RLlib 256; Lillicrap 64; ours 512).
+        replay_rows: transitions held; of 60 features each takes 490 bytes (RLlib 50,000; Lillicrap 1e6; ours 200,000,
+            100 MB).
+        rows_per_frame: most transitions stored per environment step, drawn at random from a batch; ``null`` stores all
+            (RLlib). The agents of one step see much the same, so a part of them lets the replay reach further back (ours 4).
+        learning_starts: environment steps before the first update (RLlib 1,500; ours 3,900).
+        random_frames: environment steps of uniformly random accelerations at the start, counted in whole batches (RLlib
+            1,000; ours 0: the mean of the range is braking, and a jam teaches little).
+        priority_alpha: exponent of prioritised replay; 0 draws uniformly (RLlib, Schaul 0.6; Lillicrap, ours 0).
+        priority_beta: exponent of its correction (RLlib, Schaul 0.4).
+        actor_lr: Adam's learning rate of the actor (RLlib 1e-3; Lillicrap 1e-4, which is ours).
+        critic_lr: that of the critic (RLlib, Lillicrap 1e-3, which is ours).
+        weight_decay: of both networks (RLlib 1e-6; Lillicrap 1e-2 on the critic; ours 0).
+        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005, which is ours).
+        gamma: discount per step of 0.5 s (RLlib, Lillicrap 0.99, which is ours).
+        value_loss: ``l2`` (RLlib, Lillicrap) or ``smooth_l1`` (ours: bounded gradients).
+        max_grad_norm: bound on each network's gradient; ``null`` for none (RLlib; ours 1).
+        reward_scale: rewards are multiplied by it (RLlib 1; ours 0.1, so that values are of order 1).
+        noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
+            Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
+        noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib 0.1 x 0.2 =
+            0.02; Lillicrap 0.2 of half the width; ours 0.04, which makes about 0.5 m/s^2 in all).
+        noise_final: factor on the noise at the end of its decay (RLlib 0.02; ours 0.2).
+        noise_frames: environment steps in which that factor falls linearly from 1; ``null``: the whole run (RLlib 10,000;
+            ours the whole run).
+        hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
+        activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
+        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5).
+        save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without it
+            checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
+    """
+
+    name: Literal["ddpg"] = "ddpg"
+    frames_per_batch: int = 1950
+    updates_per_frame: float = 0.1
+    minibatch_rows: int = 512
+    replay_rows: int = 200_000
+    rows_per_frame: float | None = 4.0
+    learning_starts: int = 3900
+    random_frames: int = 0
+    priority_alpha: float = 0.0
+    priority_beta: float = 0.4
+    actor_lr: float = 1e-4
+    critic_lr: float = 1e-3
+    weight_decay: float = 0.0
+    tau: float = 0.005
+    gamma: float = 0.99
+    value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
+    max_grad_norm: float | None = 1.0
+    reward_scale: float = 0.1
+    noise_theta: float = 0.15
+    noise_sigma: float = 0.04
+    noise_final: float = 0.2
+    noise_frames: int | None = None
+    hidden: tuple[int, ...] = (128, 128)
+    activation: Literal["tanh", "relu", "silu"] = "relu"
+    initial_accel_mps2: float = 0.5
+    save_replay: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("frames_per_batch", "minibatch_rows", "replay_rows"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
+        for name in ("learning_starts", "random_frames"):
+            check_range(f"algo.{name}", getattr(self, name), 0, 10**12)
+        for name in ("priority_alpha", "priority_beta", "gamma", "noise_theta", "noise_final", "weight_decay"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
+        for name in ("updates_per_frame", "actor_lr", "critic_lr", "reward_scale"):
+            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_range("algo.tau", self.tau, 1e-9, 0.5)
+        check_range("algo.noise_sigma", self.noise_sigma, 0.0, 10.0)
+        if self.rows_per_frame is not None:
+            check_range("algo.rows_per_frame", self.rows_per_frame, 1e-3, 10**6)
+        if self.noise_frames is not None:
+            check_range("algo.noise_frames", self.noise_frames, 1, 10**12)
+        check_choice("algo.activation", self.activation, base.ACTIVATIONS)
+        if not self.hidden or min(self.hidden) < 1:
+            raise IzooError(f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128].")
+
+    @classmethod
+    def paper(cls) -> DDPGConfig:
+        """Return the preset ``paper``: RLlib's defaults, as the paper used them.
+
+        Three differences remain: updates come in rounds instead of after each step; each vehicle has noise of its own,
+        where RLlib's is one process for all; and the weights of prioritised replay apply to the actor's loss as well.
+        """
+        return cls(
+            frames_per_batch=390,
+            minibatch_rows=256,
+            replay_rows=50_000,
+            rows_per_frame=None,
+            learning_starts=1500,
+            random_frames=1000,
+            priority_alpha=0.6,
+            actor_lr=1e-3,
+            weight_decay=1e-6,
+            tau=0.002,
+            value_loss="l2",
+            max_grad_norm=None,
+            reward_scale=1.0,
+            noise_sigma=0.02,
+            noise_final=0.02,
+            noise_frames=10_000,
+            hidden=(400, 300),
+            initial_accel_mps2=-0.95,
+        )
+
+
+class Squash(nn.Module):
+    """Maps any number into ``(low, high)`` by a tanh."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__()
+        self.middle, self.half = (high + low) / 2, (high - low) / 2
+
+    def forward(self, raw: Tensor) -> Tensor:
+        """Return accelerations of the same shape, m/s^2."""
+        return torch.tanh(raw) * self.half + self.middle
+
+
+class ActionValue(nn.Module):
+    """Q(o, a) of one agent's own observation and acceleration, which enters scaled to [-1, 1]."""
+
+    def __init__(self, features: int, low: float, high: float, config: DDPGConfig) -> None:
+        super().__init__()
+        self.middle, self.half = (high + low) / 2, (high - low) / 2
+        self.network = base.mlp(features + 1, config.hidden, 1, config.activation, last_gain=1.0)
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Return values ``[*B, 1]`` of observations ``[*B, F]`` and accelerations ``[*B, 1]``."""
+        return self.network(torch.cat([observation, (action - self.middle) / self.half], dim=-1))
+
+
+def make_actor(features: int, low: float, high: float, config: DDPGConfig) -> TensorDictModule:
+    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``."""
+    check_range("algo.initial_accel_mps2", config.initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
+    network = base.mlp(features, config.hidden, 1, config.activation, last_gain=0.01)
+    middle, half = (high + low) / 2, (high - low) / 2
+    with torch.no_grad():
+        network[-1].bias[0] = math.atanh((config.initial_accel_mps2 - middle) / half)  # type: ignore[operator, index]
+    return TensorDictModule(nn.Sequential(network, Squash(low, high)), in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
+
+
+class ExploringPolicy(TensorDictModuleBase):
+    """The actor with Ornstein-Uhlenbeck noise for collection; without, where TorchRL's exploration type says so.
+
+    Noise is drawn from torch's default generator, which the training loop seeds (in each worker process differently) and
+    checkpoints. Each vehicle has a process of its own: an empty slot forgets.
+
+    Args:
+        actor: from :func:`make_actor`; shared, not copied.
+        low, high: bounds of the acceleration, m/s^2.
+        config: hyper-parameters.
+    """
+
+    noise_factor: Tensor
+    uniform: Tensor
+
+    def __init__(self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
+        self.network = actor.module
+        self.low, self.high = low, high
+        self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
+        # Buffers, so that collectors in other processes receive them with the weights.
+        self.register_buffer("noise_factor", torch.tensor(1.0))
+        self.register_buffer("uniform", torch.tensor(config.random_frames > 0))
+        self.noise = torch.zeros(0)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write accelerations ``[*B, A, 1]`` into ``tensordict``."""
+        action = self.network(tensordict.get(base.OBSERVATION))
+        if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
+            action = self._explore(action, tensordict.get(base.MASK).unsqueeze(-1))
+        return tensordict.set(base.ACTION, action)
+
+    def _explore(self, action: Tensor, mask: Tensor) -> Tensor:
+        if self.noise.shape != action.shape:
+            self.noise = torch.zeros_like(action)
+        noise = (1.0 - self.theta) * self.noise + self.sigma * torch.randn_like(action)
+        self.noise = torch.where(mask, noise, torch.zeros_like(noise))
+        if self.uniform:
+            return self.low + (self.high - self.low) * torch.rand_like(action)
+        return (action + self.noise_factor * self.noise).clamp(self.low, self.high)
+
+
+def make_loss(actor: TensorDictModule, critic: ValueOperator, config: DDPGConfig) -> DDPGLoss:
+    """Return TorchRL's loss for flat transitions: TD(0) targets from target copies of both networks."""
+    loss = DDPGLoss(actor, critic, loss_function=config.value_loss, delay_actor=True, delay_value=True)
+    loss.set_keys(
+        state_action_value=ACTION_VALUE, reward=base.REWARD, done=base.DONE, terminated=base.TERMINATED, priority="td_error"
+    )
+    loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
+    return loss
+
+
+class DDPG:
+    """The algorithm: actor, critic, replay, optimiser and update.
+
+    Args:
+        config: hyper-parameters.
+        features: length ``F`` of an observation.
+        low, high: bounds of the acceleration, m/s^2.
+    """
+
+    def __init__(self, config: DDPGConfig, features: int, low: float, high: float) -> None:
+        self.config = config
+        self.actor = make_actor(features, low, high, config)
+        self.critic = ValueOperator(
+            ActionValue(features, low, high, config), in_keys=[base.OBSERVATION, base.ACTION], out_keys=[ACTION_VALUE]
+        )
+        self.policy = ExploringPolicy(self.actor, low, high, config)
+        self.loss = make_loss(self.actor, self.critic, config)
+        self.target_update = SoftUpdate(self.loss, tau=config.tau)
+        self.parameters = {
+            "actor": list(self.loss.actor_network_params.values(True, True)),
+            "critic": list(self.loss.value_network_params.values(True, True)),
+        }
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": self.parameters["actor"], "lr": config.actor_lr},
+                {"params": self.parameters["critic"], "lr": config.critic_lr},
+            ],
+            weight_decay=config.weight_decay,
+        )
+        self.replay = Replay(config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta)
+        self.frames = self.frames_held = 0
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Store a batch ``[N, T]`` and learn from the replay; see :class:`izoo.algos.base.Algorithm`."""
+        self.frames += batch.numel()
+        self.frames_held += batch.numel()
+        rows = transitions(batch, self.config.reward_scale)
+        if self.config.rows_per_frame is not None:
+            rows = rows[torch.randperm(len(rows))[: math.ceil(self.config.rows_per_frame * batch.numel())]]
+        self.replay.add(rows)
+        stats = {"replay_rows": float(len(self.replay)), "noise_factor": float(self.policy.noise_factor)}
+        if self.frames_held >= self.config.learning_starts and len(self.replay) > 0:
+            stats.update(self._learn(max(1, round(batch.numel() * self.config.updates_per_frame))))
+        self._anneal(progress)
+        return stats
+
+    def _learn(self, steps: int) -> dict[str, float]:
+        totals: dict[str, Tensor] = {}
+        for _ in range(steps):
+            for key, value in self.gradient_step(self.replay.sample()).items():
+                totals[key] = totals.get(key, 0.0) + value
+        return {key: float(value) / steps for key, value in totals.items()}
+
+    def gradient_step(self, minibatch: TensorDictBase) -> dict[str, Tensor]:
+        """Move both networks, then their targets, by one minibatch of transitions; returns what to log."""
+        losses = self.loss(minibatch)
+        self.optimiser.zero_grad()
+        (losses["loss_actor"] + losses["loss_value"]).backward()
+        logged = {key: losses[key].detach() for key in ("loss_actor", "loss_value")}
+        logged["value"] = losses["pred_value"].detach().mean()
+        for name, parameters in self.parameters.items():
+            bound = self.config.max_grad_norm or math.inf
+            logged[f"{name}_grad_norm"] = nn.utils.clip_grad_norm_(parameters, bound)
+        self.optimiser.step()
+        self.target_update.step()
+        self.replay.learned(minibatch)
+        return logged
+
+    def _anneal(self, progress: float) -> None:
+        share = progress if self.config.noise_frames is None else self.frames / self.config.noise_frames
+        self.policy.noise_factor.fill_(1.0 - (1.0 - self.config.noise_final) * min(share, 1.0))
+        self.policy.uniform.fill_(self.frames < self.config.random_frames)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return weights, targets, optimiser state, exploration and, if asked for, the replay."""
+        return {
+            "policy": self.policy.state_dict(),
+            "loss": dict(self.loss.state_dict()),
+            "optimiser": self.optimiser.state_dict(),
+            "noise": self.policy.noise.clone(),
+            "frames": self.frames,
+            "replay": self.replay.state_dict() if self.config.save_replay else {},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.policy.load_state_dict(state["policy"])
+        self.loss.load_state_dict(state["loss"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.policy.noise = state["noise"]
+        self.frames = state["frames"]
+        self.replay.load_state_dict(state["replay"])
+        self.frames_held = self.frames if state["replay"] else 0
