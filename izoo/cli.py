@@ -51,6 +51,7 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
     print(f"izoo {__version__} {command.name}", flush=True)
     # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
     try:
         return _run(command, words)
     except IzooError as error:
@@ -94,6 +95,7 @@ def _multirun(command: Command, config_class: type, options: Sequence[str]) -> i
 
     overrides = compose.parse(options, multirun=True)
     compose.check_names(command.name, overrides)
+    compose.check_combinations(command.name, config_class, overrides)
     given = _given(options)
 
     def job(composed: DictConfig) -> None:

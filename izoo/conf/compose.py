@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any, TypeVar
@@ -20,6 +21,7 @@ from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
 CONFIG_MODULE = "izoo.conf"
+MAX_CHECKED = 200
 
 
 def choices() -> dict[str, tuple[str, ...]]:
@@ -89,6 +91,22 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
     except (HydraException, OmegaConfBaseException) as error:
         raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
     return to_dataclass(composed, cls)
+
+
+def check_combinations(config_name: str, cls: type, overrides: Sequence[Override]) -> None:
+    """Compose every combination of a multirun, so that a sweep fails before its first run, not after hours.
+
+    Sweeps too large to go through are checked as far as :data:`MAX_CHECKED` combinations.
+    """
+    words = [
+        [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
+        if override.is_sweep_override()
+        else [override.input_line or ""]
+        for override in overrides
+        if not override.key_or_group.startswith("hydra")
+    ]
+    for combination in itertools.islice(itertools.product(*words), MAX_CHECKED):
+        compose_config(config_name, cls, combination)
 
 
 def to_dataclass(composed: DictConfig, cls: type[T]) -> T:

@@ -1,0 +1,180 @@
+"""Options: YAML equals the dataclasses, and whatever a user gets wrong is one sentence and exit code 2."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from izoo import collect, train
+from izoo.algos.ppo import PPOConfig
+from izoo.conf import compose
+from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.contexts import DatasetContexts, PcgContexts
+from izoo.conf.options import CollectConfig, CollectorConfig, LoggerConfig, TrainConfig
+from izoo.contexts.distributions import Uniform
+from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
+
+
+@pytest.mark.parametrize(("name", "cls"), [("train", TrainConfig), ("collect", CollectConfig)])
+def test_yaml_equals_the_dataclass(name: str, cls: type) -> None:
+    assert compose.compose_config(name, cls, []) == cls()
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("algo=ppo", PPOConfig()),
+        ("algo=ppo_paper", PPOConfig.paper()),
+        ("contexts=pcg", PcgContexts()),
+        ("contexts=pcg_easy", PcgContexts(preset="easy")),
+        ("contexts=dataset", DatasetContexts()),
+        ("collector=parallel", CollectorConfig()),
+        ("collector=single", CollectorConfig("single")),
+        ("collector=multisync", CollectorConfig("multisync")),
+        ("logger=csv", LoggerConfig()),
+        ("logger=wandb", LoggerConfig("wandb")),
+        ("logger=tensorboard", LoggerConfig("tensorboard")),
+        ("env=default", EnvConfig(emit=())),
+    ],
+)
+def test_every_choice_equals_its_dataclass(word: str, value: object) -> None:
+    config = compose.compose_config("train", TrainConfig, [word])
+    assert getattr(config, word.split("=")[0]) == value
+
+
+def test_no_choice_is_left_out_above() -> None:
+    tested = {mark.args[1][k][0] for mark in test_every_choice_equals_its_dataclass.pytestmark for k in range(12)}
+    assert tested == {f"{group}={choice}" for group, legal in compose.choices().items() for choice in legal}
+
+
+def test_configs_survive_yaml() -> None:
+    config = TrainConfig(contexts=DatasetContexts(path="data"), seed=4, algo=PPOConfig(hidden=(16, 8)))
+    assert from_mapping(TrainConfig, to_mapping(config)) == config
+
+
+def test_options_reach_the_dataclass_with_their_types(tmp_path: Path) -> None:
+    odd = tmp_path / "a (1), b=c"
+    words = ["algo.lr=1e-4", "algo.hidden=[8,8]", "total_frames=1e6", "env.reward.eta=0", f"run_dir={odd}"]
+    config = compose.compose_config("train", TrainConfig, words)
+    assert config.algo.lr == 1e-4
+    assert config.algo.hidden == (8, 8)
+    assert config.total_frames == 1_000_000
+    assert isinstance(config.total_frames, int)
+    assert config.env.reward.eta == 0.0
+    assert config.run_dir == str(odd)
+
+
+def test_configs_are_frozen() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        TrainConfig().seed = 1  # type: ignore[misc]
+
+
+def test_procedural_settings() -> None:
+    contexts = PcgContexts(lane_count=2.0, green_s="20..32", phase_count=[1, 2], adoption=0.5)
+    features = contexts.build().product.features  # type: ignore[attr-defined]
+    assert features["lane_count"].value == 2
+    assert features["green_s"] == Uniform(20.0, 32.0)
+    assert features["phase_count"].values == (1, 2)
+    assert features["speed_limit_mps"] == SYSTEMATICITY_TRAIN.product.features["speed_limit_mps"]
+
+
+BAD = {
+    "seed=zero": "whole number",
+    "sead=1": "Did you mean 'seed'?",
+    "lr=1": "Did you mean 'algo.lr'?",
+    "algo=pppo": "Did you mean 'ppo'?",
+    "contexts=pgc": "choose one of: dataset, pcg, pcg_easy",
+    "contexts.path=x": "It is an option of contexts=dataset",
+    "algo.gamma=2": "algo.gamma is 2.0",
+    "algo.hidden=[]": "algo.hidden",
+    "algo.hidden=8": "must be a list",
+    "algo.name=ddpg": "algo.name",
+    "env.horizon_s=10": "horizon",
+    "env.emit=[vehicle]": "Did you mean 'vehicles'?",
+    "env=3": "unknown env",
+    "seed=0,1": "add -m",
+    "ppo": "option=value",
+    "--hlep": "Did you mean '--help'?",
+    "+new=1": "unknown option 'new'",
+    "num_workers=0": "num_workers is 0",
+    "resume=nowhere": "does not exist",
+    "contexts=dataset": "contexts.path=DIR",
+    "contexts.green_s=20..x": "low..high",
+    "contexts.green_s=900": "green_s",
+    "contexts.lane_count=9": "lane_count",
+}
+
+
+@pytest.mark.parametrize("word", BAD)
+def test_bad_words_are_one_sentence(
+    word: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert train.main([word]) == 2
+    error = capsys.readouterr().err
+    assert BAD[word] in error
+    assert "Traceback" not in error
+    assert len(error.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
+
+
+def test_bad_dataset_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for path in (tmp_path / "missing", empty):
+        assert train.main(["contexts=dataset", f"contexts.path={path}"]) == 2
+        assert str(path) in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_sweep_is_checked_before_its_first_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert train.main(["-m", "seed=0,1", "algo.gamma=0.9,1.9"]) == 2
+    assert "algo.gamma is 1.9" in capsys.readouterr().err
+    assert train.main(["-m", "algo=ppo,sac"]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_every_option_with_its_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (train, collect):
+        assert command.main(["--help"]) == 0
+        page = capsys.readouterr().out
+        assert "Usage: python -m izoo." in page
+        lines = page[page.index("Options") :].splitlines()
+        options = [k for k, line in enumerate(lines) if line.startswith("  ") and not line.startswith("      ")]
+        undocumented = [lines[k].strip() for k in options if not lines[k + 1 : k + 2] or lines[k + 1].strip() == ""]
+        bare = [lines[k].strip() for k in options if not (k + 1 < len(lines) and lines[k + 1].startswith("      "))]
+        assert undocumented == [] and bare == []
+        assert max(map(len, page.splitlines())) <= 140
+
+
+def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert train.main(["--cfg", "seed=5"]) == 0
+    assert "seed: 5" in capsys.readouterr().out
+
+
+def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
+    start = time.monotonic()
+    command = [sys.executable, "-m", "izoo.train", "--help"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("izoo ")
+        elapsed = time.monotonic() - start
+        process.stdout.read()
+    assert process.returncode == 0
+    assert elapsed < 1.0
+
+
+def test_unknown_nested_option_lists_its_siblings() -> None:
+    with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
+        compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
