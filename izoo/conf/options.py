@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Literal, Union
 
 from izoo.algos.ddpg import DDPGConfig
+from izoo.algos.gcrl import GCRLConfig
+from izoo.algos.mappo import MAPPOConfig
 from izoo.algos.ppo import PPOConfig
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 
-AlgoConfig = Union[PPOConfig, DDPGConfig]
+AlgoConfig = Union[PPOConfig, DDPGConfig, MAPPOConfig, GCRLConfig]
 
 
 @dataclass(frozen=True)

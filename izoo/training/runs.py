@@ -15,6 +15,8 @@ from yaml import YAMLError
 
 from izoo.algos.base import Algorithm
 from izoo.algos.ddpg import DDPG
+from izoo.algos.gcrl import GCRL
+from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.options import AlgoConfig, TrainConfig
@@ -24,7 +26,12 @@ from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 
-ALGORITHMS: dict[str, Callable[[Any, int, float, float], Algorithm]] = {"ppo": PPO, "ddpg": DDPG}
+ALGORITHMS: dict[str, Callable[[Any, int, float, float], Algorithm]] = {
+    "ppo": PPO,
+    "ddpg": DDPG,
+    "mappo": MAPPO,
+    "gcrl": GCRL,
+}
 """What builds an algorithm from its options, the length of an observation, and the bounds of the acceleration."""
 
 

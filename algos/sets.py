@@ -1,0 +1,114 @@
+"""Learning with networks in which agents interact: whole frames go through them, flat agent-steps come out.
+
+A *frame* is one environment at one time; its agents are a set. A set network maps ``(observation [M, A, F],
+mask [M, A])`` to something per agent, whatever the order of the slots and whatever stands in the empty ones. Losses
+still see flat rows, one per valid agent-step, so TorchRL's own statistics, normalisation and logs see no padding:
+:class:`RowView` puts the rows of whole frames back together, applies the network, and takes the rows out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+
+from izoo.algos import base
+from izoo.algos.ppo import PPO
+
+FRAME, COLUMN = ("agents", "frame"), ("agents", "column")
+"""Keys of a row's place: the number of its frame, and which of that frame's valid agents it is."""
+FRAMES_AT_ONCE = 4096
+"""Most frames that go through a network at once where no gradient is needed, to bound memory."""
+
+
+def places(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Return frame and column of each valid entry of ``mask`` ``[*M, A]``, ``[mask.sum()]`` each, in row-major order.
+
+    Frames are the entries of ``M``, flattened; those without agents are not counted.
+    """
+    frame = mask.flatten(0, -2).nonzero()[:, 0]
+    column = (mask.cumsum(-1) - 1)[mask]
+    return torch.unique_consecutive(frame, return_inverse=True)[1], column
+
+
+class RowView(nn.Module):
+    """A set network on flat rows.
+
+    The sets are packed to the size of the largest, which costs nothing in exactness and saves the empty slots' share of
+    the work.
+
+    Args:
+        network: maps ``(observation [M, A, F], mask [M, A])`` to a tensor ``[M, A, ...]``, or a tuple of them.
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Apply the network to whole frames.
+
+        Args:
+            observation: ``[n, F]`` rows: all agents of each frame that occurs.
+            frame: ``[n]`` numbers of their frames, from 0.
+            column: ``[n]`` their places in the frame, from 0.
+
+        Returns:
+            What the network returns, one row ``[n, ...]`` per row.
+        """
+        if len(observation) == 0:
+            sets, mask = observation.new_zeros(1, 1, observation.shape[-1]), frame.new_zeros(1, 1, dtype=torch.bool)
+        else:
+            shape = int(frame.max()) + 1, int(column.max()) + 1
+            sets = observation.new_zeros(*shape, observation.shape[-1])
+            mask = frame.new_zeros(shape, dtype=torch.bool)
+            sets[frame, column] = observation
+            mask[frame, column] = True
+        result = self.network(sets, mask)
+        if isinstance(result, tuple):
+            return tuple(part[frame, column] for part in result)
+        return result[frame, column]
+
+
+class SetPPO(PPO):
+    """PPO whose networks may look at all agents of a frame at once; minibatches consist of whole frames.
+
+    Networks are :class:`RowView` s that read :data:`FRAME` and :data:`COLUMN` beside the observation.
+    """
+
+    def values(self, frames: TensorDictBase, where: Tensor) -> Tensor:
+        """Return the values ``[where.sum(), 1]`` of the agents ``where`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
+        some = where.any(-1)
+        wanted = where[some]
+        mask, observation = frames.get(base.MASK)[some] | wanted, frames.get(base.OBSERVATION)[some]
+        found = [observation.new_zeros(0, 1)]
+        for o, m, w in zip(*(part.split(FRAMES_AT_ONCE) for part in (observation, mask, wanted)), strict=True):
+            found.append(self.critic.module(o[m], *places(m))[w[m]])
+        return torch.cat(found)
+
+    @torch.no_grad()
+    def advantages(self, batch: TensorDictBase) -> TensorDict:
+        """Estimate advantages and flatten; each row remembers its frame and column."""
+        rows = super().advantages(batch)
+        frame, column = places(batch.get(base.MASK))
+        return rows.set(FRAME, frame).set(COLUMN, column)
+
+    def _minibatches(self, rows: TensorDict) -> Iterator[TensorDict]:
+        """Yield rows of whole frames: about ``rows_per_epoch`` of them per epoch, ``minibatch_rows`` at a time."""
+        frame = rows.get(FRAME)
+        count = int(frame[-1]) + 1
+        agents_per_frame = len(rows) / count
+        limit = max(round((self.config.rows_per_epoch or len(rows)) / agents_per_frame), 1)
+        size = max(round(self.config.minibatch_rows / agents_per_frame), 1)
+        for _ in range(self.config.epochs):
+            order = torch.randperm(count, device=frame.device)[:limit]
+            rank = torch.full_like(frame, count)[:count]
+            rank[order] = torch.arange(len(order), device=frame.device)
+            ranks, index = rank[frame].sort(stable=True)
+            starts = torch.arange(0, len(order) + size, size, device=frame.device).clamp(max=len(order))
+            cuts = torch.searchsorted(ranks, starts).tolist()
+            for first, begin, end in zip(starts.tolist()[:-1], cuts[:-1], cuts[1:], strict=True):
+                part = rows[index[begin:end]]
+                yield part.set(FRAME, ranks[begin:end] - first)
