@@ -90,8 +90,8 @@ def procedural_intersection(
         offset_s: shift of the ghosts' cycle against the main one.
         grade: rise over run, positive uphill towards the stop line, on every approach.
 
-    The ghosts repeat the cycle: the straight sources of A and C (the turning sources of B and D) are green for
-    ``green_s``, then the others for the rest of the cycle but its two yellows.
+    The ghosts repeat the main signal: each leg's straight source shows what its straight movement does, ``offset_s``
+    later, and its turning source is green for the rest of the cycle but a yellow.
     """
     check_choice("lane_count", lane_count, range(1, MAX_LANES + 1))
     check_choice("phase_count", phase_count, PHASE_COUNTS)
@@ -113,12 +113,11 @@ def procedural_intersection(
         Leg(name, 90.0 * index, approach, lane_count, lane_length_m, speed_limit_mps) for index, name in enumerate(LEGS)
     )
     ghosts = GhostSpec(
-        through_green_s=green_s,
-        cross_green_s=plan.cycle_s - green_s - 2.0 * YELLOW_S,
         yellow_s=YELLOW_S,
         offset_s=offset_s,
         straight_source_length_m=STRAIGHT_SOURCE_M,
         turning_source_length_m=None,
+        repeats_main=True,
         outer_gates=False,
     )
     name = (

@@ -23,7 +23,7 @@ from izoo.networks.plain import PlainNet, plain_net
 from izoo.networks.programs import stop_mutual_waits
 from izoo.networks.signals import search_plan
 
-BUILDER_VERSION = 1
+BUILDER_VERSION = 2
 """To be raised whenever the same spec gives another net."""
 NETCONVERT_TIMEOUT_S = 120.0
 MIN_LANE_M = 2.0

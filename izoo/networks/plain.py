@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.connections import Link, signal_links
+from izoo.networks.ghosts import ghost_program
 from izoo.networks.programs import main_phases
 
 LANE_WIDTH_M = 3.2
@@ -116,8 +117,8 @@ def plain_net(spec: IntersectionSpec, plan: SignalPlan) -> PlainNet:
         IzooError: lengths, lanes, ghosts or plan contradict each other.
     """
     links = signal_links(spec)
-    writer = _Writer(spec, links)
-    writer.add_signal(plan)
+    writer = _Writer(spec, plan, links)
+    writer.add_signal()
     for leg in spec.legs:
         writer.add_leg(leg)
     # Connections come after the programs that they refer to.
@@ -135,8 +136,8 @@ def plain_net(spec: IntersectionSpec, plan: SignalPlan) -> PlainNet:
 class _Writer:
     """Collects the elements of one net."""
 
-    def __init__(self, spec: IntersectionSpec, links: tuple[Link, ...]) -> None:
-        self.spec, self.links = spec, links
+    def __init__(self, spec: IntersectionSpec, plan: SignalPlan, links: tuple[Link, ...]) -> None:
+        self.spec, self.plan, self.links = spec, plan, links
         self.exact = spec.source != "procedural"
         self.nodes: list[_Node] = []
         self.edges: list[_Edge] = []
@@ -144,7 +145,7 @@ class _Writer:
         self.programs: list[_Program] = []
         self.ends: list[str] = []
 
-    def add_signal(self, plan: SignalPlan) -> None:
+    def add_signal(self) -> None:
         """Add the main signal, its links and its program."""
         kind = "traffic_light_right_on_red" if self.spec.right_on_red else "traffic_light"
         self.nodes.append(_Node("TL", kind, 0.0, 0.0))
@@ -152,7 +153,7 @@ class _Writer:
             approach = self.spec.leg(link.from_leg).approach
             edge = f"{link.from_leg}2TL_intern" if approach and has_pocket(approach) else f"{link.from_leg}2TL"
             self.connections.append(_Connection(edge, link.from_lane, f"TL2{link.to_leg}", link.to_lane, "TL", index))
-        self.programs.append(_Program("TL", plan.offset_s, main_phases(self.spec.name, plan, self.links)))
+        self.programs.append(_Program("TL", self.plan.offset_s, main_phases(self.spec.name, self.plan, self.links)))
 
     def add_leg(self, leg: Leg) -> None:
         """Add a leg: approach, exit, ghost junction and sources."""
@@ -208,10 +209,6 @@ class _Writer:
     def _add_ghost(self, leg: Leg, approach: Approach, node: _Node) -> None:
         """Add the sources, their signal, and the gates at their outer ends."""
         name, lanes, ghosts = leg.name, approach.main_lane_count, self.spec.ghosts
-        if min(ghosts.through_green_s, ghosts.cross_green_s, ghosts.yellow_s) <= 0.0:
-            raise IzooError(
-                f"intersection {self.spec.name}: the greens and the yellow of a ghost signal must exceed 0 s."
-            )
         # The turning source turns right into the approach.
         ways = (
             ("B", ghosts.straight_source_length_m, math.radians(leg.bearing_deg)),
@@ -234,14 +231,9 @@ class _Writer:
                 self.connections.append(_Connection(source.name, lane, f"{name}2TL", lane, name, index))
             if ghosts.outer_gates:
                 self._add_gate(name, outer, lanes, approach.speed_limit_mps)
-        first, second = "G" * lanes, "r" * lanes
-        phases = (
-            (ghosts.through_green_s, first + second),
-            (ghosts.yellow_s, "y" * lanes + second),
-            (ghosts.cross_green_s, second + first),
-            (ghosts.yellow_s, second + "y" * lanes),
-        )
-        self.programs.append(_Program(name, ghosts.offset_s, phases))
+        program = ghost_program(self.spec, self.plan, name)
+        phases = tuple((duration_s, one * lanes + two * lanes) for duration_s, one, two in program.phases)
+        self.programs.append(_Program(name, program.offset_s, phases))
 
     def _add_gate(self, name: str, outer: str, lanes: int, speed_mps: float) -> None:
         """As in the dataset, the gate holds what turns round at the outer end, from an edge that leads there."""

@@ -49,8 +49,8 @@ def test_cycle_and_ghosts_follow_the_spec(phase_count, extra):
     spec = procedural_intersection(lane_count=3, phase_count=phase_count, green_s=25.0, red_s=31.0, offset_s=2.0)
     assert spec.signal_plan.cycle_s == 25.0 + 31.0 + extra
     ghosts = spec.ghosts
-    assert ghosts.through_green_s + ghosts.cross_green_s + 2 * ghosts.yellow_s == spec.signal_plan.cycle_s
-    assert (ghosts.offset_s, ghosts.outer_gates, spec.right_on_red) == (2.0, False, False)
+    assert (ghosts.repeats_main, ghosts.offset_s, ghosts.yellow_s) == (True, 2.0, 3.0)
+    assert (ghosts.outer_gates, spec.right_on_red) == (False, False)
     assert (ghosts.straight_source_length_m, ghosts.turning_source_length_m) == (246.0, None)
 
 
