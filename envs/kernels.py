@@ -102,7 +102,7 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
         else:
             floats[r, STOP_LINE] = path
         floats[r, PATH_POSITION] = path
-        floats[r, GRADE] = grade_at(new_lane, s, road)
+        floats[r, GRADE] = grade_under(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
         ints[r, LOCATION] = location
         ints[r, REGION_LANE] = new_lane
         ints[r, LANE] = road.lane_index[new_lane]
@@ -113,13 +113,27 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
 
 
 @njit(cache=True)
-def grade_at(lane, position, road):  # type: ignore[no-untyped-def]
-    """Grade in percent at a lane position, positive uphill in driving direction."""
-    first, last = road.segment_start[lane], road.segment_start[lane + 1] - 1
-    k = first
-    while k < last and road.segment_from_m[k + 1] <= position:
-        k += 1
-    return road.segment_grade_pct[k]
+def grade_under(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
+    """Grade in percent under a vehicle, positive uphill: the mean over its length, as SUMO takes it from back to front.
+
+    The junction before the controlled region, where the back of a newcomer still is, counts as level.
+    """
+    left, rise = length, 0.0
+    for _ in range(_ROUTE_LIMIT):
+        first, k = road.segment_start[lane], road.segment_start[lane + 1] - 1
+        while k > first and road.segment_from_m[k] >= position:
+            k -= 1
+        while left > 0.0 and k >= first:
+            piece = min(left, position - road.segment_from_m[k])
+            rise += piece * road.segment_grade_pct[k]
+            left -= piece
+            position = road.segment_from_m[k]
+            k -= 1
+        lane = road.prev_lane[lane, approach] if left > 0.0 else -1
+        if lane < 0:
+            break
+        position = road.lane_length[lane]
+    return rise / length
 
 
 @njit(cache=True)
