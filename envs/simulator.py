@@ -32,6 +32,7 @@ from izoo.envs.layout import (
     EXIT,
     FRESH,
     IS_CV,
+    JUNCTION_M,
     LENGTH,
     METRIC,
     MOVES_CLASS,
@@ -103,7 +104,7 @@ class Simulator:
         self._prepare_road()
         for _ in range(config.warmup_steps):
             self.session.advance()
-        self._register_newcomers(counted=False)
+        self._register_present()
         self._started_s = self.session.time_s
         self._make_frame(acting=np.full(config.num_agents, -1), leavers=[], measured=False)
         self._write_context(episode)
@@ -116,7 +117,7 @@ class Simulator:
         self.session.advance()
         self.steps += 1
         leavers = self._find_leavers()
-        self._register_newcomers(counted=True)
+        self._register_newcomers()
         self._make_frame(acting, leavers, measured=True)
         self._count_collisions()
         if leavers:
@@ -261,12 +262,22 @@ class Simulator:
         row_of = self.row_of
         return [row_of[name] for name in self.session.arrived() if name in row_of]
 
-    def _register_newcomers(self, counted: bool) -> None:
+    def _register_newcomers(self) -> None:
         row_of = self.row_of
         for edge in self.entry_edges:
             for name in self.session.on_edge(edge):
                 if name not in row_of:
-                    self._register(name, counted)
+                    self._register(name, counted=True)
+
+    def _register_present(self) -> None:
+        """Register everybody in the region at the end of the warm-up, also inside the junction and behind it."""
+        road = self.road
+        for edge in dict.fromkeys(lane.rsplit("_", 1)[0] for lane in road.lane_ids):
+            for name in self.session.on_edge(edge):
+                self._register(name, counted=False)
+                row = self.row_of[name]
+                way = (road.lane_approach == self.ints[row, APPROACH]) & (road.lane_exit == self.ints[row, EXIT])
+                self.floats[row, JUNCTION_M] = road.inside_length_m[way].max(initial=0.0)
 
     def _register(self, name: str, counted: bool) -> None:
         if not self.free_rows:
