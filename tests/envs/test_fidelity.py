@@ -1,0 +1,155 @@
+"""With nobody commanding, an episode is what the ``sumo`` program makes of the same files, step for step."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sumo
+from defusedxml import ElementTree
+
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextList
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.sumo import sumo_arguments
+from izoo.networks.build import build_net
+from izoo.networks.roadnet import read_road
+from izoo.traffic.episode import sample_traffic, write_routes
+from tests.envs.worlds import crossing, defer, episode, play, steer
+
+SEED = 11
+CONFIG = EnvConfig(horizon_s=150.0, warmup_s=20.0)
+Steps = dict[float, dict[int, tuple[str, float, float]]]
+
+
+def run_sumo(context: Context, folder: Path, config: EnvConfig) -> Steps:
+    """Return ``{time after the step: {vehicle number: (lane, position, speed)}}`` of the ``sumo`` program."""
+    net = build_net(context.intersection)
+    road = read_road(net)
+    routes, output = folder / "traffic.rou.xml", folder / "fcd.xml"
+    write_routes(sample_traffic(context, road, SEED, config.horizon_s), road, routes)
+    program = Path(sumo.SUMO_HOME) / "bin" / ("sumo.exe" if os.name == "nt" else "sumo")
+    subprocess.run(
+        [
+            *(str(program), *sumo_arguments(net, routes, SEED, config.step_s)),
+            *("--end", str(config.horizon_s), "--fcd-output", str(output), "--precision", "17"),
+        ],
+        check=True,
+        timeout=120,
+    )
+    steps: Steps = defaultdict(dict)
+    for step in ElementTree.parse(output).getroot():
+        for vehicle in step:
+            number, lane = int(vehicle.get("id")), vehicle.get("lane")
+            # FCD names the begin of the step after which it writes.
+            time_s = float(step.get("time")) + config.step_s
+            steps[time_s][number] = (lane, float(vehicle.get("pos")), float(vehicle.get("speed")))
+    return steps
+
+
+def run_env(context: Context, config: EnvConfig) -> Steps:
+    """The same from the environment, over its controlled region."""
+    env = EcoDrivingEnv(context, config=config)
+    try:
+        start = env.reset(context=context, seed=SEED)
+        frames = play(env, config.control_steps, defer, start)
+        lanes = env.simulator.road.lane_ids
+    finally:
+        env.close()
+    steps: Steps = defaultdict(dict)
+    for t in range(len(frames) + 1):
+        vehicles = frames[t]["vehicles"] if t < len(frames) else frames[-1]["next", "vehicles"]
+        time_s = config.warmup_s + t * config.step_s
+        for row in np.flatnonzero(vehicles["present"].numpy()):
+            number, lane = int(vehicles["vehicle_number"][row]), lanes[int(vehicles["region_lane"][row])]
+            place = float(vehicles["lane_position_m"][row]), float(vehicles["speed_mps"][row])
+            steps[time_s][number] = (lane, *place)
+    return steps
+
+
+def assert_equal_steps(context: Context, folder: Path, config: EnvConfig = CONFIG) -> None:
+    theirs, ours = run_sumo(context, folder, config), run_env(context, config)
+    lanes = set(read_road(build_net(context.intersection)).lane_ids)
+    seen = 0
+    for time_s in np.arange(config.warmup_s, config.horizon_s + 0.1, config.step_s).tolist():
+        there = {number: place for number, place in theirs[time_s].items() if place[0] in lanes}
+        assert set(there) == set(ours[time_s]), f"{context.name} at {time_s} s: other vehicles in the region"
+        for number, (lane, position, speed) in there.items():
+            got = ours[time_s][number]
+            assert got[0] == lane, f"{context.name} at {time_s} s: vehicle {number} is on another lane"
+            # The environment reports single precision.
+            assert got[1:] == (np.float32(position), np.float32(speed)), f"{context.name} at {time_s} s: {number}"
+        seen += len(there)
+    assert seen > 100, f"{context.name}: too few vehicles to tell"
+
+
+@pytest.mark.parametrize("adoption", [0.0, 0.5, 1.0])
+def test_uncommanded_episodes_are_sumos_own(adoption: float, tmp_path: Path) -> None:
+    assert_equal_steps(crossing(adoption=adoption), tmp_path)
+
+
+def test_vehicles_past_the_stop_line_at_the_end_of_the_warm_up_are_there(tmp_path: Path) -> None:
+    assert_equal_steps(crossing(), tmp_path, EnvConfig(horizon_s=90.0, warmup_s=40.0))
+
+
+def test_uncommanded_human_cvs_are_sumos_own(tmp_path: Path) -> None:
+    assert_equal_steps(crossing(adoption=0.5, cv_vehicle="human"), tmp_path)
+
+
+def test_uncommanded_measured_intersections_are_sumos_own(dataset: ContextList, tmp_path: Path) -> None:
+    """Busy approaches of measured intersections, and whole ones: pockets, permissive lefts, right on red, gates."""
+    busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
+    for context in (busy[0], busy[25].replace(approach=None), busy[60].replace(approach=None)):
+        assert_equal_steps(context, tmp_path)
+
+
+def test_commands_change_the_traffic(tmp_path: Path) -> None:
+    """The comparison can fail: with commands the same files give other trajectories."""
+    env = EcoDrivingEnv(crossing(), config=CONFIG)
+    try:
+        frames = episode(env, steer)
+        env.reset(frames[0].select(("context", "episode")))
+        again = episode(env, defer)
+    finally:
+        env.close()
+    assert not np.allclose(frames["vehicles", "speed_mps"], again["vehicles", "speed_mps"])
+
+
+def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
+    """Return the grade in % of every vehicle in every step, as reported and as SUMO says."""
+    import libsumo
+
+    env = EcoDrivingEnv(context, config=EnvConfig(horizon_s=90.0, warmup_s=25.0))
+    ours, theirs = [], []
+    try:
+        state = env.reset()
+        simulator = env.simulator
+        for _ in range(env.config.control_steps - 1):
+            frame, state = env.step_and_maybe_reset(defer(state))
+            for row in simulator.rows.tolist():
+                ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
+                theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(simulator.names[row]))))
+    finally:
+        env.close()
+    return np.array(ours), np.array(theirs)
+
+
+def test_grade_is_sumos_slope() -> None:
+    """Also of vehicles that stand across a change of grade."""
+    ours, theirs = slopes(crossing(grade=0.04))
+    assert ours.min() == pytest.approx(-4.0, abs=1e-4) and ours.max() == pytest.approx(4.0, abs=1e-4)
+    assert len(np.unique(theirs.round(3))) > 10
+    np.testing.assert_allclose(ours, theirs, atol=0.05)
+
+
+def test_grade_is_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
+    """Exact but for newcomers, whose back is still on roads outside the controlled region, and for sharp bends."""
+    for context in sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))[:3]:
+        ours, theirs = slopes(context)
+        error = np.abs(ours - theirs)
+        assert theirs.std() > 0.1 and len(ours) > 200
+        assert (error < 1e-3).mean() > 0.95 and error.mean() < 0.03, context.name
