@@ -21,6 +21,7 @@ from izoo.envs.layout import (
     VEHICLE_INTS,
     observation_names,
 )
+from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 _CONTEXT_IDS = ("episode", "context_id", "seed")
@@ -119,11 +120,23 @@ class FrameReader:
             tensor = torch.from_numpy(array)
             self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
         self.agents_batch = torch.Size((*batch, config.num_agents))
+        self.action_shape = torch.Size((*batch, config.num_agents, 1))
 
     def write_action(self, tensordict: TensorDict) -> None:
-        """Copy the action keys into the frames."""
+        """Copy the action keys into the frames.
+
+        Raises:
+            IzooError: the action is missing, or has another shape than ``[*B, A, 1]``.
+        """
         tensors = self.tensors
-        tensors["action"].copy_(tensordict.get(("agents", "action")).squeeze(-1))
+        action = tensordict.get(("agents", "action"), None)
+        if action is None or action.shape != self.action_shape or not action.is_floating_point():
+            got = "missing" if action is None else f"{action.dtype} of shape {list(action.shape)}"
+            raise IzooError(
+                f"('agents', 'action') is {got}; give accelerations in m/s^2 as a float tensor of shape "
+                f"{list(self.action_shape)}."
+            )
+        tensors["action"].copy_(action.squeeze(-1))
         defer = tensordict.get(("agents", "defer"), None)
         if defer is None:
             tensors["defer"].zero_()

@@ -1,0 +1,59 @@
+"""Trajectory export: the same numbers as the rollout, one row per vehicle and step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from izoo.contexts.procedural import procedural_context
+from izoo.emissions.moves import MovesSurrogate
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.trajectories import write_trajectories
+from izoo.errors import IzooError
+
+CONFIG = {"horizon_s": 120.0, "warmup_s": 5.0}
+
+
+def test_table_holds_every_vehicle_and_its_class_explains_its_emission(tmp_path: Path) -> None:
+    env = EcoDrivingEnv(procedural_context(inflow_vph_per_lane=600.0, grade=0.03), config=EnvConfig(**CONFIG))
+    try:
+        rollout = env.rollout(1000, auto_reset=True)
+    finally:
+        env.close()
+    table = pd.read_csv(write_trajectories(rollout, tmp_path / "trajectories.csv"))
+    assert len(table) == int(rollout["next", "vehicles", "present"].sum()) > 100
+    assert list(tmp_path.iterdir()) == [tmp_path / "trajectories.csv"]
+    assert set(table["fuel"]) <= {"gasoline", "diesel"}
+    assert table["model_year"].between(2009, 2019).all()
+    import torch
+
+    column = {name: torch.tensor(table[name].to_numpy()) for name in ("speed_mps", "accel_mps2", "grade_pct")}
+    rate = MovesSurrogate()(*(c.float() for c in column.values()), torch.tensor(table["moves_class"]), 20.0, 46.0)
+    assert torch.allclose(0.5 * rate.double(), torch.tensor(table["emission_g"]), rtol=1e-3, atol=1e-4)
+
+
+def test_rollout_without_vehicles_is_refused() -> None:
+    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(emit=(), **CONFIG))
+    try:
+        rollout = env.rollout(3)
+    finally:
+        env.close()
+    with pytest.raises(IzooError, match=r"put 'vehicles' into EnvConfig\.emit"):
+        write_trajectories(rollout, "unused.csv")
+
+
+@pytest.mark.parametrize("shape", [(64,), (63, 1), (64, 2)])
+def test_action_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+    import torch
+
+    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(emit=(), **CONFIG))
+    try:
+        state = env.reset()
+        state["agents"].batch_size = []
+        state["agents", "action"] = torch.zeros(shape)
+        with pytest.raises((IzooError, RuntimeError), match=r"\[64, 1\]|shape"):
+            env.step(state)
+    finally:
+        env.close()
