@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ SPARE_S = 3600.0
 """Nets younger than this stay, whatever their number: someone may be about to load them."""
 _SEAL = "<!-- sha256 "
 _TIDY_EVERY = 500
+_NEW, _WORK = ".new-", ".work-"
 _stored = 0
 
 
@@ -63,7 +65,7 @@ def store(folder: Path, key: str, text: str) -> Path:
     global _stored
     body = text.encode()
     try:
-        handle, name = tempfile.mkstemp(prefix=".new-", dir=folder)
+        handle, name = tempfile.mkstemp(prefix=_NEW, dir=folder)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(body + _SEAL.encode() + _digest(body))
@@ -80,23 +82,28 @@ def store(folder: Path, key: str, text: str) -> Path:
 
 
 def tidy(folder: Path, max_entries: int = MAX_ENTRIES, spare_s: float = SPARE_S) -> None:
-    """Remove the oldest entries beyond ``max_entries``, but none younger than ``spare_s``."""
-    entries: list[tuple[float, str]] = []
-    for entry in os.scandir(folder):
+    """Remove the oldest entries beyond ``max_entries`` and what killed builds left; nothing younger than ``spare_s``."""
+    entries: list[tuple[float, Path]] = []
+    leftovers: list[tuple[float, Path]] = []
+    for path in folder.iterdir():
         with contextlib.suppress(OSError):
-            if entry.name.endswith(".net.xml"):
-                entries.append((entry.stat().st_mtime, entry.path))
+            kept = leftovers if path.name.startswith((_NEW, _WORK)) else entries
+            kept.append((path.stat().st_mtime, path))
     surplus = sorted(entries)[: max(len(entries) - max_entries, 0)]
-    for written_s, path in surplus:
-        if time.time() - written_s >= spare_s:
-            Path(path).unlink(missing_ok=True)
+    for written_s, path in surplus + leftovers:
+        if time.time() - written_s < spare_s:
+            continue
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def workspace(folder: Path) -> Iterator[Path]:
     """Give a folder for intermediate files, inside the cache, and remove it afterwards."""
     try:
-        scratch = tempfile.TemporaryDirectory(prefix=".work-", dir=folder, ignore_cleanup_errors=True)
+        scratch = tempfile.TemporaryDirectory(prefix=_WORK, dir=folder, ignore_cleanup_errors=True)
     except OSError as error:
         raise _unwritable(folder, error) from error
     with scratch as name:
