@@ -41,10 +41,8 @@ class BatchSource:
     """
 
     def __init__(self, config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule) -> None:
-        workers = 1 if config.collector.name == "single" else config.num_workers
-        self.frames_per_batch = -(-config.algo.frames_per_batch // workers) * workers
         with workers_ignore_interrupts():
-            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, self.frames_per_batch)
+            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, frames_per_batch(config))
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -60,6 +58,12 @@ class BatchSource:
     def close(self) -> None:
         """Stop the workers."""
         self._collector.shutdown()
+
+
+def frames_per_batch(config: TrainConfig) -> int:
+    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, rounded up to a multiple of their number."""
+    workers = 1 if config.collector.name == "single" else config.num_workers
+    return -(-config.algo.frames_per_batch // workers) * workers
 
 
 def _single(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> Collector:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,15 @@ from izoo.algos.ddpg import DDPG
 from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
+from izoo.algos.residual import Build
 from izoo.conf.build import from_mapping, to_mapping
-from izoo.conf.options import AlgoConfig, TrainConfig
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2
+from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 
-ALGORITHMS: dict[str, Callable[[Any, int, float, float], Algorithm]] = {
+ALGORITHMS: dict[str, Build] = {
     "ppo": PPO,
     "ddpg": DDPG,
     "mappo": MAPPO,
@@ -35,9 +34,9 @@ ALGORITHMS: dict[str, Callable[[Any, int, float, float], Algorithm]] = {
 """What builds an algorithm from its options, the length of an observation, and the bounds of the acceleration."""
 
 
-def make_algorithm(config: AlgoConfig, features: int) -> Algorithm:
-    """Build the algorithm that ``config`` names, for observations of length ``features``."""
-    return ALGORITHMS[config.name](config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+def make_algorithm(config: TrainConfig, features: int) -> Algorithm:
+    """Build the algorithm that a run's options name, for observations of length ``features``."""
+    return config.action.algorithm(ALGORITHMS[config.algo.name], config.algo, features, config.env)
 
 
 def create(config: TrainConfig) -> Path:
@@ -98,7 +97,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     path = checkpoint.find(Path(where).expanduser().absolute())
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
-    algorithm = make_algorithm(config.algo, state["features"])
+    algorithm = make_algorithm(config, state["features"])
     try:
         algorithm.load_state_dict(state["algorithm"])
     except (KeyError, RuntimeError, ValueError) as error:

@@ -80,7 +80,7 @@ class Session:
         torch.manual_seed(config.seed)
         self.config, self.run_dir, self.source = config, run_dir, source
         self.features = len(observation_names(config.env))
-        self.algorithm = runs.make_algorithm(config.algo, self.features)
+        self.algorithm = runs.make_algorithm(config, self.features)
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
         self._saved_at = -1

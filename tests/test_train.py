@@ -1,0 +1,230 @@
+"""The train command end to end at toy size, on real SUMO."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from izoo import train
+from izoo.conf.compose import compose_config
+from izoo.conf.options import TrainConfig
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import procedural_context
+from izoo.envs.layout import observation_names
+from izoo.errors import IzooError
+from izoo.training import checkpoint, runs
+from izoo.training.collectors import ShiftedSchedule
+from izoo.training.records import MetricsTable
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[16]"),
+    *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=1"),
+]
+
+
+def rows(run_dir: Path) -> list[dict[str, str]]:
+    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def weights(run_dir: Path) -> dict[str, torch.Tensor]:
+    return runs.load_algorithm(run_dir)[0].state_dict()["policy"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of three batches with two workers and a brief evaluation."""
+    run_dir = tmp_path_factory.mktemp("runs") / "toy"
+    words = [*TOY, "total_frames=600", f"run_dir={run_dir}", "checkpoint.keep=2", "evaluation.contexts=1"]
+    assert train.main(words) == 0
+    return run_dir
+
+
+def test_a_run_leaves_what_it_promises(finished: Path) -> None:
+    assert runs.read_config(finished).total_frames == 600
+    table = rows(finished)
+    assert [int(row["frames"]) for row in table] == [200, 400, 600]
+    assert all(float(row["reward"]) != 0 for row in table[1:])
+    assert any(row["return"] for row in table), "episodes of 100 steps end within batches of 100 steps per worker"
+    assert (finished / runs.CURVE_FILE).read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in checkpoint.listed(finished)] == ["step-000000000400.pt", "step-000000000600.pt"]
+    assert not list(finished.rglob("*.partial"))
+    assert (finished / "evaluation.csv").is_file()
+    assert json.loads((finished / "summary.json").read_text())
+
+
+def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:
+    policy = runs.load_policy(finished)
+    features = len(observation_names(runs.read_config(finished).env))
+    agents = {"observation": torch.randn(7, features), "mask": torch.ones(7, dtype=torch.bool)}
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        action = policy(TensorDict({"agents": TensorDict(agents, [7])}, []))["agents", "action"]
+    assert action.shape == (7, 1)
+    assert float(action.min()) >= -4.5 and float(action.max()) <= 2.6
+
+
+def test_an_occupied_run_folder_is_refused(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(finished.rglob("*"))
+    assert train.main([*TOY, f"run_dir={finished}"]) == 2
+    assert "resume=" in capsys.readouterr().err
+    assert sorted(finished.rglob("*")) == before
+
+
+@pytest.mark.parametrize("collector", ["single", "multisync"])
+def test_other_collectors(collector: str, tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [*TOY, f"collector={collector}", "total_frames=400", f"run_dir={run_dir}"]
+    # Apart, because libsumo holds one simulation per process and TorchRL sets the start method of the process.
+    done = subprocess.run(
+        [sys.executable, "-m", "izoo.train", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
+    )
+    assert done.returncode == 0, done.stderr
+    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
+
+
+def test_same_seed_same_weights_and_another_seed_others(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        assert train.main([*TOY, "total_frames=400", f"seed={seed}", f"run_dir={tmp_path / name}"]) == 0
+    a, b, c = (weights(tmp_path / name) for name in "abc")
+    assert all(torch.equal(a[key], b[key]) for key in a)
+    assert not all(torch.equal(a[key], c[key]) for key in a)
+
+
+def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0
+    assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
+    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600, 800]
+    assert runs.read_config(run_dir).total_frames == 800
+    assert runs.read_config(run_dir).contexts.preset == "easy"
+    assert train.main([f"resume={run_dir}", "algo.lr=1e-3"]) == 2
+    assert "algo.lr" in capsys.readouterr().err
+    # From an earlier checkpoint: what came later in the table is written again.
+    assert train.main([f"resume={checkpoint.listed(run_dir)[0]}", "total_frames=600"]) == 0
+    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600]
+
+
+def start(run_dir: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=100000000", f"run_dir={run_dir}", *words]
+    process = subprocess.Popen(
+        command, cwd=run_dir.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and process.poll() is None and not checkpoint.listed(run_dir):
+        time.sleep(0.1)
+    return process
+
+
+def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    process = start(run_dir, "checkpoint.every_batches=3")
+    os.killpg(process.pid, signal.SIGINT)  # a terminal reaches the whole group, workers included
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    assert "Traceback" not in error
+    state = checkpoint.load(checkpoint.find(run_dir))
+    assert state["frames"] == int(rows(run_dir)[-1]["frames"])
+
+
+def test_a_killed_run_can_be_resumed(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    process = start(run_dir)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate(timeout=60)
+    frames = checkpoint.load(checkpoint.find(run_dir))["frames"]
+    assert train.main([f"resume={run_dir}", f"total_frames={frames + 200}"]) == 0
+    assert int(rows(run_dir)[-1]["frames"]) == frames + 200
+
+
+def make_state() -> dict[str, Any]:
+    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}, "features": 3}
+
+
+def test_damaged_checkpoints_are_refused_and_the_previous_one_named(tmp_path: Path) -> None:
+    first = checkpoint.save(tmp_path, 100, make_state(), keep=5)
+    second = checkpoint.save(tmp_path, 200, make_state(), keep=5)
+    whole = second.read_bytes()
+    for damage in (whole[: len(whole) // 2], b"", b"not a checkpoint"):
+        second.write_bytes(damage)
+        with pytest.raises(IzooError, match="cut short or not a checkpoint") as caught:
+            checkpoint.load(second)
+        assert str(first) in str(caught.value)
+    torch.save({"someone": "else"}, second)
+    with pytest.raises(IzooError, match="not a checkpoint of this version"):
+        checkpoint.load(second)
+    assert torch.equal(checkpoint.load(first)["algorithm"]["policy"]["w"], torch.arange(1000.0))
+
+
+def test_checkpoints_hold_no_code(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoints" / "step-000000000001.pt"
+    path.parent.mkdir()
+    torch.save({"format": checkpoint.FORMAT, "evil": Path("x")}, path)
+    with pytest.raises(IzooError):
+        checkpoint.load(path)
+
+
+def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = checkpoint.save(tmp_path, 100, make_state(), keep=1)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint.torch, "save", full)
+    with pytest.raises(OSError, match="No space left"):
+        checkpoint.save(tmp_path, 200, make_state(), keep=1)
+    assert checkpoint.listed(tmp_path) == [first]
+    assert list(first.parent.iterdir()) == [first]
+
+
+def test_the_table_grows_columns_and_leaves_unknown_numbers_empty(tmp_path: Path) -> None:
+    table = MetricsTable(tmp_path / "metrics.csv")
+    table.append({"frames": 10, "reward": 0.5})
+    table.append({"frames": 20, "reward": 0.25, "return": -3.0})
+    table.append({"frames": 30, "reward": 0.125})
+    again = MetricsTable(tmp_path / "metrics.csv", last_frames=20)
+    assert again.series("return") == ([20], [-3.0])
+    assert again.series("reward") == ([10, 20], [0.5, 0.25])
+
+
+def test_a_resumed_schedule_plays_the_episodes_that_follow() -> None:
+    def schedule(episode: int) -> tuple[Context, int]:
+        return procedural_context(), episode
+
+    assert ShiftedSchedule(schedule, 40)(2)[1] == 42
+
+
+def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=200", "logger=wandb", f"run_dir={run_dir}"]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("WANDB")}
+    done = subprocess.run(
+        command, env={**environment, "HOME": str(tmp_path)}, capture_output=True, text=True, timeout=200
+    )
+    assert done.returncode == 0, done.stderr
+    assert "wandb" not in (done.stdout + done.stderr).replace(str(run_dir), "")
+    assert list((run_dir / "wandb").glob("offline-run-*"))
+
+
+def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
+    assert list((run_dir / "tensorboard").rglob("events.*"))
+
+
+def test_total_frames_are_rounded_up_to_whole_batches_of_all_workers() -> None:
+    config = compose_config("train", TrainConfig, ["num_workers=3", "algo.frames_per_batch=100"])
+    from izoo.training.collectors import frames_per_batch
+
+    assert frames_per_batch(config) == 102
