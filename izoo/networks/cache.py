@@ -82,7 +82,7 @@ def store(folder: Path, key: str, text: str) -> Path:
 
 
 def tidy(folder: Path, max_entries: int = MAX_ENTRIES, spare_s: float = SPARE_S) -> None:
-    """Remove the oldest entries beyond ``max_entries`` and what killed builds left; nothing younger than ``spare_s``."""
+    """Remove the oldest entries beyond ``max_entries``, and what killed builds left, if older than ``spare_s``."""
     entries: list[tuple[float, Path]] = []
     leftovers: list[tuple[float, Path]] = []
     for path in folder.iterdir():
