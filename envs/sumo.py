@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ _INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
 
 # libsumo runs one simulation per process; this says which session has it.
 _owner: SumoSession | None = None
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def import_libsumo() -> Any:
@@ -60,8 +62,26 @@ def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float
     ]
 
 
+def import_traci() -> Any:
+    """Import TraCI, which steers sumo-gui as another program.
+
+    Raises:
+        IzooError: there is no screen to open a window on.
+    """
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAYS):
+        raise IzooError("env.gui needs a screen, and DISPLAY is not set; use render() for pictures without one.")
+    import_libsumo()
+    import traci
+
+    return traci
+
+
 class SumoSession:
-    """A libsumo simulation; the first :meth:`load` of a process starts SUMO, later ones re-use it."""
+    """A simulation; the first :meth:`load` starts SUMO, later ones re-use it.
+
+    Args:
+        gui: show it in a sumo-gui window, steered through TraCI; without, it runs inside this process as libsumo.
+    """
 
     def __init__(self, gui: bool = False) -> None:
         self._gui = gui
@@ -74,7 +94,7 @@ class SumoSession:
             IzooError: SUMO cannot load the files, or another environment of this process holds libsumo.
         """
         global _owner
-        libsumo = import_libsumo()
+        api = import_traci() if self._gui else import_libsumo()
         if _owner is not None and _owner is not self:
             raise IzooError(
                 "libsumo holds one simulation per process, and another environment of this process is using it; "
@@ -82,21 +102,24 @@ class SumoSession:
             )
         try:
             if self._running:
-                libsumo.load(list(arguments))
+                api.load(list(arguments))
             else:
-                program = "sumo-gui" if self._gui else "sumo"
-                extra = ["--start", "true", "--quit-on-end", "true"] if self._gui else []
-                libsumo.start([program, *arguments, *extra])
+                api.start([*self._program(), *arguments])
         except Exception as error:
             self._running = False
             _owner = None
             raise IzooError(f"SUMO could not load the simulation: {error}") from error
-        _owner, self._running = self, True
-        self._bind(libsumo)
+        _owner, self._running, self._api = self, True, api
+        self._bind(api)
 
-    def _bind(self, libsumo: Any) -> None:
+    def _program(self) -> list[str]:
+        if not self._gui:
+            return ["sumo"]
+        return [str(Path(os.environ["SUMO_HOME"]) / "bin" / "sumo-gui"), "--start", "true", "--quit-on-end", "true"]
+
+    def _bind(self, api: Any) -> None:
         """Look the functions of the inner loop up once; the flat ones save a Python call per value."""
-        flat, vehicle = libsumo._libsumo, libsumo.vehicle
+        flat, vehicle = getattr(api, "_libsumo", None), api.vehicle
         self._lane = getattr(flat, "vehicle_getLaneID", vehicle.getLaneID)
         self._position = getattr(flat, "vehicle_getLanePosition", vehicle.getLanePosition)
         self._speed = getattr(flat, "vehicle_getSpeed", vehicle.getSpeed)
@@ -105,10 +128,10 @@ class SumoSession:
         self._acceleration = vehicle.getAcceleration
         self._free_speed = vehicle.getSpeedWithoutTraCI
         self._change_lane = vehicle.changeLaneRelative
-        self._on_edge = libsumo.edge.getLastStepVehicleIDs
-        self._simulation = libsumo.simulation
+        self._on_edge = api.edge.getLastStepVehicleIDs
+        self._simulation = api.simulation
         self._vehicle = vehicle
-        self._advance = libsumo.simulationStep
+        self._advance = api.simulationStep
 
     def advance(self) -> None:
         """Simulate one step."""
@@ -175,9 +198,7 @@ class SumoSession:
         """End the simulation and give libsumo back to the process."""
         global _owner
         if self._running:
-            import libsumo
-
-            libsumo.close()
+            self._api.close()
             self._running = False
         if _owner is self:
             _owner = None
