@@ -1,0 +1,108 @@
+"""The collect command end to end at toy size, on real SUMO."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import MemoryMappedTensor
+from torchrl.data import TensorDictReplayBuffer, TensorStorage
+
+from izoo import collect
+from izoo.conf.options import CollectConfig
+from izoo.errors import IzooError
+from izoo.training import dataset
+
+TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("data") / "new" / "folder"
+    assert collect.main([*TOY, "policy=random", "frames=300", f"out={out}"]) == 0
+    return out
+
+
+def test_the_data_load_back_memory_mapped(data: Path) -> None:
+    steps = collect.load(data)
+    assert steps.shape == (300,)
+    assert isinstance(steps["agents", "observation"], MemoryMappedTensor)
+    mask = steps["agents", "mask"]
+    assert bool(mask.any())
+    action = steps["agents", "action"][mask]
+    assert float(action.min()) < -3.0 and float(action.max()) > 1.5, "the random driver uses the whole range"
+    assert float(steps["next", "agents", "reward"][mask].abs().sum()) > 0
+    assert bool(steps["next", "done"].any())
+    manifest = json.loads((data / dataset.MANIFEST).read_text())
+    assert manifest["frames"] == 300
+    assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
+    assert sorted(path.name for path in data.iterdir()) == [dataset.MANIFEST, "shard-00000"]
+
+
+def test_a_replay_buffer_takes_the_data_as_they_are(data: Path) -> None:
+    buffer = TensorDictReplayBuffer(storage=TensorStorage(collect.load(data)), batch_size=16)
+    assert buffer.sample().shape == (16,)
+
+
+def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert collect.main([*TOY, "frames=10", f"out={data}"]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert collect.load(data).shape == (300,)
+
+
+def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert collect.main([*TOY, "frames=300", "shard_frames=128", f"out={out}"]) == 0
+    assert [len(shard) for shard in dataset.load_shards(out)] == [128, 128, 44]
+    whole, parts = collect.load(data), collect.load(out)
+    for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
+        assert torch.equal(whole[key], parts[key])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "out=DIR"),
+        (["out=o", "policy=rnadom"], "Did you mean 'random'?"),
+        (["out=o", "frames=0"], "frames is 0"),
+        (["out=o", "contexts=dataset", "contexts.path=missing"], "missing"),
+        (["out=o", "policy=."], "holds no checkpoint"),
+    ],
+)
+def test_bad_input_leaves_nothing_behind(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert collect.main(words) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(IzooError, match=dataset.MANIFEST):
+        collect.load(tmp_path)
+    path = tmp_path / dataset.MANIFEST
+    path.write_text("{")
+    with pytest.raises(IzooError, match="damaged"):
+        collect.load(tmp_path)
+    manifest = json.loads((data / dataset.MANIFEST).read_text())
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(IzooError, match="shard-00000"):
+        collect.load(tmp_path)
+    path.write_text(json.dumps({**manifest, "format": "other"}))
+    with pytest.raises(IzooError, match="other"):
+        collect.load(tmp_path)
+
+
+def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
+    writer = dataset.ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
+    writer.write(collect.load(data)[:50])
+    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
+    writer.finish_shard()
+    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]
