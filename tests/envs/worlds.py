@@ -48,12 +48,17 @@ def defer(tensordict: TensorDictBase) -> TensorDictBase:
     return set_action(tensordict, torch.zeros(*mask.shape, 1))
 
 
+def steering(observation: torch.Tensor) -> torch.Tensor:
+    """A fixed function from observations ``[*B, A, F]`` to accelerations ``[*B, A, 1]``."""
+    weights = torch.sin(torch.arange(observation.shape[-1]) * 1.7)
+    # Rounded, so that the order of a sum does not matter.
+    action = 3.0 * torch.tanh(torch.round((observation * weights).sum(-1), decimals=3)) - 0.2
+    return action.clamp(-4.5, 2.6).unsqueeze(-1)
+
+
 def steer(tensordict: TensorDictBase) -> TensorDictBase:
     """Command every CV with a fixed function of what it observes."""
-    observation = tensordict["agents", "observation"]
-    weights = torch.sin(torch.arange(observation.shape[-1]) * 1.7)
-    action = 3.0 * torch.tanh(torch.round(observation @ weights, decimals=3)) - 0.2
-    return set_action(tensordict, action.clamp(-4.5, 2.6).unsqueeze(-1))
+    return set_action(tensordict, steering(tensordict["agents", "observation"]))
 
 
 def at_random(seed: int) -> Driver:
@@ -69,12 +74,16 @@ def at_random(seed: int) -> Driver:
 
 def play(env: EcoDrivingBase, steps: int, act: Driver = steer, start: TensorDictBase | None = None) -> TensorDict:
     """Return ``steps`` steps, stacked in the last batch dimension; episodes that end begin anew."""
-    state = env.reset() if start is None else start
+    return play_on(env, steps, act, env.reset() if start is None else start)[0]
+
+
+def play_on(env: EcoDrivingBase, steps: int, act: Driver, state: TensorDictBase) -> tuple[TensorDict, TensorDictBase]:
+    """Return ``steps`` steps from ``state``, and the state after them."""
     frames = []
     for _ in range(steps):
         frame, state = env.step_and_maybe_reset(act(state))
         frames.append(frame)
-    return torch.stack(frames, -1)
+    return torch.stack(frames, -1), state
 
 
 def episode(env: EcoDrivingBase, act: Driver = steer) -> TensorDict:
