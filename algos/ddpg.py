@@ -1,8 +1,8 @@
 """Deep deterministic policy gradient for interchangeable agents: one actor and one critic, shared by every CV.
 
 Each agent transition is an independent sample: the critic sees one agent's observation and acceleration. Valid
-transitions are stored flat (:mod:`izoo.algos.replay`), and TorchRL's own loss works on them, so that losses and logs see
-no padding.
+transitions are stored flat (:mod:`izoo.algos.replay`), and TorchRL's own loss works on them, so that losses and logs
+see no padding.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
 from izoo.algos import base
-from izoo.algos.replay import Replay, transitions
+from izoo.algos.replay import ERROR, Replay, transitions
 from izoo.errors import IzooError, check_choice, check_range
 
 ACTION_VALUE = ("agents", "state_action_value")
@@ -43,7 +43,8 @@ class DDPGConfig:
         replay_rows: transitions held; of 60 features each takes 490 bytes (RLlib 50,000; Lillicrap 1e6; ours 200,000,
             100 MB).
         rows_per_frame: most transitions stored per environment step, drawn at random from a batch; ``null`` stores all
-            (RLlib). The agents of one step see much the same, so a part of them lets the replay reach further back (ours 4).
+            (RLlib). The agents of one step see much the same, so a part of them lets the replay reach further back
+            (ours 4).
         learning_starts: environment steps before the first update (RLlib 1,500; ours 3,900).
         random_frames: environment steps of uniformly random accelerations at the start, counted in whole batches (RLlib
             1,000; ours 0: the mean of the range is braking, and a jam teaches little).
@@ -52,23 +53,24 @@ class DDPGConfig:
         actor_lr: Adam's learning rate of the actor (RLlib 1e-3; Lillicrap 1e-4, which is ours).
         critic_lr: that of the critic (RLlib, Lillicrap 1e-3, which is ours).
         weight_decay: of both networks (RLlib 1e-6; Lillicrap 1e-2 on the critic; ours 0).
-        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005, which is ours).
+        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005, which is
+            ours).
         gamma: discount per step of 0.5 s (RLlib, Lillicrap 0.99, which is ours).
         value_loss: ``l2`` (RLlib, Lillicrap) or ``smooth_l1`` (ours: bounded gradients).
         max_grad_norm: bound on each network's gradient; ``null`` for none (RLlib; ours 1).
         reward_scale: rewards are multiplied by it (RLlib 1; ours 0.1, so that values are of order 1).
         noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
             Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
-        noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib 0.1 x 0.2 =
-            0.02; Lillicrap 0.2 of half the width; ours 0.04, which makes about 0.5 m/s^2 in all).
+        noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib
+            0.1 x 0.2 = 0.02; Lillicrap 0.2 of half the width; ours 0.04, which makes about 0.5 m/s^2 in all).
         noise_final: factor on the noise at the end of its decay (RLlib 0.02; ours 0.2).
-        noise_frames: environment steps in which that factor falls linearly from 1; ``null``: the whole run (RLlib 10,000;
-            ours the whole run).
+        noise_frames: environment steps in which that factor falls linearly from 1; ``null``: the whole run (RLlib
+            10,000; ours the whole run).
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
         initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5).
-        save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without it
-            checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
+        save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without
+            it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
     """
 
     name: Literal["ddpg"] = "ddpg"
@@ -115,7 +117,7 @@ class DDPGConfig:
             check_range("algo.noise_frames", self.noise_frames, 1, 10**12)
         check_choice("algo.activation", self.activation, base.ACTIVATIONS)
         if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128].")
+            raise IzooError(f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths: [128,128].")
 
     @classmethod
     def paper(cls) -> DDPGConfig:
@@ -178,14 +180,15 @@ def make_actor(features: int, low: float, high: float, config: DDPGConfig) -> Te
     middle, half = (high + low) / 2, (high - low) / 2
     with torch.no_grad():
         network[-1].bias[0] = math.atanh((config.initial_accel_mps2 - middle) / half)  # type: ignore[operator, index]
-    return TensorDictModule(nn.Sequential(network, Squash(low, high)), in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
+    squashed = nn.Sequential(network, Squash(low, high))
+    return TensorDictModule(squashed, in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
 
 
 class ExploringPolicy(TensorDictModuleBase):
     """The actor with Ornstein-Uhlenbeck noise for collection; without, where TorchRL's exploration type says so.
 
-    Noise is drawn from torch's default generator, which the training loop seeds (in each worker process differently) and
-    checkpoints. Each vehicle has a process of its own: an empty slot forgets.
+    Noise is drawn from torch's default generator, which the training loop seeds (in each worker process differently)
+    and checkpoints. Each vehicle has a process of its own: an empty slot forgets.
 
     Args:
         actor: from :func:`make_actor`; shared, not copied.
@@ -228,7 +231,11 @@ def make_loss(actor: TensorDictModule, critic: ValueOperator, config: DDPGConfig
     """Return TorchRL's loss for flat transitions: TD(0) targets from target copies of both networks."""
     loss = DDPGLoss(actor, critic, loss_function=config.value_loss, delay_actor=True, delay_value=True)
     loss.set_keys(
-        state_action_value=ACTION_VALUE, reward=base.REWARD, done=base.DONE, terminated=base.TERMINATED, priority="td_error"
+        state_action_value=ACTION_VALUE,
+        reward=base.REWARD,
+        done=base.DONE,
+        terminated=base.TERMINATED,
+        priority=ERROR,
     )
     loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
     return loss

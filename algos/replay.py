@@ -17,6 +17,8 @@ NEXT_OBSERVATION = ("next", *base.OBSERVATION)
 NEXT_REWARD, NEXT_DONE, NEXT_TERMINATED = ("next", *base.REWARD), ("next", *base.DONE), ("next", *base.TERMINATED)
 TRANSITION = (base.OBSERVATION, base.ACTION, NEXT_OBSERVATION, NEXT_REWARD, NEXT_DONE, NEXT_TERMINATED)
 """Leaves of a transition; each row stands for one agent in one step."""
+ERROR = "td_error"
+"""Where a loss leaves the squared errors of a minibatch, ``[n]``."""
 PRIORITY_EPS = 1e-6
 
 
@@ -45,7 +47,7 @@ class PriorityDraws(Sampler):
     """Draws with probability proportional to ``priority ** alpha`` (Schaul et al., arXiv 1511.05952).
 
     TorchRL's ``PrioritizedSampler`` does the same in O(log n) by trees in its compiled extension, which loads with some
-    builds of PyTorch alone and cannot be written to a checkpoint; at tens of thousands of rows a cumulative sum is as fast.
+    builds of PyTorch alone and cannot be written to a checkpoint; at tens of thousands of rows a sum is as fast.
 
     Args:
         capacity: most rows held.
@@ -126,9 +128,9 @@ class Replay:
         return self.buffer.sample()
 
     def learned(self, minibatch: TensorDictBase) -> None:
-        """Set the priorities of a minibatch to its absolute errors; the loss leaves their squares in ``td_error``."""
+        """Set the priorities of a minibatch to its absolute errors, from what the loss left in :data:`ERROR`."""
         if isinstance(self.sampler, PriorityDraws):
-            self.sampler.update_priority(minibatch.get("index"), minibatch.get("td_error").sqrt())
+            self.sampler.update_priority(minibatch.get("index"), minibatch.get(ERROR).sqrt())
 
     def state_dict(self) -> dict[str, Any]:
         """Return the transitions, their priorities and the place of the next one."""

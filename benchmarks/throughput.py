@@ -168,7 +168,7 @@ def _collected(collector: str, context: Any, config: Any, workers: int, steps: i
         num_workers=workers,
     )
     torch.manual_seed(0)
-    learner = make_algorithm(options.algo, len(observation_names(config)))
+    learner = make_algorithm(options, len(observation_names(config)))
     source = BatchSource(options, learner.policy, as_schedule(context, 0))
     try:
         for _ in range(-(-SETTLE_STEPS * workers // frames)):

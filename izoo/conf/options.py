@@ -10,6 +10,7 @@ from izoo.algos.ddpg import DDPGConfig
 from izoo.algos.gcrl import GCRLConfig
 from izoo.algos.mappo import MAPPOConfig
 from izoo.algos.ppo import PPOConfig
+from izoo.algos.residual import ActionConfig, DirectAction
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
@@ -87,6 +88,7 @@ class TrainConfig:
 
     Attributes:
         algo: the algorithm and its hyper-parameters.
+        action: whether the policy commands accelerations (``direct``) or corrects a scripted driver's (``residual``).
         contexts: which contexts episodes are drawn from.
         env: the environment.
         collector: how environments are stepped.
@@ -102,6 +104,7 @@ class TrainConfig:
     """
 
     algo: AlgoConfig = field(default_factory=PPOConfig)
+    action: ActionConfig = field(default_factory=DirectAction)
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=training_env)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
