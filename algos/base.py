@@ -1,7 +1,8 @@
-"""What every algorithm has in common: the keys it reads, its networks' shape, and the face it shows the training loop."""
+"""What every algorithm has in common: the keys it reads, its networks, and the face it shows the training loop."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -57,7 +58,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_
     """
     layers: list[nn.Module] = []
     widths = [inputs, *hidden]
-    for before, after in zip(widths[:-1], widths[1:]):
+    for before, after in itertools.pairwise(widths):
         linear = nn.Linear(before, after)
         nn.init.orthogonal_(linear.weight, gain=2.0**0.5)
         nn.init.zeros_(linear.bias)

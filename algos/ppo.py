@@ -28,8 +28,8 @@ from izoo.errors import IzooError, check_choice, check_range
 class PPOConfig:
     """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
 
-    Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which the paper used;
-    "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs here.
+    Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which
+    the paper used; "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs.
 
     Attributes:
         name: the algorithm.
@@ -51,14 +51,15 @@ class PPOConfig:
         value_error_clip: squared value errors above this give no gradient (RLlib 10); ``null`` for none (ours).
         entropy_coeff: weight of the entropy bonus (RLlib 0; ours the same).
         kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
-        kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half (RLlib 0.01).
+        kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
+            0.01).
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
         reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
             are of order 1 and the value function learns within a few batches).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
-        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road, and
-            vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5).
+        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
+            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5).
         initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
     """
 

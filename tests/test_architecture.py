@@ -23,7 +23,7 @@ ALLOWED = {
     "envs": BASICS | {"contexts", "networks", "traffic"},
     "algos": BASICS | {"contexts", "networks", "traffic", "envs"},
 }
-"""Per room the rooms it may import; rooms that are not named are commands and what commands share: they may import all."""
+"""Per room the rooms it may import; rooms that are not named are commands and what commands share: they may all."""
 
 
 def modules() -> list[tuple[str, Path]]:

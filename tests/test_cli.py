@@ -121,7 +121,9 @@ def test_bad_words_are_one_sentence(
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
 
 
-def test_bad_dataset_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_dataset_folders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     empty = tmp_path / "empty"
     empty.mkdir()

@@ -105,7 +105,9 @@ def _convert_sequence(kind: Any, value: Any, path: str) -> Any:
         return get_origin(kind)(converted)
     if len(args) != len(value):
         raise IzooError(f"{path} is {list(value)!r}; it must have {len(args)} entries.")
-    return tuple(_convert(arg, item, f"{path}[{index}]") for index, (arg, item) in enumerate(zip(args, value)))
+    return tuple(
+        _convert(arg, item, f"{path}[{index}]") for index, (arg, item) in enumerate(zip(args, value, strict=True))
+    )
 
 
 def _convert_scalar(kind: Any, value: Any, path: str) -> Any:

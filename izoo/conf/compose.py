@@ -1,4 +1,4 @@
-"""From command-line words to a validated dataclass: Hydra composes, and everything it would refuse is explained here."""
+"""From command-line words to a validated dataclass: Hydra composes, and what it would refuse is explained here."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
             except HydraException:
                 raise IzooError(f"cannot read {word!r}; options are written option=value.") from None
         if override.is_sweep_override() and not multirun:
-            raise IzooError(f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\".")
+            raise IzooError(
+                f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\"."
+            )
         overrides.append(override)
     return overrides
 

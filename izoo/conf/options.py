@@ -130,8 +130,8 @@ class CollectConfig:
     """Options of a data collection.
 
     Attributes:
-        policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is left
-            to IDM), or the folder of a training run.
+        policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is
+            left to IDM), or the folder of a training run.
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.

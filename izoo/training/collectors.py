@@ -61,7 +61,7 @@ class BatchSource:
 
 
 def frames_per_batch(config: TrainConfig) -> int:
-    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, rounded up to a multiple of their number."""
+    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, as a multiple of their number."""
     workers = 1 if config.collector.name == "single" else config.num_workers
     return -(-config.algo.frames_per_batch // workers) * workers
 
@@ -75,7 +75,9 @@ def _parallel(config: TrainConfig, policy: TensorDictModuleBase, schedule: Sched
     return _collector(env, policy, frames)
 
 
-def _multisync(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> MultiSyncCollector:
+def _multisync(
+    config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int
+) -> MultiSyncCollector:
     makers = [
         functools.partial(_worker_env, config, schedule, worker, config.num_workers)
         for worker in range(config.num_workers)

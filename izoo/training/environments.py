@@ -55,4 +55,4 @@ def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Return per-episode metrics ``[n]`` and per-approach metrics ``[n, P]``, by name, of ``totals [n, E + P * M]``."""
     episode = totals[:, : len(EPISODE_METRICS)].unbind(-1)
     approach = totals[:, len(EPISODE_METRICS) :].unflatten(-1, (-1, len(APPROACH_METRICS))).unbind(-1)
-    return dict(zip(EPISODE_METRICS, episode)), dict(zip(APPROACH_METRICS, approach))
+    return dict(zip(EPISODE_METRICS, episode, strict=True)), dict(zip(APPROACH_METRICS, approach, strict=True))

@@ -26,7 +26,7 @@ def learning_curve(table: MetricsTable, path: Path, title: str) -> None:
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
-    for axes, (name, label) in zip(figure.subplots(2, 2).flat, PANELS):
+    for axes, (name, label) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
         frames, values = table.series(name)
         axes.plot(frames, values, color="tab:blue", alpha=0.3, linewidth=1)
         axes.plot(frames, _running_mean(values), color="tab:blue", linewidth=2)

@@ -41,11 +41,10 @@ def make_batch(n: int = 2, t: int = 6, a: int = 4, seed: int = 0) -> TensorDict:
         goes_on = ~successor["done"][:, step]
         following = torch.where(goes_on, agents["observation"][:, step + 1], successor["observation"][:, step])
         successor["observation"][:, step] = following
-    batch = TensorDict(
+    return TensorDict(
         {"agents": TensorDict(agents, shape), "next": TensorDict({"agents": TensorDict(successor, shape)}, shape[:2])},
         shape[:2],
     )
-    return batch
 
 
 def make_ppo(**changes: object) -> PPO:
@@ -119,7 +118,7 @@ def test_fast_policy_is_the_actors_distribution() -> None:
     acted = act(ppo, batch.clone())
     distribution = ppo.actor.get_dist(batch.clone())
     action = acted[base.ACTION]
-    assert LOW < float(action.min()) and float(action.max()) < HIGH
+    assert float(action.min()) > LOW and float(action.max()) < HIGH
     torch.testing.assert_close(acted[base.LOG_PROB], distribution.log_prob(action), atol=1e-4, rtol=1e-4)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         fast, slow = ppo.policy(batch.clone())[base.ACTION], ppo.actor(batch.clone())[base.ACTION]
@@ -147,7 +146,7 @@ def test_padding_changes_nothing(noise: float) -> None:
     expected = clean_ppo.update(clean, 0.0)
     torch.manual_seed(7)
     assert noisy_ppo.update(noisy, 0.0) == pytest.approx(expected, rel=1e-6)
-    for one, other in zip(clean_ppo.loss.parameters(), noisy_ppo.loss.parameters()):
+    for one, other in zip(clean_ppo.loss.parameters(), noisy_ppo.loss.parameters(), strict=True):
         torch.testing.assert_close(one, other)
 
 
@@ -198,7 +197,7 @@ def test_an_empty_batch_is_no_update() -> None:
     batch[base.MASK][:] = False
     before = [parameter.clone() for parameter in ppo.loss.parameters()]
     assert ppo.update(batch, 0.0) == {}
-    for parameter, old in zip(ppo.loss.parameters(), before):
+    for parameter, old in zip(ppo.loss.parameters(), before, strict=True):
         torch.testing.assert_close(parameter, old)
 
 
