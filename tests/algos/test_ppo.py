@@ -181,7 +181,7 @@ def test_kl_penalty_and_value_clip_act_as_in_rllib() -> None:
 
 
 def test_state_restores_the_very_next_update() -> None:
-    one, other = make_ppo(), make_ppo(lr=3e-4)
+    one, other = make_ppo(), make_ppo()
     batch = act(one, make_batch())
     one.update(batch, 0.0)
     other.load_state_dict(copy.deepcopy(one.state_dict()))
