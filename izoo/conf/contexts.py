@@ -2,37 +2,47 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, Union
+from typing import Any, Literal, TypeAlias
 
-from izoo.contexts.context import CV_VEHICLES, ENGINES, HOURS
-from izoo.contexts.distributions import Uniform
-from izoo.contexts.procedural import EASY, SYSTEMATICITY_TEST_SAMPLE, SYSTEMATICITY_TRAIN, ProceduralSource
+from izoo.conf.cities import CatalogueContexts, CityContexts
+from izoo.conf.folders import DatasetContexts, OsmContexts
+from izoo.contexts.distributions import Box, Uniform, Weighted
+from izoo.contexts.procedural import (
+    DEFAULTS,
+    EASY,
+    SYSTEMATICITY_TEST_SAMPLE,
+    SYSTEMATICITY_TRAIN,
+    ProceduralSource,
+)
 from izoo.contexts.source import ContextSource
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice
 
 PRESETS = {
     "systematicity_train": SYSTEMATICITY_TRAIN,
     "systematicity_test": SYSTEMATICITY_TEST_SAMPLE,
+    "systematicity_grid": SYSTEMATICITY_TEST_SAMPLE,
     "easy": EASY,
 }
-Setting = Union[float, str, list[Any], None]
-"""Of a procedural feature: a number or a name, a list of them, ``low..high`` for an interval, or null for the preset's."""
+Setting: TypeAlias = float | str | list[Any] | dict | None
+"""Of a procedural feature: a number or a name, a list of equally likely ones, ``low..high`` for an interval, a mapping
+from value to probability, or null for the preset's."""
 
 
 @dataclass(frozen=True)
 class PcgContexts:
     """Procedural contexts: four equal legs, drawn anew for every episode.
 
-    Every feature but the preset is a number (``lane_count=2``), a list of equally likely values (``lane_count=[1,2]``),
-    or an interval (``green_s=20..32``); null keeps what the preset says.
+    Every feature is a number (``lane_count=2``), a list of equally likely values (``lane_count=[1,2]``), values with
+    their probabilities (``lane_count={1:0.25,2:0.75}``), or an interval (``green_s=20..32``); null keeps what the
+    preset says.
 
     Attributes:
         name: the source.
-        preset: ``systematicity_train`` (the protocol's training box), ``systematicity_test`` (its test box) or
-            ``easy`` (one fixed context with one lane and light traffic).
+        preset: ``systematicity_train`` (the protocol's training box), ``systematicity_test`` (its test box),
+            ``systematicity_grid`` (the 128 contexts at the ends of the test box's intervals) or ``easy`` (one fixed
+            context with one lane and light traffic).
         lane_count: lanes per approach, 1 to 4.
         phase_count: 1: straight on only; 2: protected lefts as well.
         inflow_vph_per_lane: peak arrivals per lane, veh/h.
@@ -48,10 +58,13 @@ class PcgContexts:
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         approach: the leg that demand enters from, A to D, or ``all``.
+        exclude: boxes that no context lies in, each with one or more features:
+            ``[{lane_count:2,green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the preset's, ``[]`` lifts
+            them.
     """
 
     name: Literal["pcg"] = "pcg"
-    preset: Literal["systematicity_train", "systematicity_test", "easy"] = "systematicity_train"
+    preset: Literal["systematicity_train", "systematicity_test", "systematicity_grid", "easy"] = "systematicity_train"
     lane_count: Setting = None
     phase_count: Setting = None
     inflow_vph_per_lane: Setting = None
@@ -67,6 +80,7 @@ class PcgContexts:
     engine: Setting = None
     cv_vehicle: Setting = None
     approach: Setting = None
+    exclude: list[dict] | None = None
 
     def __post_init__(self) -> None:
         check_choice("contexts.preset", self.preset, PRESETS)
@@ -74,76 +88,72 @@ class PcgContexts:
     def build(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
         base = PRESETS[self.preset].product
-        named = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("name", "preset")}
-        changes = {name: _setting(name, value) for name, value in named.items() if value is not None}
+        changes = {name: _setting(name, getattr(self, name)) for name in DEFAULTS if getattr(self, name) is not None}
         together = [key for key in base.features if not isinstance(key, str) and set(key) & set(changes)]
         if together:
             raise IzooError(
-                f"contexts.preset={self.preset} draws {' and '.join(together[0])} together; choose another preset to set them."
+                f"contexts.preset={self.preset} draws {' and '.join(together[0])} together; "
+                "choose another preset to set them."
             )
-        return ProceduralSource({**base.features, **changes}, base.exclude)
+        boxes = base.exclude if self.exclude is None else tuple(_box(sides) for sides in self.exclude)
+        fixed = {name: DEFAULTS[name] for box in boxes for name in box.sides if name in DEFAULTS}
+        known = {name for key in base.features for name in ([key] if isinstance(key, str) else key)}
+        missing = {name: value for name, value in fixed.items() if name not in known}
+        source = ProceduralSource({**missing, **base.features, **changes}, boxes)
+        return source.interval_ends() if self.preset == "systematicity_grid" else source
 
 
-@dataclass(frozen=True)
-class DatasetContexts:
-    """The published dataset of measured intersections, downloaded by the user.
-
-    Attributes:
-        name: the source.
-        path: a folder of intersection folders, or one intersection folder with ``net.net.xml`` and ``inflows.txt``.
-        approaches: ``one``: a context per incoming approach, fed from it alone; ``all``: one per intersection.
-        adoption: share of controlled vehicles, 0 to 1.
-        hour: ``peak`` or ``off-peak``.
-        engine: of controlled vehicles, ``combustion`` or ``electric``.
-        cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
-    """
-
-    name: Literal["dataset"] = "dataset"
-    path: str | None = None
-    approaches: Literal["one", "all"] = "one"
-    adoption: float = 1.0 / 3.0
-    hour: Literal["peak", "off-peak"] = "peak"
-    engine: Literal["combustion", "electric"] = "combustion"
-    cv_vehicle: Literal["paper", "human"] = "paper"
-
-    def __post_init__(self) -> None:
-        check_range("contexts.adoption", self.adoption, 0.0, 1.0)
-        check_choice("contexts.hour", self.hour, HOURS)
-        check_choice("contexts.engine", self.engine, ENGINES)
-        check_choice("contexts.cv_vehicle", self.cv_vehicle, CV_VEHICLES)
-        if self.path is not None:
-            # Absolute, so that a run can be resumed and evaluated from another folder.
-            object.__setattr__(self, "path", str(Path(self.path).expanduser().absolute()))
-
-    def build(self) -> ContextSource:
-        """Read the folders and return their contexts; raises :class:`IzooError` naming the file that cannot be used."""
-        from izoo.networks.dataset import load_dataset
-
-        if self.path is None:
-            raise IzooError("contexts=dataset needs the dataset's folder: contexts.path=DIR.")
-        return load_dataset(
-            self.path,
-            approaches=self.approaches,
-            adoption=self.adoption,
-            hour=self.hour,
-            engine=self.engine,
-            cv_vehicle=self.cv_vehicle,
-        )
-
-
-ContextsConfig = Union[PcgContexts, DatasetContexts]
+ContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts
 
 
 def _setting(name: str, value: Any) -> Any:
-    """Read ``low..high`` as an interval; whole numbers become integers, as counts need."""
+    """Read ``low..high`` as an interval and a mapping as weights; whole numbers become integers, as counts need."""
     if isinstance(value, list):
         return [_setting(name, item) for item in value]
+    if isinstance(value, Mapping):
+        return _weights(name, value)
     if isinstance(value, str) and ".." in value:
+        low, high = _interval(name, value)
         try:
-            low, high = (float(end) for end in value.split(".."))
-        except ValueError:
-            raise IzooError(f"contexts.{name} is {value!r}; an interval is written low..high, like 20..32.") from None
-        return Uniform(low, high)
+            return Uniform(low, high)
+        except IzooError as error:
+            raise IzooError(f"contexts.{name}: {error}") from error
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value
+
+
+def _weights(name: str, value: Mapping[Any, Any]) -> Weighted:
+    if not all(isinstance(share, (int, float)) for share in value.values()):
+        raise IzooError(f"contexts.{name} is {dict(value)}; give each value its probability, like {{1:0.25,2:0.75}}.")
+    try:
+        return Weighted(tuple(_number(key) for key in value), tuple(value.values()))
+    except IzooError as error:
+        raise IzooError(f"contexts.{name}: {error}") from error
+
+
+def _number(value: Any) -> Any:
+    """Keys of a mapping are texts once they have been saved."""
+    try:
+        number = float(value)
+    except ValueError:
+        return value
+    return int(number) if number.is_integer() else number
+
+
+def _interval(name: str, value: str) -> tuple[float, float]:
+    try:
+        low, high = (float(end) for end in value.split(".."))
+    except ValueError:
+        raise IzooError(f"contexts.{name} is {value!r}; an interval is written low..high, like 20..32.") from None
+    return low, high
+
+
+def _box(sides: Mapping[str, Any]) -> Box:
+    for name in sides:
+        check_choice("feature of contexts.exclude", name, DEFAULTS)
+    intervals = {
+        name: _interval(f"exclude: {name}", side) if isinstance(side, str) and ".." in side else side
+        for name, side in sides.items()
+    }
+    return Box(intervals)

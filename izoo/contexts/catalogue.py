@@ -14,8 +14,9 @@ import numpy as np
 
 from izoo.contexts.cities import CITIES, SIZES, city_name, city_table
 from izoo.contexts.cities import get as get_city
-from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
+from izoo.contexts.context import CV_VEHICLES, ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.shapes import SHAPES
+from izoo.contexts.source import ContextList
 from izoo.contexts.spec import LEG_NAMES
 from izoo.contexts.splits import SplitName, city_split
 from izoo.contexts.weather import WEATHER_PUBLISHED, weather
@@ -77,13 +78,16 @@ def get(context_id: int) -> Context:
     return build(describe(context_id))
 
 
-def build(scenario: Scenario, approach: str | None = None, weather_from: str = "county") -> Context:
+def build(
+    scenario: Scenario, approach: str | None = None, weather_from: str = "county", cv_vehicle: str = "paper"
+) -> Context:
     """Build a scenario; one that is not in the catalogue as it stands gets no id.
 
     Args:
         scenario: its ``adoption`` may be any share.
         approach: the only leg with demand; ``None`` for all.
         weather_from: ``county`` (by season) or ``published`` (the paper's fixed values, two cities only).
+        cv_vehicle: whose parameters uncommanded CVs have; see :class:`~izoo.contexts.context.Context`.
     """
     check_choice("weather", weather_from, WEATHERS)
     if weather_from == "published":
@@ -91,7 +95,8 @@ def build(scenario: Scenario, approach: str | None = None, weather_from: str = "
         temperature_c, humidity_pct = WEATHER_PUBLISHED[scenario.city]
     else:
         temperature_c, humidity_pct = _county_weather(scenario.city, scenario.season)
-    listed = approach is None and weather_from == "county" and scenario.adoption in ADOPTIONS
+    as_listed = approach is None and weather_from == "county" and cv_vehicle == "paper"
+    listed = as_listed and scenario.adoption in ADOPTIONS
     return Context(
         intersection=get_city(scenario.city)[scenario.intersection],
         approach=approach,
@@ -101,6 +106,7 @@ def build(scenario: Scenario, approach: str | None = None, weather_from: str = "
         engine=scenario.engine,
         temperature_c=temperature_c,
         humidity_pct=humidity_pct,
+        cv_vehicle=cv_vehicle,
         context_id=find_id(*scenario) if listed else None,
     )
 
@@ -119,6 +125,7 @@ class Scenarios(Sequence[Context]):
         split: which intersections of each city (:mod:`izoo.contexts.splits`).
         approaches: ``all``: demand from every approach at once; ``one``: one context per approach (the paper's form).
         weather: ``county`` or ``published``.
+        cv_vehicle: ``paper`` or ``human``.
     """
 
     def __init__(
@@ -131,10 +138,12 @@ class Scenarios(Sequence[Context]):
         split: SplitName = "all",
         approaches: Literal["all", "one"] = "all",
         weather: Literal["county", "published"] = "county",
+        cv_vehicle: Literal["paper", "human"] = "paper",
     ) -> None:
         check_choice("approaches", approaches, APPROACHES)
         check_choice("weather", weather, WEATHERS)
-        self.approaches, self.weather = approaches, weather
+        check_choice("cv_vehicle", cv_vehicle, CV_VEHICLES)
+        self.approaches, self.weather, self.cv_vehicle = approaches, weather, cv_vehicle
         self.cities = _ordered("city", [city_name(name) for name in _several(city, CITIES)], CITIES)
         seasons = _ordered("season", _several(season, SEASONS), SEASONS)
         hours = _ordered("hour", _several(hour, HOURS), HOURS)
@@ -159,7 +168,7 @@ class Scenarios(Sequence[Context]):
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
         if isinstance(index, slice):
             return [self[position] for position in range(*index.indices(len(self)))]
-        return build(*self.locate(index), self.weather)
+        return build(*self.locate(index), self.weather, self.cv_vehicle)
 
     def sample(self, generator: np.random.Generator) -> Context:
         """Draw one context, uniformly."""
@@ -191,6 +200,35 @@ class Scenarios(Sequence[Context]):
         intersection = int(self._places[which][place - (int(self._city_ends[which - 1]) if which else 0)])
         scenario = Scenario(city, intersection, *reversed(values))
         return scenario, None if self.approaches == "all" else _incoming(city, intersection)[leg]
+
+
+def by_ids(ids: Sequence[range], cv_vehicle: str = "paper") -> ContextList:
+    """Return the scenarios with the ids in some ranges, in that order, each built when it is asked for."""
+    check_choice("cv_vehicle", cv_vehicle, CV_VEHICLES)
+    for numbers in ids:
+        if len(numbers):
+            describe(numbers[0]), describe(numbers[-1])
+    return ContextList(_Listed(ids, cv_vehicle))
+
+
+class _Listed(Sequence[Context]):
+    """Scenarios by id."""
+
+    def __init__(self, ids: Sequence[range], cv_vehicle: str) -> None:
+        self._ids, self._cv_vehicle = list(ids), cv_vehicle
+        self._ends = np.cumsum([len(numbers) for numbers in ids])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        if isinstance(index, slice):
+            return [self[position] for position in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"entry {index} of {len(self)} scenarios does not exist.")
+        which = int(np.searchsorted(self._ends, index % len(self), side="right"))
+        numbers = self._ids[which]
+        return build(describe(numbers[index % len(self) - int(self._ends[which])]), cv_vehicle=self._cv_vehicle)
 
 
 def _several(value: Any, every: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -1,0 +1,188 @@
+"""``contexts=...``: every choice builds what it says, and refuses what it cannot use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from izoo.conf import compose
+from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.cities import CatalogueContexts, CityContexts
+from izoo.conf.contexts import PcgContexts
+from izoo.conf.folders import DatasetContexts, OsmContexts
+from izoo.conf.options import TrainConfig
+from izoo.contexts import catalogue
+from izoo.contexts.cities import SIZES
+from izoo.contexts.procedural import SYSTEMATICITY_TEST
+from izoo.contexts.source import ContextList
+from izoo.errors import IzooError
+
+CHOICES = {
+    "pcg": PcgContexts(),
+    "pcg_easy": PcgContexts(preset="easy"),
+    "systematicity_test": PcgContexts(preset="systematicity_grid"),
+    "city": CityContexts(),
+    "catalogue": CatalogueContexts(),
+    "dataset": DatasetContexts(),
+    "osm": OsmContexts(),
+}
+
+
+def chosen(*words: str):
+    """What ``python -m izoo.train WORDS`` takes as its contexts."""
+    return compose.compose_config("train", TrainConfig, list(words)).contexts
+
+
+def test_every_file_is_the_default_of_its_dataclass():
+    assert set(CHOICES) == set(compose.choices()["contexts"])
+    for name, config in CHOICES.items():
+        assert chosen(f"contexts={name}") == config
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        CityContexts(city=["atlanta", "boston"], season=None, adoption=[0.1, 0.5]),
+        CatalogueContexts(ids=(3, "100..199")),
+        PcgContexts(lane_count={1: 0.25, 2: 0.75}, exclude=[{"green_s": "20..24"}]),
+        OsmContexts(path="/town", split="test"),
+    ],
+)
+def test_options_survive_being_saved(config):
+    saved = from_mapping(TrainConfig, to_mapping(TrainConfig(contexts=config))).contexts
+    assert to_mapping(saved) == to_mapping(config)
+    if isinstance(config, PcgContexts):
+        one, two = (each.build().sample(np.random.default_rng(3)) for each in (config, saved))
+        assert one == two
+
+
+def test_a_city_is_named_on_one_line():
+    source = chosen(
+        "contexts=city",
+        "contexts.city=salt_lake_city",
+        "contexts.season=summer",
+        "contexts.hour=peak",
+        "contexts.adoption=0.33",
+        "contexts.split=train",
+        "contexts.approaches=all",
+    ).build()
+    assert len(source) == SIZES["salt_lake_city"] - 56
+    context = source[0]
+    assert (context.season, context.hour, context.adoption, context.approach) == ("summer", "peak", 0.33, None)
+    test = chosen("contexts=city", "contexts.city=atlanta", "contexts.split=test", "contexts.weather=published").build()
+    assert test[0].intersection.city == "atlanta"
+    assert (test[0].temperature_c, test[0].humidity_pct) == (22.8, 83.0)
+    assert test[0].approach == "A"
+
+
+def test_cities_take_lists_and_null():
+    source = chosen(
+        "contexts=city", "contexts.city=[boston,atlanta]", "contexts.season=null", "contexts.approaches=all"
+    )
+    assert len(source.build()) == 4 * (SIZES["boston"] + SIZES["atlanta"])
+    assert CityContexts(cv_vehicle="human").build()[5].cv_vehicle == "human"
+
+
+def test_catalogue_ids_and_ranges():
+    source = chosen("contexts=catalogue", "contexts.ids=[7,100..103,7]").build()
+    assert [context.context_id for context in source] == [7, 100, 101, 102, 103, 7]
+    assert source[-1] == catalogue.get(7)
+    assert source[1:3] == [catalogue.get(100), catalogue.get(101)]
+    everything = CatalogueContexts(ids=(f"0..{catalogue.SIZE - 1}",)).build()
+    assert len(everything) == catalogue.SIZE
+    assert everything.sample(np.random.default_rng(0)).context_id is not None
+    assert CatalogueContexts(ids=(7,), cv_vehicle="human").build()[0].context_id is None
+
+
+def test_procedural_settings():
+    source = chosen(
+        "contexts=pcg",
+        "contexts.inflow_vph_per_lane=[100,600]",
+        "contexts.green_s=20..40",
+        "contexts.lane_count={1:0.25,2:0.75}",
+        "contexts.phase_count=1",
+        "contexts.exclude=[{green_s:22..40,lane_count:2}]",
+    ).build()
+    lanes = []
+    for seed in range(300):
+        context = source.sample(np.random.default_rng(seed))
+        approach = context.intersection.leg("A").approach
+        green_s = context.intersection.signal_plan.phases[0].duration_s
+        lanes.append(approach.lane_count)
+        assert context.flow_vph_per_lane("A") == pytest.approx(100.0) or context.flow_vph_per_lane("A") == 600.0
+        assert 20.0 <= green_s <= 40.0
+        assert approach.lane_count == 1 or green_s < 22.0
+    assert set(lanes) == {1, 2}
+
+
+def test_an_exclusion_may_name_a_feature_that_is_not_drawn():
+    easy = PcgContexts(preset="easy", lane_count=[1, 2], exclude=[{"lane_count": 2, "green_s": "20..30"}]).build()
+    lanes = {easy.sample(np.random.default_rng(k)).intersection.leg("A").approach.lane_count for k in range(20)}
+    assert lanes == {1}
+
+
+def test_an_empty_list_lifts_the_exclusion():
+    inside = {"lane_count": 2, "phase_count": 2, "inflow_vph_per_lane": 450, "green_s": 27, "red_s": 27}
+    inside |= {"lane_length_m": 400, "speed_limit_mps": 17.5, "offset_s": 2.5}
+    with pytest.raises(IzooError, match="leaves nothing"):
+        PcgContexts(**inside).build()
+    assert PcgContexts(**inside, exclude=[]).build().sample(np.random.default_rng(0)).adoption == pytest.approx(1 / 3)
+
+
+def test_the_systematicity_test_set():
+    grid = chosen("contexts=systematicity_test").build()
+    assert isinstance(grid, ContextList)
+    assert [context.content_hash for context in grid] == [context.content_hash for context in SYSTEMATICITY_TEST]
+
+
+def test_dataset_splits_share_out_the_intersections(dataset):
+    path = dataset[0].intersection.net_path.rsplit("/", 2)[0]
+    names = {}
+    for split in ("train", "validation", "test", "all"):
+        source = DatasetContexts(path=path, split=split).build()
+        names[split] = {context.intersection.name for context in source}
+    assert (len(names["train"]), len(names["validation"]), len(names["test"])) == (48, 6, 6)
+    assert names["train"] | names["validation"] | names["test"] == names["all"]
+    with pytest.raises(IzooError, match="named after one of the ten"):
+        DatasetContexts(path=path, weather="county", season="winter").build()
+    with pytest.raises(IzooError, match="too few for a test set"):
+        DatasetContexts(path=dataset[0].intersection.net_path.rsplit("/", 1)[0], split="test").build()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["contexts=city", "contexts.city=atlantis"], "atlanta"),
+        (["contexts=city", "contexts.season=monsoon"], "winter"),
+        (["contexts=city", "contexts.adoption=1.5"], r"\[0, 1\]"),
+        (["contexts=city", "contexts.adoption=[0.5,1.5]"], r"\[0, 1\]"),
+        (["contexts=city", "contexts.weather=published", "contexts.season=fall"], "summer"),
+        (["contexts=city", "contexts.weather=published", "contexts.city=boston"], "salt_lake_city, atlanta"),
+        (["contexts=city", "contexts.city=[]"], "a filter is empty"),
+        (["contexts=catalogue"], "contexts.ids is empty"),
+        (["contexts=catalogue", "contexts.ids=[1306720]"], "0 to 1306719"),
+        (["contexts=catalogue", "contexts.ids=[-1]"], "0 to 1306719"),
+        (["contexts=catalogue", "contexts.ids=[9..3]"], "upside down"),
+        (["contexts=catalogue", "contexts.ids=[x]"], "'x'"),
+        (["contexts=dataset"], "contexts.path=DIR"),
+        (["contexts=dataset", "contexts.path=/nowhere"], "/nowhere does not exist"),
+        (["contexts=dataset", "contexts.season=fall"], "contexts.weather=county"),
+        (["contexts=osm"], "contexts.path=DIR"),
+        (["contexts=osm", "contexts.path=/nowhere"], "izoo.contexts build --osm"),
+        (["contexts=osm", "contexts.humidity_pct=120"], "100"),
+        (["contexts=pcg", "contexts.green_s=40..20"], "contexts.green_s: .*upside down"),
+        (["contexts=pcg", "contexts.green_s=a..b"], "low..high"),
+        (["contexts=pcg", "contexts.lane_count={1:0.5,2:0.4}"], "contexts.lane_count: .*sum to 0.9"),
+        (["contexts=pcg", "contexts.lane_count={1:x}"], "probability"),
+        (["contexts=pcg", "contexts.lane_count=[]"], "empty"),
+        (["contexts=pcg", "contexts.lane_count=7"], "lane_count"),
+        (["contexts=pcg", "contexts.exclude=[{}]"], "exclude everything"),
+        (["contexts=pcg", "contexts.exclude=[{green_s:30..20}]"], "low first"),
+        (["contexts=pcg", "contexts.exclude=[{lanes:2}]"], "lane_count"),
+        (["contexts=pcg", "contexts.exclude=[{green_s:0..300}]"], "leaves nothing"),
+        (["contexts=systematicity_test", "contexts.lane_count=1"], "together"),
+    ],
+)
+def test_bad_input_names_the_value_and_what_is_legal(words, message):
+    with pytest.raises(IzooError, match=message):
+        chosen(*words).build()
