@@ -75,8 +75,8 @@ class EcoDrivingBase(EnvBase):
         ended = following._get_str("done", None)
         root = following.exclude(("agents", "reward"))
         if self.frames["truncated"].any():
-            root._set_str("_reset", ended.clone(), validated=True, inplace=False, non_blocking=False)
-            root = self.reset(root.select("_reset"))
+            # Not reset(): given the mask alone, it would blank the rows that go on.
+            root = self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
         return tensordict, root
 
     def _first_frame(self) -> TensorDict:
