@@ -202,7 +202,13 @@ class GraphPolicy(SamplingPolicy):
         self.in_keys = [base.OBSERVATION, base.MASK]
 
     def parameters_of(self, agents: TensorDictBase) -> tuple[Tensor, Tensor]:
-        return self.network.network(agents.get("observation"), agents.get("mask"))
+        """Return median and spread before the tanh; slots beyond the last that is taken are left out of the graph."""
+        observation, mask = agents.get("observation"), agents.get("mask")
+        taken = mask.reshape(-1, mask.shape[-1]).any(0).nonzero()
+        used = int(taken[-1]) + 1 if len(taken) else 1
+        unused = (0, 0, 0, mask.shape[-1] - used)
+        loc, scale = self.network.network(observation[..., :used, :], mask[..., :used])
+        return nn.functional.pad(loc, unused), nn.functional.pad(scale, unused, value=1.0)
 
 
 class GCRL(SetPPO):

@@ -28,7 +28,7 @@ def places(mask: Tensor) -> tuple[Tensor, Tensor]:
 
     Frames are the entries of ``M``, flattened; those without agents are not counted.
     """
-    frame = mask.flatten(0, -2).nonzero()[:, 0]
+    frame = mask.reshape(-1, mask.shape[-1]).nonzero()[:, 0]
     column = (mask.cumsum(-1) - 1)[mask]
     return torch.unique_consecutive(frame, return_inverse=True)[1], column
 

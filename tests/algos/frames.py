@@ -1,0 +1,90 @@
+"""Small batches for algorithms whose networks look at whole frames."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from izoo.algos import base
+from izoo.algos.sets import SetPPO
+
+LOW, HIGH, FEATURES = -4.5, 2.6, 5
+
+
+def make_frames(n: int = 2, t: int = 6, a: int = 4, seed: int = 0) -> TensorDict:
+    """A batch ``[n, t]`` as an environment makes it, with noise in its empty slots.
+
+    Agent 1 of environment 0 leaves at step 2, and another takes its slot at step 5; the last slot stays empty. Episode
+    0 of environment 1 ends at step 3; environment 0 is empty at step 4.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    shape = (n, t, a)
+    mask = torch.ones(shape, dtype=torch.bool)
+    mask[:, :, -1] = False
+    terminated = torch.zeros(*shape, 1, dtype=torch.bool)
+    if t > 5:
+        mask[0, 3:5, 1] = False
+        terminated[0, 2, 1] = True
+        mask[0, 4] = False
+        terminated[0, 3] = mask[0, 3].unsqueeze(-1)
+    truncated = torch.zeros_like(terminated)
+    if t > 4 and n > 1:
+        truncated[1, 3] = mask[1, 3].unsqueeze(-1)
+    observation = torch.randn(*shape, FEATURES, generator=generator)
+    following = torch.randn(*shape, FEATURES, generator=generator)
+    next_mask = mask & ~terminated.squeeze(-1)
+    for step in range(t - 1):
+        goes_on = ~truncated[:, step].flatten(1).any(1)  # the environment; a leaver's slot stays empty for a step
+        following[goes_on, step] = observation[goes_on, step + 1]
+        next_mask[goes_on, step] = mask[goes_on, step + 1]
+    successor = {
+        "observation": following,
+        "mask": next_mask,
+        "reward": torch.randn(*shape, 1, generator=generator),
+        "done": terminated | truncated,
+        "terminated": terminated,
+        "truncated": truncated,
+    }
+    agents = TensorDict({"observation": observation, "mask": mask}, shape)
+    return TensorDict({"agents": agents, "next": TensorDict({"agents": TensorDict(successor, shape)}, [n, t])}, [n, t])
+
+
+def act(algorithm: SetPPO, batch: TensorDict, seed: int = 1) -> TensorDict:
+    """Let the collection policy act on every frame of a copy of ``batch``."""
+    torch.manual_seed(seed)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        return algorithm.policy(batch.clone())
+
+
+def alone(algorithm: SetPPO, observation: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    """Values ``[*M, A]``, one frame at a time, of its valid agents alone; 0 in empty slots."""
+    values = torch.zeros(mask.shape)
+    network = algorithm.critic.module.network
+    for place in torch.cartesian_prod(*(torch.arange(size) for size in mask.shape[:-1])).tolist():
+        here = tuple(place)
+        valid = mask[here]
+        if valid.any():
+            everyone = torch.ones(1, int(valid.sum()), dtype=torch.bool)
+            with torch.no_grad():
+                values[here][valid] = network(observation[here][valid].unsqueeze(0), everyone)[0, :, 0]
+    return values
+
+
+def hand_advantages(algorithm: SetPPO, batch: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+    """Advantages and values ``[N, T, A]`` by the textbook recursion, slot by slot, in plain Python."""
+    config = algorithm.config
+    value = alone(algorithm, batch[base.OBSERVATION], batch[base.MASK])
+    following = alone(algorithm, batch["next"][base.OBSERVATION], batch["next"][base.MASK])
+    done, terminated = (batch["next", "agents", key].squeeze(-1) for key in ("done", "terminated"))
+    reward = batch["next", "agents", "reward"].squeeze(-1) * config.reward_scale
+    advantage = torch.zeros_like(value)
+    for n in range(value.shape[0]):
+        for a in range(value.shape[2]):
+            running = 0.0
+            for t in reversed(range(value.shape[1])):
+                bootstrap = 0.0 if terminated[n, t, a] else float(following[n, t, a])
+                delta = float(reward[n, t, a]) + config.gamma * bootstrap - float(value[n, t, a])
+                running = delta + config.gamma * config.gae_lambda * (0.0 if done[n, t, a] else running)
+                advantage[n, t, a] = running if batch[base.MASK][n, t, a] else 0.0
+    return advantage, value
