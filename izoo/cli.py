@@ -78,7 +78,7 @@ def _run(command: Command, words: Sequence[str]) -> int:
         return 0
     if "-m" in flags or "--multirun" in flags:
         return _multirun(command, config_class, options)
-    config = compose.compose_config(command.name, config_class, options)
+    config: Any = compose.compose_config(command.name, config_class, options)
     if "--cfg" in flags:
         print(to_yaml(config), end="")
         return 0
@@ -89,6 +89,7 @@ def _run(command: Command, words: Sequence[str]) -> int:
 def _multirun(command: Command, config_class: type, options: Sequence[str]) -> int:
     """Run once for each combination, through Hydra's launcher; the first bad input stops the sweep."""
     import hydra
+    from hydra.core.hydra_config import HydraConfig
     from omegaconf import DictConfig
 
     from izoo.conf import compose
@@ -100,9 +101,9 @@ def _multirun(command: Command, config_class: type, options: Sequence[str]) -> i
 
     def job(composed: DictConfig) -> None:
         try:
-            config = compose.to_dataclass(composed, config_class)
+            config: Any = compose.to_dataclass(composed, config_class)
             if getattr(config, "run_dir", "") is None:
-                output = hydra.core.hydra_config.HydraConfig.get().runtime.output_dir
+                output = HydraConfig.get().runtime.output_dir
                 config = dataclasses.replace(config, run_dir=output)
             command.work()(config, given)
         except IzooError as error:

@@ -28,7 +28,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     Raises:
         IzooError: a key is unknown, a value has the wrong type, or the dataclass refuses it.
     """
-    hints = field_types(cls)
+    hints: dict[str, Any] = field_types(cls)
     for key in values:
         if key not in hints:
             raise unknown_choice("option", _join(path, key), [_join(path, name) for name in hints])
@@ -47,7 +47,7 @@ def to_mapping(config: Any) -> Any:
 
 
 @functools.cache
-def field_types(cls: type) -> dict[str, Any]:
+def field_types(cls: Any) -> dict[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
     hints = typing.get_type_hints(cls)
     return {field.name: hints[field.name] for field in dataclasses.fields(cls) if field.init}
@@ -70,10 +70,10 @@ def _convert(kind: Any, value: Any, path: str) -> Any:
         return value
     if origin in (tuple, list):
         return _convert_sequence(kind, value, path)
-    if dataclasses.is_dataclass(kind):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         if not isinstance(value, Mapping):
-            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(kind))}.")  # type: ignore[arg-type]
-        return from_mapping(kind, value, path)  # type: ignore[arg-type]
+            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(kind))}.")
+        return from_mapping(kind, value, path)
     return _convert_scalar(kind, value, path)
 
 
@@ -82,7 +82,7 @@ def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
         return None
     groups = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     if groups and isinstance(value, Mapping):
-        names = {get_args(field_types(kind)["name"])[0]: kind for kind in groups if "name" in field_types(kind)}  # type: ignore[arg-type]
+        names = {get_args(field_types(kind)["name"])[0]: kind for kind in groups if "name" in field_types(kind)}
         name = value.get("name")
         if name not in names:
             raise unknown_choice(_join(path, "name"), name, names)

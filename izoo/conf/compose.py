@@ -89,7 +89,7 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
     check_names(config_name, overrides)
     try:
         with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
-            composed = compose(config_name=config_name, overrides=[override.input_line for override in overrides])
+            composed = compose(config_name=config_name, overrides=[_word(override) for override in overrides])
     except (HydraException, OmegaConfBaseException) as error:
         raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
     return to_dataclass(composed, cls)
@@ -103,7 +103,7 @@ def check_combinations(config_name: str, cls: type, overrides: Sequence[Override
     words = [
         [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
         if override.is_sweep_override()
-        else [override.input_line or ""]
+        else [_word(override)]
         for override in overrides
         if not override.key_or_group.startswith("hydra")
     ]
@@ -123,6 +123,11 @@ def to_dataclass(composed: DictConfig, cls: type[T]) -> T:
 def clear() -> None:
     """Forget Hydra's global state, so that a command can be run again in the same process."""
     GlobalHydra.instance().clear()
+
+
+def _word(override: Override) -> str:
+    """Return the word that ``override`` was parsed from, quoted where that was needed."""
+    return str(override.input_line)
 
 
 def _values(override: Override) -> list[str]:
@@ -159,7 +164,7 @@ def _choices_with(key: str) -> list[str]:
     group, _, name = key.partition(".")
     found = []
     for choice in choices().get(group, ()):
-        text = resources.files(CONFIG_MODULE).joinpath(group, f"{choice}.yaml").read_text()
+        text = (resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text()
         if name in OmegaConf.create(text):
             found.append(f"{group}={choice}")
     return found
