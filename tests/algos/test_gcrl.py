@@ -1,0 +1,142 @@
+"""Graph RL: the graph and its attention by hand, how far information travels, and a real run."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from izoo import train
+from izoo.algos import base
+from izoo.algos.gcrl import STOP_LINE_DISTANCE, Convolution, GCRLConfig, GraphNetwork, neighbourhood
+from izoo.conf.compose import compose_config
+from izoo.conf.options import TrainConfig
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import DISTANCE_SCALE_M, observation_names
+from izoo.errors import IzooError
+from izoo.training import runs
+from izoo.training.records import MetricsTable
+from tests.algos.frames import FEATURES
+
+POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
+EVERYONE = torch.ones(6, dtype=torch.bool)
+
+
+def sets(attended: torch.Tensor) -> list[set[int]]:
+    return [set(row.nonzero()[:, 0].tolist()) for row in attended]
+
+
+def test_the_nearest_are_neighbours() -> None:
+    assert sets(neighbourhood(POSITIONS, EVERYONE, 1, None)) == [{0, 1}, {0, 1}, {1, 2}, {3, 4}, {3, 4}, {3, 4, 5}]
+    assert sets(neighbourhood(POSITIONS, EVERYONE, 2, None))[2] == {0, 1, 2}
+
+
+def test_vehicles_out_of_range_are_none() -> None:
+    assert sets(neighbourhood(POSITIONS, EVERYONE, None, 30.0)) == [
+        {0, 1},
+        {0, 1, 2},
+        {1, 2},
+        {3, 4, 5},
+        {3, 4, 5},
+        {3, 4, 5},
+    ]
+    assert sets(neighbourhood(POSITIONS, EVERYONE, 4, 5.0))[5] == {5}, "a vehicle without neighbours has itself"
+
+
+def test_ties_are_all_neighbours() -> None:
+    """Whoever is inside the junction is at 0; the order of the slots must not choose among them."""
+    inside = torch.tensor([0.0, 0.0, 0.0, -10.0])
+    assert sets(neighbourhood(inside, torch.ones(4, dtype=torch.bool), 1, None)) == [{0, 1, 2}] * 3 + [{0, 1, 2, 3}]
+
+
+def test_empty_slots_are_nobodys_neighbours() -> None:
+    mask = torch.tensor([True, False, True, True, False, True])
+    attended = neighbourhood(POSITIONS, mask, 2, None)
+    assert sets(attended[mask]) == [{0, 2, 3}, {0, 2, 3}, {2, 3, 5}, {2, 3, 5}]
+    assert sets(attended[~mask]) == [{1}, {4}]
+    assert sets(neighbourhood(POSITIONS, EVERYONE, 0, None)) == [{k} for k in range(6)]
+    assert sets(neighbourhood(POSITIONS, EVERYONE, None, None)) == [set(range(6))] * 6
+
+
+def test_the_stop_line_distance_is_where_the_graph_reads_it() -> None:
+    assert observation_names(EnvConfig())[STOP_LINE_DISTANCE] == "stop_line_distance"
+
+
+def test_a_convolution_equals_a_hand_computation() -> None:
+    """Multi-head dot-product attention, in plain Python."""
+    torch.manual_seed(1)
+    convolution = Convolution(width=6, heads=2, activation="tanh")
+    encoding = torch.randn(4, 6)
+    attended = torch.tensor([[1, 1, 0, 0], [1, 1, 1, 0], [0, 0, 1, 0], [1, 0, 1, 1]], dtype=torch.bool)
+    with torch.no_grad():
+        found = convolution(encoding, attended)
+        query, key, value = convolution.project(encoding).split(6, dim=-1)
+        for i in range(4):
+            mixed = []
+            for head in (slice(0, 3), slice(3, 6)):
+                members = attended[i].nonzero()[:, 0].tolist()
+                scores = [math.exp(float(query[i, head] @ key[j, head]) / math.sqrt(3)) for j in members]
+                mixed.append(sum(s / sum(scores) * value[j, head] for s, j in zip(scores, members, strict=True)))
+            torch.testing.assert_close(found[i], convolution.combine(torch.cat(mixed)), atol=1e-5, rtol=1e-5)
+
+
+def make_network(**changes: object) -> GraphNetwork:
+    torch.manual_seed(4)
+    config = GCRLConfig(**{"hidden": (8, 8), "heads": 2, "neighbours": None, "range_m": 50.0, **changes})  # type: ignore[arg-type]
+    return GraphNetwork(FEATURES, 1, config, last_gain=1.0)
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+def test_information_travels_one_hop_per_layer(layers: int) -> None:
+    """Vehicles 40 m apart on a line, within 50 m of each other: a change reaches ``layers`` vehicles along."""
+    network = make_network(layers=layers)
+    observation = torch.randn(5, FEATURES)
+    observation[:, STOP_LINE_DISTANCE] = torch.arange(5) * -40.0 / DISTANCE_SCALE_M
+    changed = observation.clone()
+    changed[0, 0] += 1.0
+    with torch.no_grad():
+        moved = (network(observation, EVERYONE[:5]) - network(changed, EVERYONE[:5])).abs().squeeze(-1) > 1e-6
+    assert moved.tolist() == [k <= layers for k in range(5)]
+
+
+def test_a_lonely_vehicle_is_as_if_alone() -> None:
+    network = make_network()
+    observation = torch.randn(3, FEATURES)
+    observation[:, STOP_LINE_DISTANCE] = torch.tensor([-200.0, -100.0, 0.0]) / DISTANCE_SCALE_M
+    with torch.no_grad():
+        together = network(observation, EVERYONE[:3])
+        apart = torch.cat([network(observation[k : k + 1], EVERYONE[:1]) for k in range(3)])
+    torch.testing.assert_close(together, apart)
+
+
+def test_gradients_do_not_reach_empty_slots() -> None:
+    network = make_network(range_m=None, neighbours=2)
+    observation = torch.randn(5, 4, FEATURES, requires_grad=True)
+    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
+    network(observation, mask)[mask].sum().backward()
+    assert observation.grad is not None
+    assert not observation.grad[~mask].any()
+    assert observation.grad[mask].any()
+
+
+@pytest.mark.parametrize(("word", "value"), [("algo=gcrl", GCRLConfig()), ("algo=gcrl_paper", GCRLConfig.paper())])
+def test_yaml_equals_the_dataclass(word: str, value: GCRLConfig) -> None:
+    assert compose_config("train", TrainConfig, [word]).algo == value
+
+
+def test_bad_hyper_parameters_are_refused() -> None:
+    for changes in ({"neighbours": -1}, {"range_m": -1.0}, {"layers": 0}, {"heads": 3}, {"hidden": ()}):
+        with pytest.raises(IzooError):
+            GCRLConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_a_short_run_on_sumo(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = ["algo=gcrl", "contexts=pcg_easy", "algo.frames_per_batch=1000", "total_frames=3000", f"run_dir={run_dir}"]
+    assert train.main([*words, "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=275"]) == 0
+    losses = MetricsTable(run_dir / runs.METRICS_FILE, 3000).series("loss_critic")[1]
+    assert len(losses) == 3
+    assert all(math.isfinite(loss) for loss in losses)
+    assert runs.load_policy(run_dir).in_keys == [base.OBSERVATION, base.MASK], "neighbours act on each other"

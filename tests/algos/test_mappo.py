@@ -1,0 +1,110 @@
+"""MAPPO's critic: the attention by hand, who sees whom, and a real run."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from izoo import train
+from izoo.algos import base
+from izoo.algos.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
+from izoo.algos.ppo import PPOConfig
+from izoo.conf.compose import compose_config
+from izoo.conf.options import TrainConfig
+from izoo.errors import IzooError
+from izoo.training import runs
+from izoo.training.records import MetricsTable
+from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+
+
+def make_critic(**changes: object) -> SetCritic:
+    torch.manual_seed(2)
+    config = MAPPOConfig(**{"hidden": (6, 6), "critic_queries": 2, "critic_embedding": 4, **changes})  # type: ignore[arg-type]
+    return SetCritic(FEATURES, config)
+
+
+def test_values_equal_a_hand_computation() -> None:
+    """Three vehicles and an empty slot, in plain Python."""
+    critic = make_critic()
+    observation = torch.randn(4, FEATURES)
+    observation[2] = float("nan")
+    mask = torch.tensor([True, True, False, True])
+    with torch.no_grad():
+        values = critic(observation, mask)
+        own = [critic.embed(observation[k]) for k in (0, 1, 3)]
+        summaries = []
+        for query in range(2):
+            scores = [math.exp(float(critic.score(vector)[query])) for vector in own]
+            summaries.append(sum(score / sum(scores) * vector for score, vector in zip(scores, own, strict=True)))
+        shared = torch.cat([critic.gather(torch.cat(summaries)), torch.tensor([3 / COUNT_SCALE])])
+        expected = torch.stack([critic.value(torch.cat([vector, shared])) for vector in own])
+    torch.testing.assert_close(values[mask], expected)
+    assert values.isfinite().all()
+
+
+def test_an_empty_set_has_an_empty_summary() -> None:
+    critic = make_critic()
+    with torch.no_grad():
+        summary = critic.attend(torch.randn(3, 4), torch.zeros(3, dtype=torch.bool))
+        values = critic(torch.randn(3, FEATURES), torch.zeros(3, dtype=torch.bool))
+    assert not summary.any()
+    assert values.isfinite().all()
+
+
+def test_the_critic_sees_everyone_and_the_policy_only_oneself() -> None:
+    torch.manual_seed(0)
+    mappo = MAPPO(MAPPOConfig(hidden=(8, 8)), FEATURES, LOW, HIGH)
+    batch = make_frames()
+    changed = batch.clone()
+    changed[base.OBSERVATION][..., 0, :] += 1.0
+    mask = batch[base.MASK]
+    second = mask & (torch.arange(4) == 1) & mask[..., :1]
+    with torch.no_grad():
+        before, after = mappo.values(batch, second), mappo.values(changed, second)
+        policy = mappo.policy.network
+        torch.testing.assert_close(
+            policy(batch[base.OBSERVATION])[0][second], policy(changed[base.OBSERVATION])[0][second]
+        )
+    assert float((before - after).abs().min()) > 1e-4
+
+
+def test_gradients_do_not_reach_empty_slots() -> None:
+    critic = make_critic()
+    observation = torch.randn(5, 4, FEATURES, requires_grad=True)
+    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
+    critic(observation, mask)[mask].sum().backward()
+    assert observation.grad is not None
+    assert not observation.grad[~mask].any()
+    assert observation.grad[mask].any()
+
+
+@pytest.mark.parametrize(("word", "value"), [("algo=mappo", MAPPOConfig()), ("algo=mappo_paper", MAPPOConfig.paper())])
+def test_yaml_equals_the_dataclass(word: str, value: MAPPOConfig) -> None:
+    assert compose_config("train", TrainConfig, [word]).algo == value
+
+
+def test_the_paper_preset_is_rllibs_ppo() -> None:
+    paper, ppo = MAPPOConfig.paper(), PPOConfig.paper()
+    assert {name: getattr(paper, name) for name in vars(ppo) if name != "name"} == {
+        name: value for name, value in vars(ppo).items() if name != "name"
+    }
+
+
+def test_bad_hyper_parameters_are_refused() -> None:
+    for changes in ({"critic_queries": 0}, {"critic_embedding": 0}, {"gamma": 2.0}):
+        with pytest.raises(IzooError):
+            MAPPOConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_a_short_run_on_sumo(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = ["algo=mappo", "contexts=pcg_easy", "algo.frames_per_batch=1000", "total_frames=3000", f"run_dir={run_dir}"]
+    assert train.main([*words, "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=275"]) == 0
+    losses = MetricsTable(run_dir / runs.METRICS_FILE, 3000).series("loss_critic")[1]
+    assert len(losses) == 3
+    assert all(math.isfinite(loss) for loss in losses)
+    policy = runs.load_policy(run_dir)
+    assert policy.in_keys == [base.OBSERVATION], "it acts on one vehicle's observation"
