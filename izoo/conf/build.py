@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -46,7 +45,6 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
-@functools.cache
 def field_types(cls: Any) -> dict[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
     hints = typing.get_type_hints(cls)
@@ -70,10 +68,11 @@ def _convert(kind: Any, value: Any, path: str) -> Any:
         return value
     if origin in (tuple, list):
         return _convert_sequence(kind, value, path)
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+    if dataclasses.is_dataclass(kind):
+        group: Any = kind
         if not isinstance(value, Mapping):
-            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(kind))}.")
-        return from_mapping(kind, value, path)
+            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(group))}.")
+        return from_mapping(group, value, path)
     return _convert_scalar(kind, value, path)
 
 
