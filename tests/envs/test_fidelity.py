@@ -2,53 +2,22 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-import sumo
-from defusedxml import ElementTree
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.sumo import sumo_arguments
 from izoo.networks.build import build_net
 from izoo.networks.roadnet import read_road
-from izoo.traffic.episode import sample_traffic, write_routes
+from tests.envs.reference import Steps, run_sumo
 from tests.envs.worlds import crossing, defer, episode, play, steer
 
 SEED = 11
 CONFIG = EnvConfig(horizon_s=150.0, warmup_s=20.0)
-Steps = dict[float, dict[int, tuple[str, float, float]]]
-
-
-def run_sumo(context: Context, folder: Path, config: EnvConfig) -> Steps:
-    """Return ``{time after the step: {vehicle number: (lane, position, speed)}}`` of the ``sumo`` program."""
-    net = build_net(context.intersection)
-    road = read_road(net)
-    routes, output = folder / "traffic.rou.xml", folder / "fcd.xml"
-    write_routes(sample_traffic(context, road, SEED, config.horizon_s), road, routes)
-    program = Path(sumo.SUMO_HOME) / "bin" / ("sumo.exe" if os.name == "nt" else "sumo")
-    subprocess.run(
-        [
-            *(str(program), *sumo_arguments(net, routes, SEED, config.step_s)),
-            *("--end", str(config.horizon_s), "--fcd-output", str(output), "--precision", "17"),
-        ],
-        check=True,
-        timeout=120,
-    )
-    steps: Steps = defaultdict(dict)
-    for step in ElementTree.parse(output).getroot():
-        for vehicle in step:
-            number, lane = int(vehicle.get("id")), vehicle.get("lane")
-            # FCD names the begin of the step after which it writes.
-            time_s = float(step.get("time")) + config.step_s
-            steps[time_s][number] = (lane, float(vehicle.get("pos")), float(vehicle.get("speed")))
-    return steps
 
 
 def run_env(context: Context, config: EnvConfig) -> Steps:
@@ -72,7 +41,7 @@ def run_env(context: Context, config: EnvConfig) -> Steps:
 
 
 def assert_equal_steps(context: Context, folder: Path, config: EnvConfig = CONFIG) -> None:
-    theirs, ours = run_sumo(context, folder, config), run_env(context, config)
+    theirs, ours = run_sumo(context, SEED, folder, config), run_env(context, config)
     lanes = set(read_road(build_net(context.intersection)).lane_ids)
     seen = 0
     for time_s in np.arange(config.warmup_s, config.horizon_s + 0.1, config.step_s).tolist():

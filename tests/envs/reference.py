@@ -1,0 +1,45 @@
+"""What the ``sumo`` program makes of the files of an episode."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+
+import sumo
+from defusedxml import ElementTree
+
+from izoo.contexts.context import Context
+from izoo.envs import EnvConfig
+from izoo.envs.sumo import sumo_arguments
+from izoo.networks.build import build_net
+from izoo.networks.roadnet import read_road
+from izoo.traffic.episode import sample_traffic, write_routes
+
+Steps = dict[float, dict[int, tuple[str, float, float]]]
+
+
+def run_sumo(context: Context, seed: int, folder: Path, config: EnvConfig) -> Steps:
+    """Return ``{time after the step: {vehicle number: (lane, position, speed)}}`` of the ``sumo`` program."""
+    net = build_net(context.intersection)
+    road = read_road(net)
+    routes, output = folder / "traffic.rou.xml", folder / "fcd.xml"
+    write_routes(sample_traffic(context, road, seed, config.horizon_s), road, routes)
+    program = Path(sumo.SUMO_HOME) / "bin" / ("sumo.exe" if os.name == "nt" else "sumo")
+    subprocess.run(
+        [
+            *(str(program), *sumo_arguments(net, routes, seed, config.step_s)),
+            *("--end", str(config.horizon_s), "--fcd-output", str(output), "--precision", "17"),
+        ],
+        check=True,
+        timeout=120,
+    )
+    steps: Steps = defaultdict(dict)
+    for step in ElementTree.parse(output).getroot():
+        for vehicle in step:
+            number, lane = int(vehicle.get("id")), vehicle.get("lane")
+            # FCD names the begin of the step after which it writes.
+            time_s = float(step.get("time")) + config.step_s
+            steps[time_s][number] = (lane, float(vehicle.get("pos")), float(vehicle.get("speed")))
+    return steps

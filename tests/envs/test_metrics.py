@@ -1,0 +1,300 @@
+"""The metrics of an episode: sums that must agree with each other, with the vehicles, and with SUMO."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextList
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.config import EMIT_GROUPS
+from izoo.networks.build import build_net
+from izoo.networks.roadnet import APPROACHING, read_road
+from tests.envs.reference import run_sumo
+from tests.envs.worlds import Driver, at_random, crossing, defer, digest, play, set_action, short, steer
+
+CONFIG = short(horizon_s=150.0, warmup_s=25.0)
+SEED = 4
+
+
+def run(context: Context, act: Driver = steer, config: EnvConfig = CONFIG) -> TensorDict:
+    env = EcoDrivingEnv(context, config=config)
+    try:
+        return play(env, config.control_steps, act, env.reset(context=context, seed=SEED))
+    finally:
+        env.close()
+
+
+@pytest.fixture(scope="module", params=["commanded", "uncommanded", "measured"])
+def frames(request: pytest.FixtureRequest) -> TensorDict:
+    if request.param == "measured":
+        dataset: ContextList = request.getfixturevalue("dataset")
+        busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
+        return run(busy[10].replace(approach=None, adoption=0.5), defer)
+    return run(crossing(), defer if request.param == "uncommanded" else steer)
+
+
+def final(frames: TensorDict) -> TensorDictBase:
+    return frames[-1]["next", "metrics", "approach"]
+
+
+class Vehicles:
+    """Per vehicle what ``("vehicles", ...)`` says of it, over the counted vehicles of an episode."""
+
+    def __init__(self, frames: TensorDict) -> None:
+        first = frames[0]["vehicles"]
+        uncounted = set(first["vehicle_number"][first["present"]].tolist())
+        vehicles = frames["next", "vehicles"]
+        self.by_number: dict[int, list[dict[str, float]]] = {}
+        names = ("location", "approach", "is_cv", "emission_g", "speed_mps", "accel_mps2", "path_position_m")
+        columns = {name: vehicles[name].tolist() for name in (*names, "vehicle_number")}
+        for t, row in vehicles["present"].nonzero().tolist():
+            number = columns["vehicle_number"][t][row]
+            if number not in uncounted:
+                self.by_number.setdefault(number, []).append({name: columns[name][t][row] for name in names})
+
+    def until_crossing(self, steps: list[dict[str, float]]) -> tuple[list[dict[str, float]], bool]:
+        """Steps of a vehicle up to the one in which it crossed, and whether it did."""
+        for k, step in enumerate(steps):
+            if step["location"] != APPROACHING:
+                return steps[: k + 1], True
+        return steps, False
+
+
+def test_entered_is_crossed_and_unfinished(frames: TensorDict) -> None:
+    sums = final(frames)
+    assert sums["entered"].sum() > 10 and sums["crossed"].sum() > 0 and sums["unfinished"].sum() > 0
+    assert torch.equal(sums["entered"], sums["crossed"] + sums["unfinished"])
+
+
+def test_sums_agree_with_the_vehicles(frames: TensorDict) -> None:
+    """Recompute every sum from the vehicles of every step."""
+    vehicles = Vehicles(frames)
+    expected: dict[str, np.ndarray] = {}
+
+    def add(name: str, approach: float, value: float) -> None:
+        expected.setdefault(name, np.zeros(6))[int(approach)] += value
+
+    for steps in vehicles.by_number.values():
+        approach = steps[0]["approach"]
+        add("entered", approach, 1)
+        add("region_emission_g", approach, sum(step["emission_g"] for step in steps))
+        add("region_time_s", approach, 0.5 * len(steps))
+        part, crossed = vehicles.until_crossing(steps)
+        emission = sum(step["emission_g"] for step in part)
+        if not crossed:
+            add("unfinished", approach, 1)
+            add("unfinished_emission_g", approach, emission)
+            continue
+        add("crossed", approach, 1)
+        add("emission_g", approach, emission)
+        if not steps[0]["is_cv"]:
+            add("crossed_hdv", approach, 1)
+            add("emission_hdv_g", approach, emission)
+        add("vehicle_steps", approach, len(part))
+        add("travel_time_s", approach, 0.5 * len(part))
+        add("stopped_time_s", approach, 0.5 * sum(step["speed_mps"] < 1.0 for step in part))
+        add("abs_accel_sum", approach, sum(abs(step["accel_mps2"]) for step in part))
+        accel = [step["accel_mps2"] for step in part]
+        # A newcomer has no acceleration before the first.
+        add("abs_jerk_sum", approach, sum(abs(b - a) / 0.5 for a, b in itertools.pairwise(accel)))
+    sums = final(frames)
+    for name, values in expected.items():
+        np.testing.assert_allclose(sums[name].numpy(), values, rtol=2e-4, atol=2e-3, err_msg=name)
+
+
+def test_distance_is_the_approach(frames: TensorDict) -> None:
+    """A vehicle that crossed has driven its approach and at most one step's way of the junction."""
+    sums = final(frames)
+    lengths = frames[0]["vehicles"]
+    crossed = sums["crossed"] > 0
+    mean = sums["distance_m"][crossed] / sums["crossed"][crossed]
+    for p, distance in zip(crossed.nonzero().flatten().tolist(), mean.tolist(), strict=True):
+        mine = frames["vehicles", "approach"] == p
+        begin = -frames["vehicles", "path_position_m"][mine & frames["vehicles", "present"]].min().item()
+        assert begin - 10.0 < distance < begin + 25.0
+    assert lengths.shape[0] == 256
+
+
+def test_numbers_are_finite_and_in_range(frames: TensorDict) -> None:
+    sums = final(frames)
+    for group in ("approach", "episode"):
+        for name, value in frames["next", "metrics", group].items():
+            assert torch.isfinite(value.float()).all(), name
+    assert (sums["min_ttc_vehicles"] <= sums["crossed"]).all() and sums["min_ttc_vehicles"].sum() > 0
+    assert (sums["min_ttc_sum_s"] > 0).eq(sums["min_ttc_vehicles"] > 0).all()
+    assert (sums["stopped_time_s"] <= sums["travel_time_s"]).all()
+    assert (sums["region_emission_g"] >= sums["emission_g"]).all()
+    assert not sums["red_crossings_cv"].any()
+
+
+def test_episode_counts(frames: TensorDict) -> None:
+    last, mask = frames[-1]["next", "metrics", "episode"], frames["agents", "mask"]
+    assert last["steps"].item() == CONFIG.control_steps
+    assert last["agent_steps"].item() == mask.sum() == final(frames)["agent_steps"].sum()
+    assert last["vehicle_steps"].item() == frames["next", "vehicles", "present"].sum()
+    assert last["gridlock"].item() == 0.0
+
+
+def test_sums_only_grow(frames: TensorDict) -> None:
+    for name, value in frames["next", "metrics", "approach"].items():
+        if name != "mask":
+            assert (value.diff(dim=0) >= 0).all(), name
+
+
+def test_nothing_leaves_as_nan(frames: TensorDict) -> None:
+    for name, value in frames.items(True, True):
+        assert torch.isfinite(value.float()).all(), name
+
+
+def test_approach_mask(frames: TensorDict) -> None:
+    mask = frames["next", "metrics", "approach", "mask"]
+    assert (mask == mask[0]).all() and 2 <= mask[0].sum() <= 6
+    assert not final(frames)["entered"][~mask[0]].any()
+
+
+def test_throughput_is_sumos(tmp_path: Path) -> None:
+    """Count in the ``sumo`` program's own output who entered after the warm-up and crossed the stop line."""
+    context = crossing()
+    road = read_road(build_net(context.intersection))
+    location = dict(zip(road.lane_ids, road.lane_location.tolist(), strict=True))
+    steps = run_sumo(context, SEED, tmp_path, CONFIG)
+    uncounted = {n for n, place in steps[CONFIG.warmup_s].items() if place[0] in location}
+    entered: dict[int, str] = {}
+    crossed: dict[int, str] = {}
+    for time_s in sorted(steps):
+        if time_s <= CONFIG.warmup_s or time_s > CONFIG.horizon_s:
+            continue
+        for number, (lane, _, _) in steps[time_s].items():
+            if number in uncounted or lane not in location:
+                continue
+            if location[lane] == APPROACHING:
+                entered.setdefault(number, lane[0] if lane[0] != ":" else "?")
+            else:
+                crossed.setdefault(number, entered[number])
+    sums = final(run(context, defer))
+    for name, theirs in (("entered", entered), ("crossed", crossed)):
+        counts = [list(theirs.values()).count(leg) for leg in road.approaches]
+        assert sum(counts) > 10
+        assert sums[name].tolist()[: len(counts)] == counts
+
+
+def test_waiting_vehicles_are_spill_back() -> None:
+    """More demand than the road takes: some wait outside at the end, on the approaches that are full."""
+    full = crossing(lane_count=1, inflow_vph_per_lane=900.0, green_s=20.0, red_s=32.0, lane_length_m=100.0)
+    sums = final(run(full, defer, short(horizon_s=500.0, emit=("metrics",))))
+    free = final(run(crossing(inflow_vph_per_lane=100.0), defer))
+    assert sums["waiting"].sum() > 0 and free["waiting"].sum() == 0
+
+
+# -- edges -------------------------------------------------------------------------------------------------------------
+
+
+def test_without_cvs() -> None:
+    frames = run(crossing(adoption=0.0))
+    assert not frames["agents", "mask"].any() and not frames["next", "agents", "reward"].any()
+    sums = final(frames)
+    assert sums["crossed"].sum() > 0 and torch.equal(sums["crossed"], sums["crossed_hdv"])
+    assert torch.equal(sums["emission_g"], sums["emission_hdv_g"])
+    assert frames[-1]["next", "truncated"].all()
+
+
+def test_without_any_vehicle() -> None:
+    frames = run(crossing(inflow_vph_per_lane=0.0, approach="A"))
+    assert not frames["next", "vehicles", "present"].any() and not frames["next", "agents", "reward"].any()
+    for name, value in final(frames).items():
+        assert name == "mask" or not value.any(), name
+    assert frames[-1]["next", "truncated"].all() and len(frames) == CONFIG.control_steps
+
+
+def test_demand_from_one_approach() -> None:
+    sums = final(run(crossing(approach="C")))
+    assert sums["entered"].nonzero().flatten().tolist() == [2]
+
+
+def with_nan(tensordict: TensorDictBase) -> TensorDictBase:
+    return set_action(tensordict, torch.full((64, 1), torch.nan))
+
+
+def test_nan_actions_are_counted_and_deferred() -> None:
+    nan, asked = run(crossing(), with_nan), run(crossing(), defer)
+    assert torch.equal(nan["next", "vehicles", "speed_mps"], asked["next", "vehicles", "speed_mps"])
+    steps = nan["agents", "mask"].sum()
+    assert final(nan)["nan_actions"].sum() == final(nan)["deferred_steps"].sum() == steps > 0
+    assert final(asked)["nan_actions"].sum() == 0 and final(asked)["deferred_steps"].sum() == steps
+    for name, value in nan.exclude(("agents", "action")).items(True, True):
+        assert torch.isfinite(value.float()).all(), name
+
+
+def test_deferred_flag_says_who_was_left_to_sumo() -> None:
+    frames = run(crossing(), half_deferred)
+    after = frames["next", "vehicles"]
+    count = (after["deferred"] & after["present"]).sum()
+    left = final(frames)["deferred_steps"].sum() - count
+    assert 0 <= left <= frames["next", "agents", "terminated"].sum(), "only leavers may be missing"
+    assert 0 < final(frames)["deferred_steps"].sum() < final(frames)["agent_steps"].sum()
+
+
+def half_deferred(tensordict: TensorDictBase) -> TensorDictBase:
+    tensordict = steer(tensordict)
+    even = torch.arange(64) % 2 == 0
+    return tensordict.set(("agents", "defer"), even)
+
+
+def test_what_stands_in_empty_slots_of_the_action_does_not_matter() -> None:
+    def noisy(tensordict: TensorDictBase) -> TensorDictBase:
+        tensordict = steer(tensordict)
+        empty = ~tensordict["agents", "mask"]
+        junk = torch.where(torch.arange(64) % 2 == 0, torch.nan, 1e30)
+        action = torch.where(empty, junk, tensordict["agents", "action"].squeeze(-1))
+        tensordict["agents", "defer"] = empty & (torch.arange(64) % 3 == 0)
+        return set_action(tensordict, action.unsqueeze(-1))
+
+    assert digest(run(crossing(), noisy)) == digest(run(crossing(), steer))
+
+
+def test_actions_beyond_the_bounds_are_clipped() -> None:
+    def wild(sign: float) -> Driver:
+        return lambda tensordict: set_action(tensordict, torch.full((64, 1), sign * torch.inf))
+
+    def full(value: float) -> Driver:
+        return lambda tensordict: set_action(tensordict, torch.full((64, 1), value))
+
+    assert digest(run(crossing(), wild(1.0))) == digest(run(crossing(), full(2.6)))
+    assert digest(run(crossing(), wild(-1.0))) == digest(run(crossing(), full(-4.5)))
+
+
+def test_commands_are_applied() -> None:
+    """In free flow the commanded acceleration is the realised one; a command never exceeds the speed limit."""
+    value = 0.5
+    frames = run(
+        crossing(inflow_vph_per_lane=100.0, adoption=1.0), lambda td: set_action(td, torch.full((64, 1), value))
+    )
+    mask = frames["agents", "mask"] & frames["next", "agents", "mask"]
+    row = frames["agents", "vehicle"]
+    speed = torch.gather(frames["vehicles", "speed_mps"], 1, row)
+    realised = torch.gather(frames["next", "vehicles", "accel_mps2"], 1, row)
+    v = {name: torch.gather(frames["vehicles", name], 1, row) for name in ("location", "has_leader", "leader_gap_m")}
+    # Behind the junction, where neither the signal nor a leader matters.
+    free = mask & (speed < 15.0) & (v["location"] == 2) & (~v["has_leader"] | (v["leader_gap_m"] > 40.0))
+    assert free.sum() > 50
+    close = (realised[free] - value).abs() < 1e-3
+    assert close.float().mean() > 0.9
+    # Where SUMO intervenes it is for safety: it brakes harder, never less.
+    moving = mask & (speed > 1.0)
+    assert (realised[moving] <= value + 1e-3).all() and (realised[moving] < value - 0.1).any()
+    fast = run(crossing(adoption=1.0), lambda td: set_action(td, torch.full((64, 1), 2.6)))
+    assert fast["next", "vehicles", "speed_mps"].max() <= 16.0 + 1e-4
+
+
+@pytest.mark.parametrize("act", [steer, with_nan, at_random(1)])
+def test_no_nan_ever_leaves(act: Driver) -> None:
+    frames = run(crossing(grade=0.1, adoption=1.0), act, short(emit=EMIT_GROUPS))
+    for name, value in frames.exclude(("agents", "action")).items(True, True):
+        assert torch.isfinite(value.float()).all(), name
