@@ -3,6 +3,8 @@
 - :class:`EcoDrivingEnv`: one intersection, in this process.
 - :class:`SumoParallelEnv`: several, each in a worker process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
+- :mod:`izoo.envs.gymnasium`: ``gymnasium.make("izoo/EcoDriving-v0")`` and ``"izoo/EcoDrivingEgo-v0"``.
+- :mod:`izoo.envs.pettingzoo`: the parallel API of PettingZoo.
 
 Names are loaded when first used, so that worker processes do not pay for torch.
 """
@@ -11,6 +13,8 @@ from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
@@ -30,3 +34,11 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+for _name, _view in (("EcoDriving", "Joint"), ("EcoDrivingEgo", "Ego")):
+    register(
+        id=f"izoo/{_name}-v0",
+        entry_point=f"izoo.envs.gymnasium:EcoDriving{_view}",
+        vector_entry_point=f"izoo.envs.gymnasium:{_view.lower()}_vector",
+    )

@@ -62,13 +62,18 @@ def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float
     ]
 
 
+def has_screen() -> bool:
+    """Whether a window can be opened."""
+    return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in _DISPLAYS)
+
+
 def import_traci() -> Any:
     """Import TraCI, which steers sumo-gui as another program.
 
     Raises:
         IzooError: there is no screen to open a window on.
     """
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAYS):
+    if not has_screen():
         raise IzooError("env.gui needs a screen, and DISPLAY is not set; use render() for pictures without one.")
     import_libsumo()
     import traci
@@ -98,7 +103,8 @@ class SumoSession:
         if _owner is not None and _owner is not self:
             raise IzooError(
                 "libsumo holds one simulation per process, and another environment of this process is using it; "
-                "close() that one first, or use izoo.envs.SumoParallelEnv to run several."
+                "close() that one first, or run each in a process of its own: izoo.envs.SumoParallelEnv, or "
+                "gymnasium.make_vec(..., vectorization_mode='async')."
             )
         try:
             if self._running:
