@@ -155,7 +155,9 @@ def emission_pairs(table: pd.DataFrame, gate: str) -> NDArray[np.float64]:
     return np.stack([np.where(kept, table["emission_policy_g"].to_numpy(float), baseline), baseline], axis=1)
 
 
-def ratio_of_sums(pairs: NDArray[np.float64]) -> float:
-    """``1 - sum(policy) / sum(baseline)`` over ``[N, 2]``; the form of the published figures. 0 over nothing."""
-    policy, baseline = pairs.sum(axis=0)
-    return float(1.0 - policy / baseline) if baseline > 0.0 else 0.0
+def ratio_of_sums(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``1 - sum(policy) / sum(baseline)``, ``[*R, N, 2] -> [*R]``: as the published figures are; 0 over nothing."""
+    sums = pairs.sum(axis=-2)
+    policy, baseline = sums[..., 0], sums[..., 1]
+    known = baseline > 0.0
+    return np.where(known, 1.0 - policy / np.where(known, baseline, 1.0), 0.0)

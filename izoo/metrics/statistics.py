@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from izoo.errors import IzooError
 
 Array = NDArray[np.float64]
-Statistic = Callable[[Array], Array | float]
-"""Takes observations ``[N]`` (or ``[N, K]``) and returns one number."""
+Statistic = Callable[[Array], Array]
+"""Reduces the observations: ``[*R, N] -> [*R]``, or ``[*R, N, K] -> [*R]``."""
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95
+_NUMBERS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,13 @@ def bootstrap(
         raise IzooError(f"{len(groups)} group labels were given for {count} values; give one label per value.")
     members = _members(range(count) if groups is None else groups)
     draws = np.empty(resamples)
-    for r in range(resamples):
-        chosen = generator.integers(len(members), size=len(members))
-        index = chosen if groups is None else np.concatenate([members[k] for k in chosen])
-        draws[r] = statistic(x[index])
+    if len(members) == count:
+        for part in _chunks(resamples, x.size):
+            draws[part] = statistic(x[generator.integers(count, size=(part.stop - part.start, count))])
+    else:
+        for r in range(resamples):
+            chosen = generator.integers(len(members), size=len(members))
+            draws[r] = statistic(x[np.concatenate([members[k] for k in chosen])])
     return _percentiles(float(statistic(x)), draws, count, len(members), confidence)
 
 
@@ -197,6 +201,12 @@ def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> Array:
     if x.size == 0:
         raise IzooError("a performance profile needs at least one value.")
     return np.asarray((x[None] > np.asarray(thresholds, dtype=np.float64)[:, None]).mean(axis=1))
+
+
+def _chunks(resamples: int, size: int) -> list[slice]:
+    """Parts of the resamples that, at ``size`` numbers each, stay small in memory."""
+    step = max(1, _NUMBERS_AT_ONCE // max(size, 1))
+    return [slice(start, min(start + step, resamples)) for start in range(0, resamples, step)]
 
 
 def _members(groups: Sequence[object]) -> list[NDArray[np.intp]]:

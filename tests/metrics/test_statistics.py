@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from izoo.errors import IzooError
+from izoo.metrics.benefit import ratio_of_sums
 from izoo.metrics.statistics import (
     bootstrap,
     improvement_estimate,
@@ -94,9 +95,14 @@ def test_paired_bootstrap_keeps_the_pairs() -> None:
 
 def test_bootstrap_of_several_numbers_per_observation() -> None:
     pairs = np.array([[50.0, 100.0], [300.0, 300.0]])
-    result = bootstrap(pairs, lambda x: 1 - x[:, 0].sum() / x[:, 1].sum(), np.random.default_rng(0))
+    result = bootstrap(pairs, ratio_of_sums, np.random.default_rng(0))
     assert result.value == pytest.approx(1 - 350 / 400)
     assert 0.0 <= result.low <= result.value <= result.high <= 0.5
+
+
+def test_groups_of_one_are_no_groups() -> None:
+    labels = [str(k) for k in range(11)]
+    assert bootstrap(X[0], iqm, np.random.default_rng(0), labels) == bootstrap(X[0], iqm, np.random.default_rng(0))
 
 
 def test_no_observations_are_reported_as_none_of_them() -> None:

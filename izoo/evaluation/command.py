@@ -1,0 +1,122 @@
+"""What ``python -m izoo.evaluate`` does once its options are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from izoo.conf.build import to_mapping
+from izoo.conf.contexts import ContextsConfig
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextSource, episode_seed
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import observation_names
+from izoo.errors import IzooError
+from izoo.evaluation.episode import Policy
+from izoo.evaluation.options import EvaluateConfig
+from izoo.evaluation.policies import as_candidate
+from izoo.evaluation.runner import evaluate_policy
+from izoo.evaluation.show import print_summary
+from izoo.evaluation.summary import summarise
+from izoo.training import checkpoint, runs
+
+EVALUATION_STREAM = 7919
+"""Separates episode seeds and drawn contexts of evaluations from those of training."""
+DRAWN_CONTEXTS = 16
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is evaluated, and on what: resolved options."""
+
+    name: str
+    policy: Policy
+    contexts: ContextsConfig
+    env: EnvConfig
+    folder: Path
+
+
+def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Evaluate as ``config`` says, print the summary, and return the folder of the results.
+
+    Args:
+        config: the options.
+        given: names of the options that were written on the command line; matters where a run is given.
+    """
+    subject = resolve(config, given)
+    contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    seeds = [episode_seed(EVALUATION_STREAM + config.seed, number) for number in range(config.seeds)]
+    out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
+    print(f"Evaluating {subject.name}: {len(contexts)} contexts, {len(seeds)} seeds each. Results: {out}", flush=True)
+    table = evaluate_policy(
+        subject.policy,
+        contexts,
+        seeds,
+        subject.env,
+        num_workers=config.num_workers,
+        out_dir=out,
+        name=subject.name,
+        uncommanded=config.uncommanded,
+        cache=config.cache,
+    )
+    print_summary(summarise(table))
+    print(f"Results: {out}", flush=True)
+    return out
+
+
+def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
+    """Return what to evaluate.
+
+    Raises:
+        IzooError: neither or both of ``run`` and ``policy``, or a run that observes something else than ``env`` says.
+    """
+    if (config.run is None) == (config.policy is None):
+        raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
+    if config.policy is not None:
+        name = config.policy.rpartition(":")[2]
+        policy = as_candidate(config.policy, config.env, name).policy
+        return Subject(name, policy, config.contexts, config.env, Path.cwd())
+    path = checkpoint.find(Path(config.run or ""))
+    folder = checkpoint.run_of(path)
+    algorithm, trained, _ = runs.load_algorithm(path)
+    env = merge_env(trained.env, config.env, given)
+    if observation_names(env) != observation_names(trained.env):
+        raise IzooError(
+            f"the run {folder} was trained on other observations than the env options describe; "
+            "leave env.observed and env.neighbours out."
+        )
+    own = not any(name.split(".")[0] == "contexts" for name in given)
+    contexts = trained.contexts if own else config.contexts
+    name = folder.name if path == checkpoint.listed(folder)[-1] else f"{folder.name}-{path.stem}"
+    return Subject(name, algorithm.policy.eval(), contexts, env, folder)
+
+
+def merge_env(trained: EnvConfig, chosen: EnvConfig, given: frozenset[str]) -> EnvConfig:
+    """Return the run's environment with the ``env`` options that were given."""
+    names = {name.split(".")[1] for name in given if name.startswith("env.")}
+    return dataclasses.replace(trained, **{name: getattr(chosen, name) for name in names})
+
+
+def choose_contexts(source: ContextSource, count: int | None, seed: int) -> list[Context]:
+    """Return all contexts of a finite source, or ``count`` drawn ones (without repetition where it is finite)."""
+    generator = np.random.default_rng([seed, EVALUATION_STREAM])
+    if not hasattr(source, "__len__"):
+        return [source.sample(generator) for _ in range(count or DRAWN_CONTEXTS)]
+    listed = cast(Sequence[Context], source)
+    if count is None or count >= len(listed):
+        return [listed[k] for k in range(len(listed))]
+    return [listed[int(k)] for k in np.sort(generator.choice(len(listed), count, replace=False))]
+
+
+def _label(subject: Subject, config: EvaluateConfig) -> str:
+    """Name a folder after what decides its content, so that the same command goes on where it stopped."""
+    parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed]
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
+    return f"{subject.contexts.name}-{digest}"

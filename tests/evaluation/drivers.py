@@ -1,0 +1,55 @@
+"""Policies that evaluation must survive, importable by worker processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+
+
+def gentle(tensordict: TensorDictBase) -> TensorDictBase:
+    """Everybody accelerates at 0.5 m/s^2."""
+    mask = tensordict["agents", "mask"]
+    return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), 0.5))
+
+
+def lost(tensordict: TensorDictBase) -> TensorDictBase:
+    """Every action is NaN."""
+    mask = tensordict["agents", "mask"]
+    return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), torch.nan))
+
+
+def broken(tensordict: TensorDictBase) -> TensorDictBase:
+    """Raises as soon as it is asked."""
+    raise ArithmeticError("the driver fell asleep")
+
+
+def silent(tensordict: TensorDictBase) -> TensorDictBase:
+    """Writes no action."""
+    return tensordict
+
+
+def deadly(tensordict: TensorDictBase) -> TensorDictBase:
+    """Kills its process."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return tensordict
+
+
+class Counted:
+    """:func:`gentle`, leaving a line in a file for every step; from ``fail_at`` on it raises instead."""
+
+    def __init__(self, path: Path, fail_at: int = 10**9) -> None:
+        self.path, self.fail_at = path, fail_at
+
+    def steps(self) -> int:
+        return len(self.path.read_text().splitlines()) if self.path.exists() else 0
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.steps() >= self.fail_at:
+            raise ArithmeticError("out of luck")
+        with self.path.open("a") as file:
+            file.write("step\n")
+        return gentle(tensordict)

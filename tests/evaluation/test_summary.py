@@ -1,0 +1,116 @@
+"""Aggregates of hand-made tables: the right n, the right baseline, the same numbers twice, and readable."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from izoo.errors import IzooError
+from izoo.evaluation import approach_table, print_summary, summarise
+from tests.metrics.tables import episode_row
+
+CONTEXTS = 12
+
+
+def make_table(engine: str = "combustion") -> pd.DataFrame:
+    """Three seeds on twelve approaches of six intersections: 10 % saved, gated on the first, the last saturated."""
+    generator = np.random.default_rng(0)
+    rows = []
+    for k in range(CONTEXTS):
+        context = f"town/{k // 2}-{k % 2}/A"
+        settings = {"context": context, "engine": engine, "volume_over_capacity": 1.2 if k == CONTEXTS - 1 else 0.5}
+        for seed in range(3):
+            crossed, emission = 80 + seed, float(generator.normal(1e4, 500))
+            fall = 20 if k == 0 else 0
+            rows.append(episode_row(crossed, emission, policy="human", seed=seed, **settings))
+            rows.append(episode_row(crossed, 0.97 * emission, policy="uncommanded", seed=seed, **settings))
+            share = (crossed - fall) / crossed
+            rows.append(episode_row(crossed - fall, 0.9 * emission * share, policy="ppo", seed=seed, **settings))
+    table = pd.DataFrame(rows)
+    return table.assign(intersection=table["context"].str.slice(0, 6))
+
+
+def test_aggregates_by_hand() -> None:
+    summary = summarise(make_table(), resamples=200)
+    block = summary["policies"]["ppo"]["against"]["human"]
+    exact = block["all"]["exact"]
+    assert exact["mean"]["value"] == pytest.approx(0.1 * 11 / 12)
+    assert exact["mean"]["n"] == 12
+    assert exact["mean"]["groups"] == 6
+    assert exact["mean"]["low"] < exact["mean"]["value"] <= exact["mean"]["high"]
+    assert exact["share_gated"]["value"] == pytest.approx(1 / 12)
+    assert exact["share_positive"]["value"] == pytest.approx(11 / 12)
+    assert exact["iqm"]["value"] == pytest.approx(0.1)
+    assert block["all"]["ungated"]["mean"]["value"] == pytest.approx(0.1)
+    assert block["all"]["throughput"]["share_kept"]["value"] == pytest.approx(11 / 12)
+    assert block["unsaturated"]["exact"]["mean"]["n"] == 11
+    assert len(block["saturated"]) == 1
+    assert summary["n"] == {"contexts": 12, "intersections": 6, "seeds": 3, "episodes": 108}
+
+
+def test_both_baselines_are_shown_and_the_headline_follows_the_engine() -> None:
+    summary = summarise(make_table(), resamples=50)
+    assert set(summary["policies"]) == {"ppo", "uncommanded"}
+    assert set(summary["policies"]["ppo"]["against"]) == {"human", "uncommanded"}
+    assert summary["policies"]["ppo"]["headline"] == "human"
+    electric = summarise(make_table("electric"), resamples=50)
+    assert electric["policies"]["ppo"]["headline"] == "uncommanded"
+    assert electric["policies"]["uncommanded"]["headline"] == "human"
+
+
+def test_the_same_table_twice_gives_the_same_numbers_in_any_row_order() -> None:
+    table = make_table()
+    shuffled = table.sample(frac=1.0, random_state=1)
+    first, second = (json.dumps(summarise(t, resamples=100)["policies"]) for t in (table, table))
+    assert first == second
+    left = approach_table(table, "ppo", resamples=100)
+    right = approach_table(shuffled, "ppo", resamples=100)
+    pd.testing.assert_frame_equal(left, right)
+
+
+def test_intervals_of_an_approach_cover_its_benefit() -> None:
+    result = approach_table(make_table(), "ppo", "uncommanded", resamples=100)
+    assert len(result) == CONTEXTS
+    assert np.allclose(result["benefit_ungated"], 1 - 0.9 / 0.97)
+    assert np.allclose(result["low"], result["high"])
+
+
+def test_missing_numbers_are_null_in_json() -> None:
+    table = make_table().assign(crossed=0, crossed_hdv=0, entered=0, waiting=0)
+    summary = summarise(table, resamples=10)
+    text = json.dumps(summary, allow_nan=False)
+    block = json.loads(text)["policies"]["ppo"]["against"]["human"]
+    assert block["all"]["exact"]["mean"]["value"] is None
+    assert block["all"]["exact"]["mean"]["n"] == 0
+    assert len(block["left_out"]) == CONTEXTS
+    assert "no traffic" in block["left_out"][0]
+    print_summary(summary, Console(file=io.StringIO()))
+
+
+def test_printed_summary_names_what_matters() -> None:
+    text = io.StringIO()
+    print_summary(summarise(make_table(), resamples=50), Console(file=text, width=100))
+    for words in (
+        "ppo against human (headline)",
+        "benefit, mean",
+        "9.2 %",
+        "gated to 0",
+        "saturated: 1",
+        "uncommanded",
+    ):
+        assert words in text.getvalue()
+    short = io.StringIO()
+    print_summary(summarise(make_table().query("seed == 0"), resamples=50), Console(file=short, width=100))
+    assert "three or more are needed" in short.getvalue()
+
+
+def test_a_table_without_human_driving_is_refused() -> None:
+    with pytest.raises(IzooError, match="human driving"):
+        summarise(make_table().query("policy != 'human'"))
+    with pytest.raises(IzooError, match="Did you mean 'ppo'"):
+        approach_table(make_table(), "pop")
