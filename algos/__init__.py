@@ -1,6 +1,9 @@
 """Algorithms and policies as TorchRL modules; they know TensorDict keys, not simulators.
 
 - :mod:`~izoo.algos.base`: keys, the face of an algorithm, network parts.
+- :mod:`~izoo.algos.gaussian`: parts of stochastic policies.
 - :mod:`~izoo.algos.ppo`: PPO with shared parameters.
+- :mod:`~izoo.algos.sets`, :mod:`~izoo.algos.mappo`: PPO on whole frames; with a critic over the set of vehicles.
+- :mod:`~izoo.algos.gcrl`: PPO on the graph of nearby vehicles.
 - :mod:`~izoo.algos.scripted`: drivers that do not learn.
 """
