@@ -2,7 +2,8 @@
 
 ``import izoo.envs`` registers ``izoo/EcoDriving-v0`` (:class:`EcoDrivingJoint`) and ``izoo/EcoDrivingEgo-v0``
 (:class:`EcoDrivingEgo`); ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` imports it first. They simulate what
-:class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories.
+:class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories. Each simulation
+has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.host.OPTIONS`.
@@ -18,10 +19,10 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from izoo.emissions.weights import load_weights
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.host import RENDER_MODES, Host, checked_action, render_modes
 from izoo.envs.layout import observation_names
+from izoo.envs.vector import ViewVector
 from izoo.errors import IzooError
 
 if TYPE_CHECKING:
@@ -227,17 +228,11 @@ class EcoDrivingEgo(_View[np.ndarray]):
         return action.reshape(count).numpy().astype(np.float32), left
 
 
-def _vector(view: type[_View[Any]], num_envs: int = 1, **options: Any) -> gym.vector.AsyncVectorEnv:
-    """Return ``num_envs`` environments, each simulated by the process that steps it."""
-    load_weights()  # forked processes share them
-    return gym.vector.AsyncVectorEnv([functools.partial(view, **{"in_process": True, **options})] * num_envs)
-
-
-def joint_vector(num_envs: int = 1, **options: Any) -> gym.vector.AsyncVectorEnv:
+def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
     """What ``gymnasium.make_vec("izoo/EcoDriving-v0", num_envs)`` makes where no vectorization mode is given."""
-    return _vector(EcoDrivingJoint, num_envs, **options)
+    return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
 
 
-def ego_vector(num_envs: int = 1, **options: Any) -> gym.vector.AsyncVectorEnv:
+def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
     """What ``gymnasium.make_vec("izoo/EcoDrivingEgo-v0", num_envs)`` makes where no vectorization mode is given."""
-    return _vector(EcoDrivingEgo, num_envs, **options)
+    return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)

@@ -200,9 +200,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         if strangers:
             raise IzooError(f"{', '.join(strangers[:3])} cannot act, being no live agent; act for env.agents alone.")
         if missing:
-            raise IzooError(
-                f"actions lacks {', '.join(missing[:3])}; act for all env.agents (None leaves one to SUMO)."
-            )
+            raise IzooError(f"actions lacks {', '.join(missing[:3])}; act for all env.agents (None: SUMO drives).")
         action, defer = np.zeros(self.config.num_agents, np.float32), np.ones(self.config.num_agents, bool)
         for agent, value in actions.items():
             if value is not None:

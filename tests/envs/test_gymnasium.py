@@ -1,0 +1,278 @@
+"""The Gymnasium views: Gymnasium's own checks, the ego's life, vector forms, and what is refused."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+import izoo.envs  # registers the ids
+from izoo.errors import IzooError
+from tests.envs.worlds import crossing, short
+
+JOINT, EGO = "izoo/EcoDriving-v0", "izoo/EcoDrivingEgo-v0"
+IDS = [JOINT, EGO]
+
+
+def make(name: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    options = {"contexts": crossing(), "config": short(horizon_s=80.0)} | options
+    return gymnasium.make(name, **options).unwrapped
+
+
+@pytest.fixture(scope="module")
+def joint() -> Iterator[gymnasium.Env[Any, Any]]:
+    env = make(JOINT, render_mode="rgb_array")
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def ego() -> Iterator[gymnasium.Env[Any, Any]]:
+    env = make(EGO, contexts=crossing(phase_count=1, green_s=15.0, red_s=15.0))
+    yield env
+    env.close()
+
+
+def forward(env: gymnasium.Env[Any, Any]) -> np.ndarray:
+    return np.full(env.action_space.shape or (), 2.0, np.float32)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box:UserWarning", "ignore:.*symmetric:UserWarning")
+@pytest.mark.parametrize("name", ["joint", "ego"])
+def test_gymnasiums_own_check(name: str, request: pytest.FixtureRequest) -> None:
+    check_env(request.getfixturevalue(name))
+
+
+def test_importing_registers_without_torch() -> None:
+    program = (
+        "import sys, gymnasium; gymnasium.make('izoo.envs:izoo/EcoDriving-v0'); "
+        "gymnasium.spec('izoo/EcoDrivingEgo-v0'); sys.exit('torch' in sys.modules or 'libsumo' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def test_reset_without_a_seed_goes_on(joint: gymnasium.Env[Any, Any]) -> None:
+    first, again = joint.reset(seed=3)[1], joint.reset(seed=3)[1]
+    assert first["episode"] == again["episode"] == 0 and first["episode_seed"] == again["episode_seed"]
+    following = joint.reset()[1]
+    assert following["episode"] == 1 and following["episode_seed"] != first["episode_seed"]
+    chosen = joint.reset(options={"episode": 0})[1]
+    assert chosen["episode_seed"] == first["episode_seed"]
+    other = crossing(lane_count=1)
+    assert joint.reset(options={"context": other, "episode_seed": 7})[1]["context"] == other.name
+
+
+def test_joint_rewards(joint: gymnasium.Env[Any, Any]) -> None:
+    """The mean over the CVs that acted; its sum is the episode's return."""
+    observation, info = joint.reset(seed=0)
+    total, left, truncated = 0.0, 0, False
+    while not truncated:
+        acted = observation["mask"].astype(bool)
+        assert (info["vehicle"] >= 0).tolist() == acted.tolist()
+        assert not observation["observation"][~acted].any()
+        observation, reward, terminated, truncated, info = joint.step(forward(joint))
+        assert not terminated and not info["reward"][~acted].any()
+        assert reward == pytest.approx(info["reward"][acted].mean() if acted.any() else 0.0)
+        assert not info["reward_vector"][~acted].any()
+        total += reward
+        left += int(info["agent_terminated"].sum())
+    assert left >= 3 and total == pytest.approx(info["metrics"]["episode"]["return"], rel=1e-4)
+    assert info["metrics"]["approach"]["crossed"].sum() >= 3
+
+
+def test_ego_is_one_vehicle_after_another(ego: gymnasium.Env[Any, Any]) -> None:
+    egos: list[int] = []
+    ends = set()
+    begin_m = ego.unwrapped.observation_names.index("stop_line_distance")
+    observation, info = ego.reset(seed=0)
+    while info["episode"] == 0:
+        vehicle, begin_s = info["vehicle"], info["time_s"]
+        assert vehicle not in egos and observation[begin_m] < -0.3, "an ego begins far from the stop line"
+        egos.append(vehicle)
+        ended = False
+        while not ended:
+            observation, _, terminated, truncated, info = ego.step(forward(ego))
+            assert info["vehicle"] == vehicle and info["time_s"] > begin_s
+            ended = terminated or truncated
+        assert observation.any() != terminated and ("metrics" in info) == truncated
+        ends.add("left" if terminated else "horizon")
+        observation, info = ego.reset()
+    assert len(egos) >= 2 and ends == {"left", "horizon"} and info["episode"] == 1
+
+
+@pytest.mark.parametrize("policy", ["brake", None])
+def test_ego_among_others(policy: str | None, ego: gymnasium.Env[Any, Any]) -> None:
+    """Others follow the policy, or SUMO, and the ego does what it is told."""
+    env = ego.unwrapped
+    env.others = brake if policy else None
+    accelerations: dict[bool, list[float]] = {True: [], False: []}
+    try:
+        env.reset(seed=1)
+        for _ in range(10):
+            before = env.host.numbers
+            env.step(np.full(1, -1.0, np.float32))
+            rows = env.host.frame["agent_vehicle"]
+            for slot in np.flatnonzero((before >= 0) & (env.host.numbers == before)):
+                speed, acceleration = env.host.frame["vehicle_floats"][rows[slot], :2]
+                if speed > 1.0:
+                    accelerations[bool(slot == env._slot)].append(float(acceleration))
+    finally:
+        env.others = None
+    own, others = np.array(accelerations[True]), np.array(accelerations[False])
+    assert len(own) == 10 and len(others) >= 5 and np.allclose(own, -1.0, atol=1e-3)
+    assert np.isclose(others, -2.0, atol=1e-3).all() if policy else (others > -1.5).any()
+
+
+def brake(tensordict: Any) -> Any:
+    mask = tensordict["agents", "mask"]
+    return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), -2.0))
+
+
+def test_ego_needs_controlled_vehicles() -> None:
+    env = make(EGO, contexts=crossing(adoption=0.0), config=short(horizon_s=20.0))
+    try:
+        with pytest.raises(IzooError, match=r"no controlled vehicle entered.*higher adoption"):
+            env.reset(seed=0)
+    finally:
+        env.close()
+
+
+# -- vector forms ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "mode"), [(JOINT, None), (EGO, None), (EGO, "async")])
+def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest) -> None:
+    """Every environment of a vector plays what one alone with its seed does."""
+    env = request.getfixturevalue("joint" if name == JOINT else "ego")
+    schedule = env.unwrapped.host.schedule
+    options: dict[str, Any] = {"contexts": schedule, "config": short(horizon_s=80.0)}
+    envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, **options)
+    action = np.full(envs.action_space.shape or (), 2.0, np.float32)
+    try:
+        seen = [envs.reset(seed=5)[0], *(envs.step(action)[0] for _ in range(5))]
+    finally:
+        envs.close()
+    alone = [env.reset(seed=6)[0], *(env.step(action[1])[0] for _ in range(5))]
+    for one, several in zip(alone, seen, strict=True):
+        if name == JOINT:
+            np.testing.assert_array_equal(one["observation"], several["observation"][1])
+        else:
+            np.testing.assert_array_equal(one, several[1])
+
+
+def test_vector_begins_anew() -> None:
+    """After an end, the next step of that environment is a reset."""
+    envs = gymnasium.make_vec(JOINT, 2, contexts=crossing(), config=short(horizon_s=8.0))
+    action = np.zeros(envs.action_space.shape or (), np.float32)
+    try:
+        envs.reset(seed=[3, 4])
+        for _ in range(6):
+            *_, truncated, info = envs.step(action)
+        assert truncated.all() and (info["metrics"]["episode"]["steps"] == 6).all()
+        observation, rewards, *_, truncated, info = envs.step(action)
+        assert not truncated.any() and not rewards.any() and info["episode"].tolist() == [1, 1]
+        assert observation in envs.observation_space
+        with pytest.raises(IzooError, match=r"3 seeds.*2 environments"):
+            envs.reset(seed=[1, 2, 3])
+        with pytest.raises(IzooError, match="unknown reset option"):
+            envs.reset(options={"what": 1})
+    finally:
+        envs.close()
+
+
+def test_two_simulations_in_one_process_are_refused() -> None:
+    envs = gymnasium.make_vec(JOINT, 2, "sync", contexts=crossing(), config=short(), in_process=True)
+    try:
+        with pytest.raises(IzooError, match=r"one simulation per process.*make_vec\(.*'async'\)"):
+            envs.reset(seed=0)
+    finally:
+        envs.close()
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["joint", "ego"])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda action: np.zeros(3, np.float32), r"float32 of shape \[3\].*shape \[(64|1)\]"),
+        (lambda action: action[..., None], r"shape \[(64|1), 1\]"),
+        (lambda action: action.astype(int), "int64.*floating-point"),
+        (lambda action: None, "object"),
+    ],
+)
+def test_bad_actions_are_refused(
+    name: str, change: Callable[[Any], Any], message: str, request: pytest.FixtureRequest
+) -> None:
+    env = request.getfixturevalue(name)
+    env.reset(seed=0)
+    with pytest.raises(IzooError, match=message):
+        env.step(change(forward(env)))
+    env.step(forward(env))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_step_before_reset_is_refused(name: str) -> None:
+    env = make(name)
+    with pytest.raises(IzooError, match=r"step\(\) came before reset\(\); call reset\(\) first"):
+        env.step(forward(env))
+
+
+def test_step_after_the_end_is_refused(joint: gymnasium.Env[Any, Any]) -> None:
+    joint.reset(seed=0)
+    while not joint.step(forward(joint))[3]:
+        pass
+    with pytest.raises(IzooError, match="after the end of the episode"):
+        joint.step(forward(joint))
+
+
+def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
+    joint.reset(seed=0)
+    joint.unwrapped.host._runner[0].process.kill()
+    with pytest.raises(RuntimeError, match=r"was lost.*call reset\(\)"):
+        for _ in range(3):
+            joint.step(forward(joint))
+    with pytest.raises(IzooError, match=r"call reset\(\)"):
+        joint.step(forward(joint))
+    joint.reset()
+    joint.step(forward(joint))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"episodes": 3}, "unknown reset option 'episodes'.*Did you mean 'episode'"),
+        ({"context": "pcg"}, "'context' is a str; give an izoo Context"),
+    ],
+)
+def test_bad_options_are_refused(joint: gymnasium.Env[Any, Any], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(IzooError, match=message):
+        joint.reset(options=options)
+
+
+def test_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(gymnasium.error.NameNotFound, match="EcoDriving"):
+        gymnasium.make("izoo/EcoDrive-v0")
+    with pytest.raises(TypeError, match="horizon"):
+        gymnasium.make(JOINT, horizon=3)
+    with pytest.raises(IzooError, match="rgb_array, human"):
+        izoo.envs.gymnasium.EcoDrivingJoint(render_mode="ansi")
+    with pytest.raises(IzooError, match="lane_change=True"):
+        make(JOINT, config=short(lane_change=True))
+    with pytest.raises(IzooError, match=r"EnvConfig"):
+        make(JOINT, config={"horizon_s": 3})
+    with pytest.raises(IzooError, match="others is a str"):
+        make(EGO, others="glide")
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(IzooError, match="needs a screen"):
+        make(JOINT, render_mode="human")
