@@ -15,32 +15,55 @@ from izoo.algos import base
 
 NEXT_OBSERVATION = ("next", *base.OBSERVATION)
 NEXT_REWARD, NEXT_DONE, NEXT_TERMINATED = ("next", *base.REWARD), ("next", *base.DONE), ("next", *base.TERMINATED)
-TRANSITION = (base.OBSERVATION, base.ACTION, NEXT_OBSERVATION, NEXT_REWARD, NEXT_DONE, NEXT_TERMINATED)
+STEPS = "steps_to_next_obs"
+"""Environment steps from a row's observation to its successor's; TorchRL's estimators discount by it."""
+TRANSITION = (base.OBSERVATION, base.ACTION, NEXT_OBSERVATION, NEXT_REWARD, NEXT_DONE, NEXT_TERMINATED, STEPS)
 """Leaves of a transition; each row stands for one agent in one step."""
 ERROR = "td_error"
 """Where a loss leaves the squared errors of a minibatch, ``[n]``."""
 PRIORITY_EPS = 1e-6
 
 
-def transitions(batch: TensorDictBase, reward_scale: float) -> TensorDict:
+def transitions(
+    batch: TensorDictBase, reward_scale: float = 1.0, n_step: int = 1, gamma: float = 1.0, limit: int | None = None
+) -> TensorDict:
     """Flatten a batch ``[N, T]`` to the transitions ``[rows]`` of the slots that held a CV.
 
-    ``next`` of a slot is always the same vehicle, so a row is complete in itself. A vehicle that left (terminated) is
-    worth nothing afterwards; one that ran out of time (truncated) keeps its true last observation to bootstrap from.
+    A row leads from an agent's observation and action to the same vehicle ``n_step`` steps later, or where its life or
+    the batch ends before. A vehicle that left (terminated) is worth nothing afterwards; one that ran out of time
+    (truncated) keeps its true last observation to bootstrap from.
 
     Args:
         batch: consecutive steps of an environment.
         reward_scale: rewards are multiplied by it.
+        n_step: steps whose rewards are summed, discounted by ``gamma``.
+        limit: most rows; they are drawn at random.
     """
-    rows = base.agent_rows(batch, TRANSITION)
-    rows[NEXT_REWARD] = rows[NEXT_REWARD] * reward_scale
-    gone = rows[NEXT_TERMINATED]
+    where = batch.get(base.MASK).nonzero()
+    if limit is not None:
+        where = where[torch.randperm(len(where), device=where.device)[:limit]]
+    env, time, slot = where.unbind(-1)
+    reward, done = batch.get(NEXT_REWARD), batch.get(NEXT_DONE)
+    total, steps = reward[env, time, slot] * reward_scale, torch.ones_like(time)
+    going = ~done[env, time, slot].squeeze(-1)
+    for ahead in range(1, min(n_step, batch.shape[-1])):
+        # The slot holds the same vehicle until it is done, so its rewards can be read down the time axis.
+        going = going & (time + ahead < batch.shape[-1])
+        e, t, s = env[going], time[going] + ahead, slot[going]
+        total[going] += reward[e, t, s] * (reward_scale * gamma**ahead)
+        steps[going] += 1
+        going[going.clone()] = ~done[e, t, s].squeeze(-1)
+    last = env, time + steps - 1, slot
+    gone, following = batch.get(NEXT_TERMINATED)[last], batch.get(NEXT_OBSERVATION)[last]
+    flat = TensorDict(batch_size=[len(where)], device=where.device)
+    flat.set(base.OBSERVATION, batch.get(base.OBSERVATION)[env, time, slot])
+    flat.set(base.ACTION, batch.get(base.ACTION)[env, time, slot])
     # Nobody is observed there; whatever stands in the slot must not reach a network, for 0 x NaN is NaN.
-    rows[NEXT_OBSERVATION] = torch.where(gone, torch.zeros_like(rows[NEXT_OBSERVATION]), rows[NEXT_OBSERVATION])
-    flat = TensorDict(batch_size=[len(gone)], device=gone.device)
-    for key, leaf in rows.items():
-        flat.set(key, leaf)
-    return flat
+    flat.set(NEXT_OBSERVATION, torch.where(gone, torch.zeros_like(following), following))
+    flat.set(NEXT_REWARD, total)
+    flat.set(NEXT_DONE, done[last])
+    flat.set(NEXT_TERMINATED, gone)
+    return flat.set(STEPS, steps.unsqueeze(-1))
 
 
 class PriorityDraws(Sampler):
@@ -100,7 +123,7 @@ class PriorityDraws(Sampler):
 class Replay:
     """The newest ``capacity`` transitions, drawn uniformly or by priority.
 
-    Memory: ``capacity * (8 * F + 10)`` bytes for observations of ``F`` features, taken at the first :meth:`add`.
+    Memory: ``capacity * (8 * F + 18)`` bytes for observations of ``F`` features, taken at the first :meth:`add`.
 
     Args:
         capacity: most transitions held.
@@ -138,7 +161,7 @@ class Replay:
             return {}
         held = self.buffer[: len(self)]
         return {
-            "rows": {"/".join(key): held.get(key).clone() for key in TRANSITION},
+            "rows": {_name(key): held.get(key).clone() for key in TRANSITION},
             "sampler": self.sampler.state_dict(),
             "writer": self.buffer.writer.state_dict(),
         }
@@ -147,10 +170,13 @@ class Replay:
         """Restore what :meth:`state_dict` returned into an empty replay."""
         if not state:
             return
-        leaves = {tuple(name.split("/")): leaf for name, leaf in state["rows"].items()}
-        rows = TensorDict(batch_size=[len(next(iter(leaves.values())))])
-        for key, leaf in leaves.items():
-            rows.set(key, leaf)
+        rows = TensorDict(batch_size=[len(state["rows"][STEPS])])
+        for key in TRANSITION:
+            rows.set(key, state["rows"][_name(key)])
         self.buffer.extend(rows)
         self.sampler.load_state_dict(state["sampler"])
         self.buffer.writer.load_state_dict(state["writer"])
+
+
+def _name(key: str | tuple[str, ...]) -> str:
+    return key if isinstance(key, str) else "/".join(key)

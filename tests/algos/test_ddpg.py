@@ -1,0 +1,294 @@
+"""DDPG: transitions, targets and losses against hand computations, and indifference to padding and slot order."""
+
+from __future__ import annotations
+
+import copy
+import io
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from izoo.algos import base
+from izoo.algos.ddpg import ACTION_VALUE, DDPG, DDPGConfig
+from izoo.algos.replay import (
+    ERROR,
+    NEXT_OBSERVATION,
+    NEXT_REWARD,
+    NEXT_TERMINATED,
+    STEPS,
+    TRANSITION,
+    PriorityDraws,
+    Replay,
+    transitions,
+)
+from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.compose import compose_config
+from izoo.conf.options import TrainConfig
+from izoo.errors import IzooError
+from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+
+SMALL = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 500, "learning_starts": 0, "rows_per_frame": None}
+
+
+def make_ddpg(**changes: object) -> DDPG:
+    torch.manual_seed(3)
+    return DDPG(DDPGConfig(**{**SMALL, **changes}), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+
+
+def make_batch(seed: int = 0, n: int = 2, t: int = 6) -> TensorDict:
+    batch = make_frames(n=n, t=t, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
+    return batch.set(base.ACTION, torch.rand(*batch[base.MASK].shape, 1, generator=generator) * (HIGH - LOW) + LOW)
+
+
+def sorted_rows(rows: TensorDict) -> torch.Tensor:
+    """All leaves side by side, in an order that does not depend on where a row came from."""
+    table = torch.cat([rows[key].double() for key in TRANSITION], dim=-1)
+    return table[table[:, 0].argsort()]
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_transitions_equal_a_walk_down_the_slots(n_step: int) -> None:
+    batch, gamma, scale = make_batch(), 0.9, 0.5
+    rows = transitions(batch, scale, n_step, gamma)
+    agents, following = batch["agents"], batch["next", "agents"]
+    expected = []
+    for n, t, a in agents["mask"].nonzero().tolist():
+        total, steps = 0.0, 0
+        for k in range(n_step):
+            total += scale * gamma**k * float(following["reward"][n, t + k, a])
+            steps = k + 1
+            if following["done"][n, t + k, a] or t + k + 1 == batch.shape[1]:
+                break
+        last = n, t + steps - 1, a
+        gone = bool(following["terminated"][last])
+        successor = torch.zeros(FEATURES) if gone else following["observation"][last]
+        tail = [total, float(following["done"][last]), float(gone), float(steps)]
+        row = torch.cat([agents["observation"][n, t, a], agents["action"][n, t, a], successor, torch.tensor(tail)])
+        expected.append(row)
+    actual = torch.cat([rows[key].float() for key in TRANSITION], dim=-1)
+    torch.testing.assert_close(actual, torch.stack(expected))
+
+
+def test_leavers_are_worth_nothing_and_truncated_ones_what_they_see() -> None:
+    ddpg, batch = make_ddpg(gamma=0.9, value_loss="l2"), make_batch()
+    rows = transitions(batch, 1.0, 1, 0.9)
+    target = ddpg.loss.value_estimator.value_estimate(rows, target_params=ddpg.loss._cached_target_params)
+    gone = rows[NEXT_TERMINATED].squeeze(-1)
+    truncated = rows[("next", *base.DONE)].squeeze(-1) & ~gone
+    assert gone.any() and truncated.any()
+    with torch.no_grad():
+        successor = rows[NEXT_OBSERVATION]
+        bootstrap = ddpg.critic.module(successor, ddpg.actor.module(successor))
+    torch.testing.assert_close(target[gone], rows[NEXT_REWARD][gone])
+    torch.testing.assert_close(target[truncated], (rows[NEXT_REWARD] + 0.9 * bootstrap)[truncated])
+    last = batch["next", "agents", "truncated"].squeeze(-1) & batch[base.MASK]
+    torch.testing.assert_close(successor[truncated], batch[NEXT_OBSERVATION][last])
+
+
+@pytest.mark.parametrize("value_loss", ["l2", "smooth_l1"])
+def test_losses_equal_a_hand_computation(value_loss: str) -> None:
+    ddpg = make_ddpg(value_loss=value_loss, gamma=0.9, n_step=2)
+    rows = transitions(make_batch(), 3.0, 2, 0.9)
+    target_actor, target_critic = copy.deepcopy(ddpg.actor.module), copy.deepcopy(ddpg.critic.module)
+    with torch.no_grad():
+        for parameter in ddpg.loss.parameters():  # so that the targets differ from the networks
+            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(5)))
+        losses = ddpg.loss(rows)
+        observation, successor = rows[base.OBSERVATION], rows[NEXT_OBSERVATION]
+        following = target_critic(successor, target_actor(successor))
+        alive = (~rows[NEXT_TERMINATED]).float()
+        target = rows[NEXT_REWARD] + 0.9 ** rows[STEPS] * alive * following
+        error = ddpg.critic.module(observation, rows[base.ACTION]) - target
+        l2, huber = error**2, torch.where(error.abs() < 1, 0.5 * error**2, error.abs() - 0.5)
+        value = ddpg.critic.module(observation, ddpg.actor.module(observation))
+    assert float((error.abs() > 1).float().mean()) > 0.1, "the two losses must differ in this test"
+    torch.testing.assert_close(losses["loss_value"], (l2 if value_loss == "l2" else huber).mean())
+    torch.testing.assert_close(losses["loss_actor"], -value.mean())
+    torch.testing.assert_close(rows[ERROR], (error**2).squeeze(-1))
+
+
+def test_targets_follow_slowly_and_each_loss_moves_its_own_network() -> None:
+    ddpg = make_ddpg(tau=0.1, actor_lr=1e-2, critic_lr=1e-3)
+    rows = transitions(make_batch())
+    before = {name: [p.clone() for p in parameters] for name, parameters in ddpg.parameters.items()}
+    ddpg.loss(rows)["loss_actor"].backward()
+    assert all(parameter.grad is None for parameter in ddpg.parameters["critic"])
+    ddpg.gradient_step(rows)
+    for name, group in (("actor", "actor_network"), ("critic", "value_network")):
+        targets = getattr(ddpg.loss, f"target_{group}_params").values(True, True)
+        for old, new, target in zip(before[name], ddpg.parameters[name], targets, strict=True):
+            assert not torch.equal(old, new)
+            torch.testing.assert_close(target, old + 0.1 * (new - old))
+
+
+@pytest.mark.parametrize("noise", [1e6, float("nan")])
+def test_padding_changes_nothing(noise: float) -> None:
+    clean_ddpg, noisy_ddpg = make_ddpg(), make_ddpg()
+    clean = make_batch()
+    noisy = clean.clone()
+    empty = ~noisy[base.MASK]
+    noisy[base.OBSERVATION][empty] = noise
+    noisy[base.ACTION][empty] = noise
+    noisy[NEXT_REWARD][empty] = noise
+    gone = noisy[NEXT_TERMINATED].squeeze(-1)
+    noisy[NEXT_OBSERVATION][empty | gone] = noise
+    torch.manual_seed(7)
+    expected = clean_ddpg.update(clean, 0.0)
+    torch.manual_seed(7)
+    assert noisy_ddpg.update(noisy, 0.0) == pytest.approx(expected, rel=1e-6)
+    for one, other in zip(clean_ddpg.loss.parameters(), noisy_ddpg.loss.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_slot_order_changes_nothing() -> None:
+    batch = make_batch()
+    order = torch.tensor([2, 3, 0, 1])
+    permuted = batch.clone()
+    permuted["agents"] = batch["agents"][:, :, order]
+    permuted["next", "agents"] = batch["next", "agents"][:, :, order]
+    one, other = transitions(batch, 1.0, 3, 0.9), transitions(permuted, 1.0, 3, 0.9)
+    torch.testing.assert_close(sorted_rows(one), sorted_rows(other))
+    logged = make_ddpg().gradient_step(one)
+    for key, value in make_ddpg().gradient_step(other).items():
+        torch.testing.assert_close(value, logged[key])
+
+
+def test_only_a_random_part_is_stored_and_the_oldest_makes_room() -> None:
+    ddpg = make_ddpg(rows_per_frame=0.5, replay_rows=8)
+    batch = make_batch()
+    ddpg.update(batch, 0.0)
+    assert len(ddpg.replay) == 6  # half of twelve frames
+    ddpg.update(batch, 0.0)
+    assert len(ddpg.replay) == 8
+    ddpg.replay.add(transitions(batch))
+    assert len(ddpg.replay) == 8, "a batch larger than the replay fills it"
+
+
+def test_exploration_is_bounded_and_remembers_each_vehicle() -> None:
+    ddpg = make_ddpg(noise_sigma=0.1, noise_theta=0.15)
+    observation = torch.zeros(1, 400, FEATURES)
+    mask = torch.ones(1, 400, dtype=torch.bool)
+    frame = TensorDict({"agents": TensorDict({"observation": observation, "mask": mask}, [1, 400])}, [1])
+    noises = []
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        for _ in range(60):
+            action = ddpg.policy(frame.clone())[base.ACTION]
+            assert float(action.min()) >= LOW and float(action.max()) <= HIGH
+            noises.append(ddpg.policy.noise.flatten().clone())
+    settled = torch.stack(noises[30:])
+    # An AR(1) process: variance sigma^2 / (1 - (1 - theta)^2), correlation 1 - theta between steps.
+    assert float(settled.std()) == pytest.approx(0.1 * (HIGH - LOW) / (1 - 0.85**2) ** 0.5, rel=0.05)
+    correlation = (settled[1:] * settled[:-1]).mean() / settled.var()
+    assert float(correlation) == pytest.approx(0.85, abs=0.03)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        frame[base.MASK][:, 0] = False
+        ddpg.policy(frame)
+    assert float(ddpg.policy.noise[0, 0]) == 0.0 and float(ddpg.policy.noise[0, 1]) != 0.0
+
+
+def test_evaluation_is_deterministic_and_starts_mild() -> None:
+    ddpg, batch = make_ddpg(initial_accel_mps2=0.5), make_batch()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        one, other = ddpg.policy(batch.clone())[base.ACTION], ddpg.policy(batch.clone())[base.ACTION]
+    torch.testing.assert_close(one, other, atol=0.0, rtol=0.0)
+    assert float((one - 0.5).abs().max()) < 0.3
+
+
+def test_noise_decays_and_randomness_ends() -> None:
+    ddpg = make_ddpg(random_frames=20, noise_frames=24, noise_final=0.5)
+    batch = make_batch()  # 12 frames
+    assert ddpg.policy.uniform
+    ddpg.update(batch, 0.0)
+    assert ddpg.policy.uniform and float(ddpg.policy.noise_factor) == pytest.approx(0.75)
+    ddpg.update(batch, 0.0)
+    assert not ddpg.policy.uniform and float(ddpg.policy.noise_factor) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.6])
+def test_state_restores_the_very_next_updates(alpha: float) -> None:
+    one, other = make_ddpg(priority_alpha=alpha, replay_rows=40), make_ddpg(priority_alpha=alpha, replay_rows=40)
+    for seed in range(2):
+        one.update(make_batch(seed), 0.1)
+    file = io.BytesIO()
+    torch.save(one.state_dict(), file)
+    file.seek(0)
+    other.load_state_dict(torch.load(file, weights_only=True))
+    for seed in range(2, 5):
+        torch.manual_seed(seed)
+        expected = one.update(make_batch(seed), 0.2)
+        torch.manual_seed(seed)
+        assert other.update(make_batch(seed), 0.2) == expected
+    for left, right in zip(one.loss.state_dict().values(), other.loss.state_dict().values(), strict=True):
+        torch.testing.assert_close(left, right, atol=0.0, rtol=0.0)
+
+
+def test_without_its_replay_a_restored_run_collects_before_it_learns() -> None:
+    one, other = (make_ddpg(save_replay=False, learning_starts=24) for _ in range(2))
+    for _ in range(2):
+        stats = one.update(make_batch(), 0.0)
+    assert "loss_value" in stats
+    other.load_state_dict(copy.deepcopy(one.state_dict()))
+    assert "loss_value" not in other.update(make_batch(), 0.0)
+    assert "loss_value" in other.update(make_batch(), 0.0)
+
+
+def test_priorities_decide_what_is_drawn_and_weights_undo_it() -> None:
+    torch.manual_seed(0)
+    replay = Replay(capacity=3, minibatch_rows=3000, alpha=0.5, beta=1.0)
+    replay.add(transitions(make_batch())[:3])
+    rows = replay.sample()
+    rows["index"], rows[ERROR] = torch.arange(3000) % 3, torch.tensor([1.0, 16.0, 81.0]).repeat(1000)
+    replay.learned(rows)
+    drawn = replay.sample()
+    share = torch.bincount(drawn["index"], minlength=3) / 3000  # errors 1, 4, 9 to the power 0.5
+    torch.testing.assert_close(share, torch.tensor([1.0, 2.0, 3.0]) / 6, atol=0.03, rtol=0.0)
+    weight = torch.tensor([drawn["priority_weight"][drawn["index"] == row][0] for row in range(3)])
+    torch.testing.assert_close(weight, torch.tensor([1.0, 1 / 2, 1 / 3]), atol=1e-4, rtol=1e-4)
+    replay.add(transitions(make_batch())[:1])
+    assert isinstance(replay.sampler, PriorityDraws)
+    assert float(replay.sampler.priority[0]) == pytest.approx(9.0, abs=1e-3), "new rows come first"
+
+
+def test_an_empty_batch_is_no_update() -> None:
+    ddpg, batch = make_ddpg(), make_batch()
+    batch[base.MASK][:] = False
+    before = [parameter.clone() for parameter in ddpg.loss.parameters()]
+    assert "loss_value" not in ddpg.update(batch, 0.0)
+    for parameter, old in zip(ddpg.loss.parameters(), before, strict=True):
+        torch.testing.assert_close(parameter, old)
+
+
+def test_update_improves_a_bandit() -> None:
+    """Reward falls with the distance from 1 m/s^2: the actor must move there."""
+    settings = {"gamma": 0.0, "n_step": 1, "reward_scale": 1.0, "critic_lr": 1e-2, "actor_lr": 1e-3, "hidden": (32,)}
+    ddpg = make_ddpg(**settings, replay_rows=10_000, minibatch_rows=256, saturation_coeff=1e-3)
+    for round_ in range(14):
+        batch = make_batch(round_, n=8, t=60)
+        batch[NEXT_REWARD] = -(((batch[base.ACTION] - 1.0) / 3) ** 2)
+        ddpg.update(batch, 0.0)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        action = ddpg.policy(make_batch())[base.ACTION]
+    assert float((action - 1.0).abs().mean()) < 0.5
+
+
+@pytest.mark.parametrize(("choice", "config"), [("ddpg", DDPGConfig()), ("ddpg_paper", DDPGConfig.paper())])
+def test_yaml_equals_dataclass(choice: str, config: DDPGConfig) -> None:
+    assert compose_config("train", TrainConfig, [f"algo={choice}"]).algo == config
+    assert from_mapping(DDPGConfig, to_mapping(config)) == config
+
+
+def test_bad_hyper_parameters_are_refused() -> None:
+    for changes in ({"tau": 0.0}, {"hidden": ()}, {"activation": "sin"}, {"n_step": 0}, {"rows_per_frame": 0.0}):
+        with pytest.raises(IzooError):
+            DDPGConfig(**changes)  # type: ignore[arg-type]
+    with pytest.raises(IzooError, match="initial_accel"):
+        make_ddpg(initial_accel_mps2=3.0)
+
+
+def test_loss_reads_per_agent_keys() -> None:
+    ddpg = make_ddpg()
+    assert ddpg.loss.tensor_keys.state_action_value == ACTION_VALUE
+    assert ddpg.loss.tensor_keys.terminated == base.TERMINATED

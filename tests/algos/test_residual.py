@@ -1,0 +1,223 @@
+"""Residual actions: what is stored, what is learned from, and what the nominal controller does."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from izoo import train
+from izoo.algos import base
+from izoo.algos.residual import RESIDUAL, DirectAction, NominalDriver, Residual, ResidualAction, ResidualPolicy
+from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.compose import compose_config
+from izoo.conf.options import TrainConfig
+from izoo.contexts.features import feature
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.errors import IzooError
+from izoo.training import runs
+
+ENV = EnvConfig()
+NAMES = observation_names(ENV)
+SCALES = {"speed": SPEED_SCALE_MPS, "distance": DISTANCE_SCALE_M}
+
+
+def observe(**values: float) -> torch.Tensor:
+    """An observation in SI units: a CV at 10 m/s, 100 m before a green light, on a free road, limit 15 m/s."""
+    seen = {
+        "speed": 10.0 / SPEED_SCALE_MPS,
+        "stop_line_distance": -100.0 / DISTANCE_SCALE_M,
+        "location_approaching": 1.0,
+        "signal_green": 1.0,
+        "signal_time_left": 20.0 / TIME_SCALE_S,
+        "signal_second_green": 60.0 / TIME_SCALE_S,
+        "signal_third_green": 120.0 / TIME_SCALE_S,
+        "leader_distance": FAR_M / DISTANCE_SCALE_M,
+        "context_green_s": 30.0 / feature("green_s").scale,
+        "context_red_s": 30.0 / feature("red_s").scale,
+        "context_speed_limit_mps": 15.0 / feature("speed_limit_mps").scale,
+        **values,
+    }
+    return torch.tensor([seen.get(name, 0.0) for name in NAMES])
+
+
+def nominal(**values: float) -> float:
+    observation = observe(**values).reshape(1, 1, -1)
+    return float(NominalDriver(ENV)(observation, torch.ones(1, 1, dtype=torch.bool)))
+
+
+def make(algo: str, *words: str) -> Residual:
+    torch.manual_seed(3)
+    options = compose_config("train", TrainConfig, [f"algo={algo}", "algo.hidden=[8]", "action=residual", *words])
+    algorithm = runs.make_algorithm(options, len(NAMES))
+    assert isinstance(algorithm, Residual)
+    return algorithm
+
+
+def make_batch(n: int = 2, t: int = 5, a: int = 3) -> TensorDict:
+    """Noise around :func:`observe`; the last slot is empty."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (n, t, a)
+    mask = torch.ones(shape, dtype=torch.bool)
+    mask[..., -1] = False
+    ended = torch.zeros(*shape, 1, dtype=torch.bool)
+    ended[0, 2, 1] = True
+    draw = lambda: observe() + 0.1 * torch.randn(*shape, len(NAMES), generator=generator)  # noqa: E731
+    successor = {"observation": draw(), "mask": mask, "done": ended, "terminated": ended}
+    successor["reward"] = torch.randn(*shape, 1, generator=generator)
+    agents = {"observation": draw(), "mask": mask}
+    following = TensorDict({"agents": TensorDict(successor, shape)}, [n, t])
+    return TensorDict({"agents": TensorDict(agents, shape), "next": following}, [n, t])
+
+
+def act(algorithm: base.Algorithm, batch: TensorDict, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:
+    torch.manual_seed(1)
+    with torch.no_grad(), set_exploration_type(kind):
+        return algorithm.policy(batch.clone())
+
+
+def test_nominal_is_glide_where_glide_commands() -> None:
+    # Red for 30 s more, 100 m ahead: 2 s of start lag make it 32 s, so glide asks for its floor speed of 5 m/s.
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
+    driver = NominalDriver(ENV)
+    observation, mask = observe(**red).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)
+    advised, idle = driver.glide.drive(observation, mask)
+    assert not idle.any()
+    torch.testing.assert_close(driver(observation, mask), advised)
+    assert nominal(**red) < -0.5
+
+
+def test_nominal_is_the_car_following_model_elsewhere() -> None:
+    assert nominal() == pytest.approx(2.6 * (1 - (10 / 15) ** 4), abs=1e-4)
+    assert nominal(speed=15.0 / SPEED_SCALE_MPS) == pytest.approx(0.0, abs=1e-4)
+    behind = {"leader_present": 1.0, "leader_distance": 14.0 / DISTANCE_SCALE_M, "leader_speed": 8.0 / SPEED_SCALE_MPS}
+    desired = 2.0 + 10.0 * 1.0 + 10.0 * 2.0 / (2 * (2.6 * 4.5) ** 0.5)
+    expected = 2.6 * (1 - (10 / 15) ** 4 - (desired / 14.0) ** 2)
+    assert nominal(**behind) == pytest.approx(max(expected, -4.5), abs=1e-3)
+    assert nominal(leader_present=1.0, leader_distance=0.0) == pytest.approx(-4.5)
+
+
+def test_a_red_light_ahead_holds_but_not_in_the_last_metres() -> None:
+    driver = NominalDriver(ENV)
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 5.0 / TIME_SCALE_S}
+    far, near = (driver.follow(observe(**red, stop_line_distance=-d / DISTANCE_SCALE_M)) for d in (40.0, 10.0))
+    desired = 10.0 * 1.0 + 10.0 * 10.0 / (2 * (2.6 * 4.5) ** 0.5)
+    assert float(far) == pytest.approx(2.6 * (1 - (10 / 15) ** 4 - (desired / 40.0) ** 2), abs=1e-3)
+    assert float(near) > 0
+
+
+@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+def test_training_starts_from_the_nominal_controller(algo: str) -> None:
+    algorithm, batch = make(algo), make_batch()
+    acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
+    assert float(acted[RESIDUAL].abs().max()) < 0.1
+    expected = NominalDriver(ENV)(batch[base.OBSERVATION], batch[base.MASK]).unsqueeze(-1)
+    torch.testing.assert_close(acted[base.ACTION], (expected + acted[RESIDUAL]).clamp(-4.5, 2.6))
+
+
+@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+def test_residuals_stay_in_their_range_and_sums_in_the_environments(algo: str) -> None:
+    algorithm = make(algo, "action.half_width_mps2=0.5")
+    acted = act(algorithm, make_batch(t=40))
+    assert 0.05 < float(acted[RESIDUAL].abs().max()) <= 0.5
+    assert float(acted[base.ACTION].min()) >= -4.5 and float(acted[base.ACTION].max()) <= 2.6
+    assert set(algorithm.policy.out_keys) <= set(acted.keys(True, True))
+
+
+@pytest.mark.parametrize("algo", ["ppo", "mappo", "gcrl"])
+def test_log_probabilities_are_those_of_the_residual(algo: str) -> None:
+    """Before the first update the ratio of PPO is 1 for what was stored, so its objective is the mean advantage: 0."""
+    algorithm = make(algo)
+    acted = act(algorithm, make_batch())
+    own = acted.copy().set(base.ACTION, acted[RESIDUAL])
+    rows = algorithm.learned.advantages(own)  # type: ignore[attr-defined]
+    losses = algorithm.learned.loss(rows)  # type: ignore[attr-defined]
+    assert float(losses["loss_objective"].detach()) == pytest.approx(0.0, abs=1e-5)
+    wrong = algorithm.learned.loss(algorithm.learned.advantages(acted))  # type: ignore[attr-defined]
+    assert abs(float(wrong["loss_objective"].detach())) > 1e-3, "the sum in the place of the residual must show here"
+
+
+@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+def test_update_sees_the_residual_and_leaves_the_batch_alone(algo: str) -> None:
+    one, other = (make(algo, *_now(algo)) for _ in range(2))
+    acted = act(one, make_batch())
+    before = acted.clone()
+    torch.manual_seed(5)
+    stats = one.update(acted, 0.0)
+    assert (acted == before).all()
+    assert stats.pop("residual_abs") == pytest.approx(float(acted[RESIDUAL][acted[base.MASK]].abs().mean()))
+    torch.manual_seed(5)
+    assert other.learned.update(before.set(base.ACTION, before[RESIDUAL]), 0.0) == pytest.approx(stats)
+
+
+@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+def test_state_is_restored(algo: str) -> None:
+    one, other = (make(algo, *_now(algo)) for _ in range(2))
+    acted = act(one, make_batch())
+    one.update(acted, 0.0)
+    other.load_state_dict(one.state_dict())
+    kind = ExplorationType.DETERMINISTIC
+    torch.testing.assert_close(act(one, acted, kind)[base.ACTION], act(other, acted, kind)[base.ACTION])
+
+
+def _now(algo: str) -> tuple[str, ...]:
+    return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo == "ddpg" else ()
+
+
+def test_yaml_equals_dataclass() -> None:
+    for choice, config in (("direct", DirectAction()), ("residual", ResidualAction())):
+        assert compose_config("train", TrainConfig, [f"action={choice}"]).action == config
+        assert from_mapping(TrainConfig, {"action": to_mapping(config)}).action == config
+    assert TrainConfig().action == DirectAction()
+
+
+def test_what_cannot_work_is_refused() -> None:
+    with pytest.raises(IzooError, match="half_width"):
+        ResidualAction(half_width_mps2=0.0)
+    blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))
+    with pytest.raises(IzooError, match="glide needs leader_present"):
+        runs.make_algorithm(blind, len(observation_names(blind.env)))
+
+
+def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:
+    import cloudpickle
+
+    policy = make("ddpg").policy
+    assert isinstance(policy, ResidualPolicy)
+    copied = cloudpickle.loads(cloudpickle.dumps(policy))
+    batch = make_batch()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        torch.testing.assert_close(copied(batch.clone())[base.ACTION], policy(batch.clone())[base.ACTION])
+
+
+def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [
+        *("algo=ddpg", "action=residual", "action.half_width_mps2=0.8", "contexts=pcg_easy", "env.horizon_s=150"),
+        *(
+            "contexts.inflow_vph_per_lane=600",
+            "algo.hidden=[16]",
+            "algo.frames_per_batch=500",
+            "algo.minibatch_rows=64",
+        ),
+        *("algo.learning_starts=500", "total_frames=2000", "evaluation.contexts=0", f"run_dir={run_dir}"),
+    ]
+    assert train.main(words) == 0
+    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frames"]) for row in rows] == [500, 1000, 1500, 2000]
+    assert all(float(row["loss_value"]) > 0 for row in rows)
+    assert 0 < float(rows[0]["residual_abs"]) < 0.8
+    assert runs.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)
+    policy = runs.load_policy(run_dir)
+    assert isinstance(policy, ResidualPolicy)
+    batch = make_batch()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        acted = policy(batch)
+    assert float(acted[RESIDUAL].abs().max()) <= 0.8
