@@ -8,6 +8,7 @@ place.
 from __future__ import annotations
 
 import heapq
+import os
 import tempfile
 from pathlib import Path
 
@@ -47,6 +48,7 @@ from izoo.envs.layout import (
     VEHICLE_INTS,
 )
 from izoo.envs.sumo import SumoSession, sumo_arguments
+from izoo.envs.worker import episode_folder_prefix
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.networks.build import build_net
@@ -93,7 +95,7 @@ class Simulator:
         self.context, self.seed = context, seed
         self.traffic = sample_traffic(context, road, seed, config.horizon_s)
         if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="izoo-")
+            self._folder = tempfile.TemporaryDirectory(prefix=episode_folder_prefix(os.getpid()))
         routes = Path(self._folder.name) / "traffic.rou.xml"
         write_routes(self.traffic, road, routes)
         try:

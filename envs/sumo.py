@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -114,7 +115,7 @@ class SumoSession:
         except Exception as error:
             self._running = False
             _owner = None
-            raise IzooError(f"SUMO could not load the simulation: {error}") from error
+            raise IzooError(f"SUMO could not load the simulation: {_explain(arguments) or error}") from error
         _owner, self._running, self._api = self, True, api
         self._bind(api)
 
@@ -208,3 +209,13 @@ class SumoSession:
             self._running = False
         if _owner is self:
             _owner = None
+
+
+def _explain(arguments: Sequence[str]) -> str:
+    """Return what SUMO says against ``arguments``; libsumo prints it past Python, so the program is asked again."""
+    program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
+    try:
+        run = subprocess.run([str(program), *arguments, "--end", "0"], capture_output=True, text=True, timeout=60)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return " ".join(line.strip() for line in run.stderr.splitlines() if line.startswith("Error:"))

@@ -11,11 +11,14 @@ import contextlib
 import mmap
 import os
 import pickle
+import shutil
 import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import traceback
+from pathlib import Path
 from typing import Any
 
 from izoo.envs.config import EnvConfig
@@ -24,7 +27,7 @@ from izoo.errors import IzooError
 
 STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
 DONE, FAILED = b"k", b"e"
-_STARTUP_S = 60.0
+_STARTUP_S = 300.0
 _LENGTH = struct.Struct("!Q")
 
 
@@ -37,12 +40,15 @@ def shared_memory_file(size: int) -> int:
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("izoo-frames")
     else:
-        import tempfile
-
         with tempfile.TemporaryFile() as file:
             descriptor = os.dup(file.fileno())
     os.ftruncate(descriptor, size)
     return descriptor
+
+
+def episode_folder_prefix(pid: int) -> str:
+    """Name, but for its random end, of the temporary folder in which a process keeps the files of its episode."""
+    return f"izoo-{pid}-"
 
 
 class Worker:
@@ -83,10 +89,13 @@ class Worker:
             WorkerLost: the process ended or did not answer in time.
             IzooError: the worker refused, for a reason that the caller can mend.
         """
+        patience_s = self._watchdog_s
         if not self._ready:
-            self._answer(max(self._watchdog_s, _STARTUP_S))
+            # The first episode also loads the compiled code, or compiles it.
+            patience_s = max(patience_s, _STARTUP_S)
+            self._answer(patience_s)
             self._ready = True
-        self._answer(self._watchdog_s)
+        self._answer(patience_s)
 
     def _answer(self, timeout_s: float) -> None:
         self._socket.settimeout(timeout_s)
@@ -111,10 +120,12 @@ class Worker:
             raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
 
     def kill(self) -> None:
-        """End the process at once."""
+        """End the process at once, and remove the files that it can no longer remove."""
         self.process.kill()
         self._socket.close()
         self.process.wait()
+        for folder in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix(self.process.pid)}*"):
+            shutil.rmtree(folder, ignore_errors=True)
 
     def close(self, patience_s: float = 5.0) -> None:
         """Ask the process to end, and end it if it does not."""
@@ -160,7 +171,7 @@ def main(descriptor: int, memory: int) -> None:
                 elif kind == INIT:
                     simulator = _make_simulator(memory, *pickle.loads(_receive(connection)))
                 connection.send(DONE)
-            except (IzooError, ArithmeticError, LookupError, TypeError, ValueError, RuntimeError, OSError) as error:
+            except Exception as error:
                 is_users = isinstance(error, IzooError)
                 data = pickle.dumps((is_users, str(error) if is_users else traceback.format_exc()))
                 connection.sendall(FAILED + _LENGTH.pack(len(data)) + data)
