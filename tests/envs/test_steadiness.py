@@ -1,0 +1,339 @@
+"""Workers that die, hang or meet a broken net; parents that end in every way; memory."""
+
+from __future__ import annotations
+
+import gc
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from izoo.contexts.context import Context
+from izoo.contexts.source import FixedSchedule
+from izoo.envs import EnvConfig, SumoParallelEnv
+from izoo.envs.worker import episode_folder_prefix
+from izoo.errors import IzooError
+from izoo.networks.build import build_net
+from tests.envs.worlds import crossing, defer, digest, play, play_on, same, short, steer
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
+
+
+@pytest.fixture
+def pair() -> Iterator[SumoParallelEnv]:
+    env = SumoParallelEnv(2, crossing(), config=short(watchdog_s=2.0), seed=6)
+    yield env
+    env.close()
+
+
+def process_of(env: SumoParallelEnv, index: int) -> int:
+    worker = env._workers[index]
+    assert worker is not None
+    return worker.process.pid
+
+
+def alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def wait_until_gone(pids: set[int], patience_s: float = 10.0) -> set[int]:
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end and any(alive(pid) for pid in pids):
+        time.sleep(0.05)
+    return {pid for pid in pids if alive(pid)}
+
+
+def undisturbed(steps: int) -> TensorDict:
+    env = SumoParallelEnv(2, crossing(), config=short(), seed=6)
+    try:
+        return play(env, steps)
+    finally:
+        env.close()
+
+
+# -- workers -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("number", "limit_s"), [(signal.SIGKILL, 1.0), (signal.SIGSTOP, 4.0)])
+def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: int, limit_s: float) -> None:
+    before, state = play_on(pair, 60, steer, pair.reset())
+    lost = process_of(pair, 0)
+    os.kill(lost, number)
+    began = time.monotonic()
+    frame = pair.step(steer(state.clone()))
+    assert time.monotonic() - began < limit_s
+    # The lost step: truncated, nothing terminated, nobody paid, the last observation once more.
+    row = frame["next"][0]
+    assert row["truncated"].item() and row["done"].item() and not row["terminated"].item()
+    mask = state["agents", "mask"][0]
+    assert mask.any() and torch.equal(row["agents", "mask"], mask)
+    assert torch.equal(row["agents", "truncated"].squeeze(-1), mask)
+    assert not row["agents", "terminated"].any() and not row["agents", "reward"].any()
+    assert torch.equal(row["agents", "observation"], state["agents", "observation"][0])
+    assert not frame["next"][1]["done"].item()
+    assert pair.restarts == 1 and not alive(lost)
+    for name, value in frame["next"].items(True, True):
+        assert torch.isfinite(value.float()).all(), name
+    # The run goes on: the lost worker with its next episode, the other as if nothing had been.
+    state = pair.maybe_reset(frame["next"].exclude("reward", ("agents", "reward")))
+    assert state["context", "episode"].flatten().tolist() == [2, 1]
+    after, _ = play_on(pair, 40, steer, state)
+    assert after["context", "episode"][0].unique().tolist() == [2]
+    assert not after["next", "done"][0].any()
+    whole = torch.cat([before[1], frame[1].unsqueeze(0), after[1]], 0)
+    assert digest(whole) == digest(undisturbed(101)[1])
+
+
+def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
+    """The environment's own stepping begins the lost worker's next episode, and keeps the other's state."""
+    _, state = play_on(pair, 30, steer, pair.reset())
+    os.kill(process_of(pair, 0), signal.SIGKILL)
+    frame, after = pair.step_and_maybe_reset(steer(state))
+    assert frame["next", "truncated"].flatten().tolist() == [True, False]
+    assert after["context", "episode"].flatten().tolist() == [2, 1]
+    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
+    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
+    assert not after["done"].any()
+
+
+def test_killed_while_it_begins_an_episode(pair: SumoParallelEnv) -> None:
+    pair.reset()
+    os.kill(process_of(pair, 1), signal.SIGKILL)
+    state = pair.reset()
+    assert state["context", "episode"].flatten().tolist() == [2, 3] and pair.restarts == 1
+    play_on(pair, 5, steer, state)
+
+
+def survive(kills: int, seed: int) -> None:
+    """Kill or stop workers at random moments of one collection; whole episodes are as in an undisturbed run."""
+    chance = random.Random(seed)
+    config = short(horizon_s=20.0, watchdog_s=2.0)
+    env = SumoParallelEnv(2, crossing(), config=config, seed=6)
+    done: dict[int, str] = {}
+    lost = 0
+    try:
+        state = env.reset()
+        pieces: list[list[TensorDict]] = [[], []]
+        wait = 5
+        while lost < kills or len(done) < 4:
+            wait -= 1
+            if wait <= 0 and lost < kills:
+                os.kill(process_of(env, chance.randrange(2)), signal.SIGKILL)
+                lost += 1
+                wait = chance.randrange(1, 60)
+            frame, state = env.step_and_maybe_reset(steer(state))
+            for index in range(2):
+                pieces[index].append(frame[index])
+                if frame["next", "truncated"][index].item():
+                    whole = len(pieces[index]) == config.control_steps
+                    assert frame["next", "metrics", "episode", "steps"][index].item() <= config.control_steps
+                    if whole and frame["next", "metrics", "episode", "steps"][index].item() == config.control_steps:
+                        done[int(frame["context", "episode"][index])] = digest(torch.stack(pieces[index]))
+                    pieces[index] = []
+        assert env.restarts == lost
+    finally:
+        env.close()
+    single = SumoParallelEnv(1, crossing(), config=config, seed=6)
+    try:
+        for number in sorted(done)[:6]:
+            start = single.reset(TensorDict({("context", "episode"): torch.tensor([[number]])}, [1]))
+            assert digest(play(single, config.control_steps, steer, start)[0]) == done[number]
+    finally:
+        single.close()
+
+
+def test_random_kills_lose_only_the_killed_episodes() -> None:
+    survive(kills=4, seed=1)
+
+
+@pytest.mark.slow
+def test_fifty_random_kills() -> None:
+    survive(kills=50, seed=2)
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Context:
+    """A context whose net is read well, and refused by SUMO."""
+    net = tmp_path / "net.net.xml"
+    text = Path(build_net(crossing().intersection)).read_text()
+    assert 'id="A2TL_0"' in text
+    net.write_text(text.replace("<junction ", '<junction id="TL" type="nonsense" x="a"/><junction ', 1))
+    from dataclasses import replace
+
+    return crossing().replace(intersection=replace(crossing().intersection, name="broken/1", net_path=str(net)))
+
+
+def test_a_bad_net_is_an_error_with_its_name(broken: Context) -> None:
+    """The others are unharmed, and the environment goes on with the next episodes."""
+    good = crossing()
+    env = SumoParallelEnv(
+        2, FixedSchedule([(good, 1), (good, 2), (broken, 3), (good, 4), (good, 5), (good, 6)]), config=short()
+    )
+    try:
+        play(env, 5)
+        pids = {process_of(env, 0), process_of(env, 1)}
+        with pytest.raises(IzooError, match=r"context broken/1: SUMO could not load.*junction 'TL'"):
+            env.reset()
+        state = env.reset()
+        assert state["context", "episode"].flatten().tolist() == [4, 5]
+        assert {process_of(env, 0), process_of(env, 1)} == pids and env.restarts == 0
+        frames, _ = play_on(env, 5, steer, state)
+        assert frames["metrics", "episode", "steps"][:, -1].flatten().tolist() == [4.0, 4.0]
+    finally:
+        env.close()
+
+
+def test_a_bad_net_in_the_own_process(broken: Context) -> None:
+    from izoo.envs import EcoDrivingEnv
+
+    env = EcoDrivingEnv(FixedSchedule([(broken, 1), (crossing(), 2)]), config=short())
+    try:
+        with pytest.raises(IzooError, match=r"context broken/1: SUMO could not load.*junction 'TL'"):
+            env.reset()
+        state = env.reset()
+        assert state["context", "episode"].item() == 1
+        play(env, 5, steer, state)
+    finally:
+        env.close()
+
+
+# -- the end -----------------------------------------------------------------------------------------------------------
+
+
+def shared_segments(pids: set[int]) -> set[Path]:
+    """Return the named shared memory that processes map."""
+    lines = [line for pid in pids for line in Path(f"/proc/{pid}/maps").read_text().splitlines()]
+    return {Path(line.split()[-1]) for line in lines if line.split()[-1].startswith("/dev/shm/")}
+
+
+def open_descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def folders_of(pids: set[int]) -> list[Path]:
+    return [path for pid in pids for path in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix(pid)}*")]
+
+
+def test_close_leaves_nothing() -> None:
+    descriptors = open_descriptors()
+    env = SumoParallelEnv(2, crossing(), config=short())
+    env.reset()
+    pids = {process_of(env, 0), process_of(env, 1)}
+    assert not shared_segments(pids) and len(folders_of(pids)) == 2
+    env.close()
+    env.close()
+    assert not wait_until_gone(pids)
+    assert not folders_of(pids)
+    del env
+    gc.collect()
+    assert open_descriptors() <= descriptors
+
+
+def test_a_killed_worker_leaves_no_files(pair: SumoParallelEnv) -> None:
+    state = pair.reset()
+    lost = {process_of(pair, 0)}
+    assert len(folders_of(lost)) == 1
+    os.kill(min(lost), signal.SIGKILL)
+    pair.step(steer(state))
+    assert not folders_of(lost)
+
+
+PARENT = """
+import os, sys, time
+from tests.envs.worlds import crossing, play, short
+from izoo.envs import SumoParallelEnv
+env = SumoParallelEnv(2, crossing(), config=short(horizon_s=500.0))
+env.reset()
+print(*(worker.process.pid for worker in env._workers), flush=True)
+{ending}
+"""
+ENDINGS = {
+    "killed in the middle of steps": ("play(env, 10**6)", signal.SIGKILL),
+    "killed while idle": ("time.sleep(100)", signal.SIGKILL),
+    "Ctrl-C": ("play(env, 10**6)", signal.SIGINT),
+    "terminated": ("play(env, 10**6)", signal.SIGTERM),
+    "an exception": ("raise RuntimeError('on purpose')", None),
+    "falling off the end": ("", None),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_no_orphans_and_no_shared_memory(ending: str) -> None:
+    code, number = ENDINGS[ending]
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT.format(ending=code)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert parent.stdout is not None
+        pids = {int(word) for word in parent.stdout.readline().split()}
+        assert len(pids) == 2
+        # Whatever has no name in the file system ends with the processes.
+        segments = shared_segments({*pids, parent.pid} if number is not None else set())
+        if number is not None:
+            time.sleep(0.3)
+            assert all(alive(pid) for pid in pids)
+            parent.send_signal(number)
+        parent.wait(20)
+    finally:
+        parent.kill()
+        parent.communicate()
+    assert not wait_until_gone(pids), "workers have outlived their parent"
+    assert not any(path.exists() for path in segments)
+    assert not folders_of(pids)
+
+
+# -- long runs ---------------------------------------------------------------------------------------------------------
+
+
+def resident_kib(pid: int) -> int:
+    line = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1])
+
+
+def memory_growth(episodes: int, warm: int, config: EnvConfig, **changes: Any) -> float:
+    """Resident memory of one worker after ``episodes`` over that after ``warm``."""
+    env = SumoParallelEnv(1, crossing(**changes), config=config)
+    try:
+        state, begin = env.reset(), 0
+        for number in range(episodes):
+            _, state = play_on(env, config.control_steps, defer, state)
+            if number + 1 == warm:
+                begin = resident_kib(process_of(env, 0))
+        assert env.restarts == 0
+        return resident_kib(process_of(env, 0)) / begin
+    finally:
+        env.close()
+
+
+def test_memory_stays_over_some_episodes() -> None:
+    assert memory_growth(40, 10, short(horizon_s=20.0)) < 1.1
+
+
+@pytest.mark.slow
+def test_memory_stays_over_300_episodes() -> None:
+    assert memory_growth(300, 30, EnvConfig(horizon_s=200.0)) < 1.1
+
+
+@pytest.mark.slow
+def test_sixteen_workers() -> None:
+    env = SumoParallelEnv(16, crossing(), config=short())
+    try:
+        frames = play(env, env.config.control_steps + 5)
+        assert frames.shape[0] == 16 and env.restarts == 0
+        assert frames["context", "episode"][:, 0].flatten().tolist() == list(range(16))
+    finally:
+        env.close()
