@@ -1,0 +1,76 @@
+"""Every example of the documentation runs, at toy size."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
+TESTED = {"ppo_by_hand", "sb3_ego", "own_contexts", "own_reward", "own_policy", "offline_data"}
+
+
+def test_every_example_is_tested() -> None:
+    assert {path.stem for path in FOLDER.glob("*.py")} - {"__init__"} == TESTED
+
+
+def test_ppo_by_hand() -> None:
+    from izoo.docs.examples import ppo_by_hand
+
+    history = ppo_by_hand.main(total_frames=800, frames_per_batch=400, horizon_s=125.0)
+    assert len(history) == 2 and all(np.isfinite(history))
+    source = (FOLDER / "ppo_by_hand.py").read_text()
+    assert len(source.splitlines()) <= 150
+    names = {name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom) for name in [node.module]}
+    assert not {name for name in names if name and name.startswith(("hydra", "izoo.train", "izoo.conf", "izoo.algos"))}
+
+
+def test_stable_baselines() -> None:
+    pytest.importorskip("stable_baselines3")
+    from izoo.docs.examples import sb3_ego
+
+    model = sb3_ego.main(total_timesteps=128, steps_per_update=128, horizon_s=125.0)
+    assert model.num_timesteps == 128
+    observation = np.zeros(model.observation_space.shape or (), np.float32)
+    assert model.predict(observation)[0].shape == (1,)
+
+
+def test_own_contexts() -> None:
+    from izoo.docs.examples import own_contexts
+
+    played = own_contexts.main(horizon_s=40.0)
+    assert played.keys() == {"hilly", "rush hour", "harder"}
+    assert all(len(set(names)) == 2 for names in played.values())
+
+
+def test_own_reward() -> None:
+    from izoo.docs.examples import own_reward
+
+    batch = own_reward.main(horizon_s=75.0)
+    mask, reward = batch["agents", "mask"], batch["next", "agents", "reward"].squeeze(-1)
+    terms = batch["next", "agents", "reward_vector"]
+    assert mask.any() and not reward[~mask].any()
+    speed, emission = (terms[..., own_reward.COLUMN[name]] for name in ("speed_mps", "emission_g"))
+    assert (reward <= speed / 15.0 - emission + 1e-5)[mask].all() and (reward[mask] != 0).any()
+    summed = batch["next", "agents", "episode_reward"].squeeze(-1)
+    torch.testing.assert_close(summed[-1].sum(), reward.sum(), rtol=1e-4, atol=1e-4)
+
+
+def test_own_policy(tmp_path: Path) -> None:
+    from izoo.docs.examples import own_policy
+
+    table = own_policy.main(horizon_s=125.0, seeds=(0,), num_workers=0, cache=tmp_path)
+    assert set(table["policy"]) == {"human", "uncommanded", "arrive-on-green"}
+    own, uncommanded = (table[table["policy"] == name] for name in ("arrive-on-green", "uncommanded"))
+    assert len(own) == 2 and (own["agent_steps"] > own["deferred_steps"]).all()
+    assert (uncommanded["agent_steps"] == uncommanded["deferred_steps"]).all()
+
+
+def test_offline_data() -> None:
+    from izoo.docs.examples import offline_data
+
+    losses = offline_data.main(frames=600, updates=20, horizon_s=75.0)
+    assert len(losses) == 20 and np.isfinite(losses).all()
