@@ -1,8 +1,8 @@
-"""Entry point of ``python -m izoo.contexts``."""
+"""Entry point of ``python -m izoo.contexts``, whose commands come from several rooms."""
 
 import sys
 
-from izoo.contexts.commands import main
+from izoo.context_tools.commands import main
 
 if __name__ == "__main__":
     sys.exit(main())

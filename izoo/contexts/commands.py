@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from izoo.contexts.splits import SPLITS
 from izoo.contexts.timing import measure
 from izoo.errors import IzooError
 
-EXIT_BAD_INPUT = 2
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 
 
 class Command(NamedTuple):
@@ -121,13 +122,15 @@ def _cities(options: argparse.Namespace) -> None:
     print(f"{'all':20} {catalogue.INTERSECTIONS:6} intersections {catalogue.SIZE:9} scenarios")
 
 
-def _compare_arguments(parser: argparse.ArgumentParser) -> None:
+def compare_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``compare``."""
     parser.add_argument("--city", action="append", help="default: all ten")
     parser.add_argument("--csv", type=Path, help="write the distances here")
     parser.add_argument("--png", type=Path, help="draw the histograms here")
 
 
-def _compare(options: argparse.Namespace) -> None:
+def compare(options: argparse.Namespace) -> None:
+    """Print, and write if asked to, how far rebuilt cities are from the published statistics."""
     tables = compare_cities([city_name(city) for city in options.city or CITIES])
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))
@@ -142,7 +145,7 @@ COMMANDS = (
     Command("list", "print the scenarios that pass a filter", _list_arguments, _list),
     Command("count", "count the scenarios that pass a filter", _filter_arguments, _count),
     Command("cities", "print the ten cities", _cities_arguments, _cities),
-    Command("compare", "compare rebuilt cities with the published statistics", _compare_arguments, _compare),
+    Command("compare", "compare rebuilt cities with the published statistics", compare_arguments, compare),
 )
 
 
@@ -157,7 +160,19 @@ def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = COMMAN
     options = parser.parse_args(argv)
     try:
         options.run(options)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever read the output, such as ``head``, has had enough; what is left to flush must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("stopped.", file=sys.stderr)
+        return EXIT_INTERRUPTED
     except IzooError as error:
         print(f"error: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"error: cannot use {error.filename}: {error.strerror}; choose another path.", file=sys.stderr)
         return EXIT_BAD_INPUT
     return 0

@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec, SignalPlan
+from izoo.contexts.timing import measure
 from izoo.errors import IzooError
 from izoo.networks.draw_layout import LANE_M, Layout, layout_of_road, layout_of_spec
 from izoo.networks.roadnet import RoadNet, read_road
@@ -116,7 +117,7 @@ def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
         for leg in spec.legs:
             if leg.approach is None:
                 continue
-            ratio, phases = _service(spec.signal_plan, leg.name)
+            phases, ratio = measure(spec.signal_plan, leg.name) if spec.signal_plan else (math.nan, math.nan)
             rows.append(
                 {
                     "lane_count": leg.approach.lane_count,
@@ -151,13 +152,6 @@ def group_colours(plan: SignalPlan | None, movements: Iterable[tuple[str, str]])
 
 def _colour(states: tuple[tuple[str, str, str], ...], movement: tuple[str, str]) -> str:
     return next((colour for origin, to, colour in states if (origin, to) == movement), "r")
-
-
-def _service(plan: SignalPlan | None, leg: str) -> tuple[float, float]:
-    if plan is None:
-        return math.nan, math.nan
-    serving = [phase for phase in plan.phases if any(o == leg and c in "Gg" for o, _, c in phase.states)]
-    return sum(phase.duration_s for phase in serving) / plan.cycle_s, float(len(serving))
 
 
 def _draw_layout(

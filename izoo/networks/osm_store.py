@@ -74,14 +74,20 @@ def load_cmdp(folder: Path | str) -> list[IntersectionSpec]:
         IzooError: a file is missing, damaged, or of another format version.
     """
     folder = Path(folder).expanduser()
-    specs = []
-    for key in _index(folder):
-        record = _read(folder / f"{key}.json")
-        try:
-            specs.append(spec_from_dict(record["spec"]))
-        except (KeyError, TypeError, AttributeError) as error:
-            raise IzooError(f"{folder / key}.json is damaged ({error!r}); build the folder again.") from error
-    return specs
+    return [load_record(folder / f"{key}.json")[0] for key in _index(folder)]
+
+
+def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
+    """Load one intersection of a build, and the names of its streets by leg.
+
+    Raises:
+        IzooError: the file is missing, damaged, or of another format version.
+    """
+    record = _read(file)
+    try:
+        return spec_from_dict(record["spec"]), {str(leg): str(name) for leg, name in record["streets"].items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
 
 
 def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:

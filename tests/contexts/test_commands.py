@@ -1,0 +1,188 @@
+"""The subcommands of ``python -m izoo.contexts`` that reach into other rooms."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from izoo.context_tools import measured, trial
+from izoo.context_tools.commands import COMMANDS, main
+from izoo.contexts import cities
+from izoo.contexts.source import ContextList
+from izoo.networks.dataset import load_dataset
+from izoo.networks.osm_store import save_cmdp
+
+PNG = b"\x89PNG"
+
+
+@pytest.fixture
+def few(dataset: ContextList, tmp_path: Path) -> Path:
+    """A folder with three of the measured intersections."""
+    root = Path(dataset[0].intersection.net_path or "").parent.parent
+    for folder in sorted(root.iterdir())[:3]:
+        shutil.copytree(folder, tmp_path / "few" / folder.name)
+    return tmp_path / "few"
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Path:
+    """A folder like those built from OpenStreetMap, with two intersections."""
+    import dataclasses
+
+    specs = {
+        str(number): dataclasses.replace(cities.get("boston")[number], source="osm", city=None, signal_plan=None)
+        for number in (3, 4)
+    }
+    save_cmdp(tmp_path / "town", specs, {key: {"streets": {"A": "Elm Street"}} for key in specs}, {})
+    return tmp_path / "town"
+
+
+def test_every_subcommand_explains_itself(capsys):
+    for command in COMMANDS:
+        with pytest.raises(SystemExit) as stop:
+            main([command.name, "--help"])
+        assert stop.value.code == 0
+        assert command.help.split(",")[0] in " ".join(capsys.readouterr().out.split())
+
+
+def test_something_is_said_at_once(tmp_path):
+    start = time.perf_counter()
+    command = [sys.executable, "-u", "-m", "izoo.contexts", "try", "--count", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("trying atlanta")
+        process.kill()
+    # Generous, for busy machines; it takes a tenth of that.
+    assert time.perf_counter() - start < 5.0
+
+
+def test_import_reports_and_says_what_comes_next(few, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (few / "broken").mkdir()
+    (few / "broken" / "inflows.txt").write_text("1\n")
+    assert main(["import", str(few)]) == 0
+    out = capsys.readouterr().out
+    assert "imported 3 intersections" in out
+    assert "unusable: few/broken: it has no net.net.xml" in out
+    assert "contexts=dataset contexts.path=datasets/few" in out
+    assert len({context.intersection.name for context in load_dataset("datasets/few")}) == 3
+
+
+@pytest.mark.parametrize("what", ["17", "atlanta/17", "San-Francisco"])
+def test_draw_by_id_and_by_city(what, tmp_path, capsys):
+    png = tmp_path / "new" / "picture.png"
+    assert main(["draw", what, str(png)]) == 0
+    assert png.read_bytes().startswith(PNG)
+    assert str(png) in capsys.readouterr().out
+
+
+def test_draw_by_path(few, town, tmp_path):
+    one = next(few.iterdir())
+    for number, path in enumerate((few, one, town, town / "3.json")):
+        png = tmp_path / f"{number}.png"
+        assert main(["draw", str(path), str(png)]) == 0
+        assert png.read_bytes().startswith(PNG)
+
+
+def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsys):
+    nodes = "".join(f'<node id="{k}" lat="1.00{k}" lon="1.0"/>' for k in (1, 2, 3))
+    way = '<way id="9"><nd ref="1"/><nd ref="2"/><nd ref="3"/><tag k="highway" v="primary"/></way>'
+    (tmp_path / "no_signals.osm").write_text(f'<osm version="0.6">{nodes}{way}</osm>')
+    (tmp_path / "text.osm").write_text("no extract")
+    target, png = str(tmp_path / "out"), str(tmp_path / "out.png")
+    before = sorted(tmp_path.rglob("*"))
+    for argv, message in (
+        (["build", "--osm", str(tmp_path / "no_signals.osm"), target], "no usable intersection with traffic signals"),
+        (["build", "--osm", str(tmp_path / "text.osm"), target], "text.osm"),
+        (["build", "--osm", "/nowhere.osm", target], "/nowhere.osm"),
+        (["import", "/nowhere", target], "/nowhere does not exist"),
+        (["import", str(town), target], "holds no intersection folders"),
+        (["import", str(few), str(few / "inside")], "within each other"),
+        (["draw", "1306720", png], "0 to 1306719"),
+        (["draw", "atlanta/621", png], "0 to 620"),
+        (["draw", "paris", png], "san_francisco"),
+        (["draw", "atlanta", str(tmp_path / "out.pdf")], "must end in .png"),
+        (["draw", "atlanta", "/dev/null/out.png"], "/dev/null"),
+        (["compare", "--city", "atlanta", "--csv", "/dev/null/out.csv"], "/dev/null/out.csv"),
+        (["compare", "--measured", str(town)], "no measured intersections"),
+        (["compare", "--measured", str(few), "--city", "atlanta"], "--city"),
+        (["compare", "--measured", str(few), "--seeds", "0"], "--seeds is 0"),
+        (["compare", "--measured", str(few), "--horizon-s", "1"], "horizon"),
+        (["try", str(town), "--city", "atlanta"], "--city"),
+        (["try", "--count", "0"], "--count is 0"),
+        (["try", "--horizon-s", "10"], "horizon"),
+        (["try", "--city", "paris"], "unknown city"),
+    ):
+        assert main(argv) == 2, argv
+        err = capsys.readouterr().err
+        assert err.startswith("error: ") and message in err and err.count("\n") == 1, argv
+        assert sorted(tmp_path.rglob("*")) == before, argv
+
+
+def test_a_reader_that_stops_early_is_no_error():
+    command = f"{sys.executable} -m izoo.contexts list --limit 0 | head -n 1; exit ${{PIPESTATUS[0]}}"
+    run = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_try_cities_plays_in_all_of_them(capsys):
+    before = os.environ.get("IZOO_CACHE_DIR")
+    assert main(["try", "--count", "10", "--horizon-s", "60"]) == 0
+    out = capsys.readouterr().out
+    assert "10 intersections, 20 episodes, 0 failures" in out
+    assert "net built: median" in out
+    assert os.environ.get("IZOO_CACHE_DIR") == before
+
+
+def test_try_plays_towns(town, capsys):
+    assert main(["try", str(town), "--horizon-s", "60"]) == 0
+    assert "2 intersections, 4 episodes, 0 failures" in capsys.readouterr().out
+
+
+def test_try_names_what_fails(town, monkeypatch, capsys):
+    def refuse(*_arguments: object) -> None:
+        raise ValueError("no way")
+
+    monkeypatch.setattr(trial, "run_episode", refuse)
+    assert main(["try", str(town)]) == 2
+    out, err = capsys.readouterr()
+    assert "failed: " in out and "ValueError: no way" in out
+    assert "4 of 4 episodes failed" in err
+
+
+def test_drawn_intersections_are_shared_out_evenly():
+    specs = trial.choose(None, ["atlanta", "boston", "atlanta"], 5, seed=0)
+    assert [spec.city for spec in specs] == ["atlanta"] * 3 + ["boston"] * 2
+    assert specs == trial.choose(None, ["atlanta", "boston"], 5, seed=0)
+
+
+def test_rebuilt_beside_measured(few, tmp_path, capsys):
+    csv, png = tmp_path / "c.csv", tmp_path / "c.png"
+    argv = ["compare", "--measured", str(few), "--num-workers", "0", "--horizon-s", "100"]
+    argv += ["--csv", str(csv), "--png", str(png)]
+    assert main(argv) == 0
+    out = capsys.readouterr().out
+    for name in (*measured.FEATURES, *measured.OUTCOMES):
+        assert f"\n{name} " in out
+    assert "signal plans of the 3 measured intersections" in out
+    assert len(csv.read_text().splitlines()) == 1 + len(measured.FEATURES) + len(measured.OUTCOMES)
+    assert png.read_bytes().startswith(PNG)
+
+
+def test_the_distance_is_that_of_kolmogorov_and_smirnov():
+    import numpy as np
+
+    one, two = np.array([1.0, 2.0, 3.0, 4.0]), np.array([3.0, 4.0, 5.0, 6.0])
+    assert measured.distance(one, two) == pytest.approx(0.5)
+    assert measured.distance(one, one) == 0.0
+    generator = np.random.default_rng(0)
+    samples = [(generator.normal(size=60), generator.normal(size=80)) for _ in range(300)]
+    exceeded = sum(itertools.starmap(lambda a, b: measured.distance(a, b) > measured.noise(a, b), samples))
+    assert 3 <= exceeded <= 27
