@@ -38,23 +38,23 @@ class DDPGConfig:
         name: the algorithm.
         frames_per_batch: environment steps, over all workers, between two rounds of updates (RLlib: one step of each of
             ten workers; ours 1,950, one episode, since a round has a fixed cost).
-        updates_per_frame: gradient steps per environment step (RLlib one per ten workers' step, so 0.1; ours the same).
-        minibatch_rows: transitions per gradient step (RLlib 256; Lillicrap 64; ours 512).
-        replay_rows: transitions held; of 60 features each takes 500 bytes (RLlib 50,000; Lillicrap 1e6; ours 200,000,
-            100 MB).
+        updates_per_frame: gradient steps per environment step (RLlib one per step of ten workers, so 0.1; ours 0.2).
+        minibatch_rows: transitions per gradient step (RLlib, ours 256; Lillicrap 64).
+        replay_rows: transitions held; of 60 features each takes 500 bytes (RLlib 50,000; Lillicrap 1e6; ours 100,000,
+            50 MB).
         rows_per_frame: most transitions stored per environment step, drawn at random from a batch; ``null`` stores all
             (RLlib). The agents of one step see much the same, so a part of them lets the replay reach further back
-            (ours 4).
+            (ours 2).
         learning_starts: environment steps before the first update (RLlib 1,500; ours 3,900).
         random_frames: environment steps of uniformly random accelerations at the start, counted in whole batches (RLlib
             1,000; ours 0: the mean of the range is braking, and a jam teaches little).
         priority_alpha: exponent of prioritised replay; 0 draws uniformly (RLlib, Schaul 0.6; Lillicrap, ours 0).
         priority_beta: exponent of its correction (RLlib, Schaul 0.4).
-        actor_lr: Adam's learning rate of the actor (RLlib 1e-3; Lillicrap 1e-4, which is ours).
+        actor_lr: Adam's learning rate of the actor (RLlib 1e-3; Lillicrap 1e-4; ours 3e-4).
         critic_lr: that of the critic (RLlib, Lillicrap 1e-3, which is ours).
         weight_decay: of both networks (RLlib 1e-6; Lillicrap 1e-2 on the critic; ours 0).
-        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005, which is
-            ours).
+        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005; ours
+            0.01).
         gamma: discount per step of 0.5 s (RLlib, Lillicrap 0.99, which is ours).
         n_step: steps whose rewards are summed before the critic takes over (RLlib, Lillicrap 1; ours 20, 10 s: a step
             of 0.5 s changes little, and values spread back through the target networks that much faster; the noise on
@@ -68,7 +68,7 @@ class DDPGConfig:
         noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
             Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
         noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib
-            0.1 x 0.2 = 0.02; Lillicrap 0.2 of half the width; ours 0.04, which makes about 0.5 m/s^2 in all).
+            0.1 x 0.2 = 0.02; Lillicrap 0.2 of half the width; ours 0.06, which makes about 0.8 m/s^2 in all).
         noise_final: factor on the noise at the end of its decay (RLlib 0.02; ours 0.2).
         noise_frames: environment steps in which that factor falls linearly from 1; ``null``: the whole run (RLlib
             10,000; ours the whole run).
@@ -81,18 +81,18 @@ class DDPGConfig:
 
     name: Literal["ddpg"] = "ddpg"
     frames_per_batch: int = 1950
-    updates_per_frame: float = 0.1
-    minibatch_rows: int = 512
-    replay_rows: int = 200_000
-    rows_per_frame: float | None = 4.0
+    updates_per_frame: float = 0.2
+    minibatch_rows: int = 256
+    replay_rows: int = 100_000
+    rows_per_frame: float | None = 2.0
     learning_starts: int = 3900
     random_frames: int = 0
     priority_alpha: float = 0.0
     priority_beta: float = 0.4
-    actor_lr: float = 1e-4
+    actor_lr: float = 3e-4
     critic_lr: float = 1e-3
     weight_decay: float = 0.0
-    tau: float = 0.005
+    tau: float = 0.01
     gamma: float = 0.99
     n_step: int = 20
     saturation_coeff: float = 0.02
@@ -100,7 +100,7 @@ class DDPGConfig:
     max_grad_norm: float | None = 1.0
     reward_scale: float = 0.1
     noise_theta: float = 0.15
-    noise_sigma: float = 0.04
+    noise_sigma: float = 0.06
     noise_final: float = 0.2
     noise_frames: int | None = None
     hidden: tuple[int, ...] = (128, 128)
@@ -137,7 +137,7 @@ class DDPGConfig:
         """
         return cls(
             frames_per_batch=390,
-            minibatch_rows=256,
+            updates_per_frame=0.1,
             replay_rows=50_000,
             rows_per_frame=None,
             learning_starts=1500,

@@ -43,6 +43,11 @@ def make_batch(seed: int = 0, n: int = 2, t: int = 6) -> TensorDict:
     return batch.set(base.ACTION, torch.rand(*batch[base.MASK].shape, 1, generator=generator) * (HIGH - LOW) + LOW)
 
 
+def explore(ddpg: DDPG, batch: TensorDict) -> torch.Tensor:
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        return ddpg.policy(batch)[base.ACTION]
+
+
 def sorted_rows(rows: TensorDict) -> torch.Tensor:
     """All leaves side by side, in an order that does not depend on where a row came from."""
     table = torch.cat([rows[key].double() for key in TRANSITION], dim=-1)
@@ -211,6 +216,7 @@ def test_noise_decays_and_randomness_ends() -> None:
 def test_state_restores_the_very_next_updates(alpha: float) -> None:
     one, other = make_ddpg(priority_alpha=alpha, replay_rows=40), make_ddpg(priority_alpha=alpha, replay_rows=40)
     for seed in range(2):
+        explore(one, make_batch())
         one.update(make_batch(seed), 0.1)
     file = io.BytesIO()
     torch.save(one.state_dict(), file)
@@ -221,6 +227,10 @@ def test_state_restores_the_very_next_updates(alpha: float) -> None:
         expected = one.update(make_batch(seed), 0.2)
         torch.manual_seed(seed)
         assert other.update(make_batch(seed), 0.2) == expected
+    torch.manual_seed(5)
+    expected_action = explore(one, make_batch())
+    torch.manual_seed(5)
+    torch.testing.assert_close(explore(other, make_batch()), expected_action, atol=0.0, rtol=0.0)
     for left, right in zip(one.loss.state_dict().values(), other.loss.state_dict().values(), strict=True):
         torch.testing.assert_close(left, right, atol=0.0, rtol=0.0)
 
@@ -263,8 +273,9 @@ def test_an_empty_batch_is_no_update() -> None:
 
 def test_update_improves_a_bandit() -> None:
     """Reward falls with the distance from 1 m/s^2: the actor must move there."""
-    settings = {"gamma": 0.0, "n_step": 1, "reward_scale": 1.0, "critic_lr": 1e-2, "actor_lr": 1e-3, "hidden": (32,)}
-    ddpg = make_ddpg(**settings, replay_rows=10_000, minibatch_rows=256, saturation_coeff=1e-3)
+    settings = {"gamma": 0.0, "n_step": 1, "reward_scale": 1.0, "critic_lr": 1e-2, "actor_lr": 1e-3, "tau": 0.005}
+    sizes = {"replay_rows": 10_000, "minibatch_rows": 256, "hidden": (32,), "updates_per_frame": 0.1}
+    ddpg = make_ddpg(**settings, **sizes, saturation_coeff=1e-3)
     for round_ in range(14):
         batch = make_batch(round_, n=8, t=60)
         batch[NEXT_REWARD] = -(((batch[base.ACTION] - 1.0) / 3) ** 2)
