@@ -90,7 +90,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         a, f = self.config.num_agents, len(self.observation_names)
-        self.observation_space = spaces.Dict(
+        self.observation_space: Any = spaces.Dict(
             observation=spaces.Box(-np.inf, np.inf, (a, f), np.float32), mask=spaces.MultiBinary(a)
         )
         self.action_space = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (a,), np.float32)

@@ -75,7 +75,7 @@ class ViewVector(SyncVectorEnv):
         infos: dict[str, Any] = {}
         for index, info in enumerate(single_infos):
             infos = self._add_info(infos, info, index)
-        empty = create_empty_array(self.single_observation_space, n=self.num_envs, fn=np.zeros)
+        empty: Any = create_empty_array(self.single_observation_space, n=self.num_envs, fn=np.zeros)
         batch = concatenate(self.single_observation_space, observations, empty)
         ended = np.array(terminated), np.array(truncated)
         self._ended = ended[0] | ended[1]

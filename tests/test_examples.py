@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,15 @@ import torch
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
 TESTED = {"ppo_by_hand", "sb3_ego", "own_contexts", "own_reward", "own_policy", "offline_data"}
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Networks this small gain nothing from threads, which on a busy machine wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 def test_every_example_is_tested() -> None:

@@ -9,6 +9,7 @@ from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import ProceduralSource, procedural_context
 from izoo.contexts.source import CurriculumSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.env import Contexts
 
 # 1. A distribution per feature: a fixed value, a list, or an interval. Features that are not named stay as they are.
 HILLY = ProceduralSource(
@@ -42,7 +43,8 @@ def harder(episode: int, generator: np.random.Generator) -> Context:
 def main(horizon_s: float = 200.0, episodes: int = 2) -> dict[str, list[str]]:
     """Play some episodes of each; return the names of the contexts."""
     played: dict[str, list[str]] = {}
-    for name, contexts in {"hilly": HILLY, "rush hour": RushHour(), "harder": CurriculumSchedule(harder)}.items():
+    sources: dict[str, Contexts] = {"hilly": HILLY, "rush hour": RushHour(), "harder": CurriculumSchedule(harder)}
+    for name, contexts in sources.items():
         env = EcoDrivingEnv(contexts, config=EnvConfig(horizon_s=horizon_s), seed=1)
         for _ in range(episodes):
             env.rollout(env.config.control_steps)

@@ -5,6 +5,8 @@ One policy and one value function are shared by all controlled vehicles (CVs), e
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import NormalParamExtractor, TensorDictModule
@@ -35,9 +37,10 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 def make_actor(features: int, low: float, high: float) -> ProbabilisticActor:
     """A normal distribution squashed into ``[low, high]`` m/s^2, from one CV's observation ``[..., F]``."""
     net = network(features, 2)
+    last: Any = net[-1]
     with torch.no_grad():
-        net[-1].weight.mul_(0.01)
-        net[-1].bias[0] = 0.5  # a policy that hardly accelerates blocks the road and learns nothing
+        last.weight.mul_(0.01)
+        last.bias[0] = 0.5  # a policy that hardly accelerates blocks the road and learns nothing
     parameters = TensorDictModule(
         nn.Sequential(net, NormalParamExtractor("biased_softplus_0.35", scale_lb=0.01)),
         in_keys=[("agents", "observation")],
