@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from izoo.conf.cities import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.contexts.distributions import Box, Uniform, Weighted
+from izoo.contexts.distributions import Box, Key, Uniform, Weighted
 from izoo.contexts.procedural import (
     DEFAULTS,
     EASY,
@@ -88,7 +88,9 @@ class PcgContexts:
     def build(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
         base = PRESETS[self.preset].product
-        changes = {name: _setting(name, getattr(self, name)) for name in DEFAULTS if getattr(self, name) is not None}
+        changes: dict[Key, Any] = {
+            name: _setting(name, getattr(self, name)) for name in DEFAULTS if getattr(self, name) is not None
+        }
         together = [key for key in base.features if not isinstance(key, str) and set(key) & set(changes)]
         if together:
             raise IzooError(
@@ -98,8 +100,9 @@ class PcgContexts:
         boxes = base.exclude if self.exclude is None else tuple(_box(sides) for sides in self.exclude)
         fixed = {name: DEFAULTS[name] for box in boxes for name in box.sides if name in DEFAULTS}
         known = {name for key in base.features for name in ([key] if isinstance(key, str) else key)}
-        missing = {name: value for name, value in fixed.items() if name not in known}
-        source = ProceduralSource({**missing, **base.features, **changes}, boxes)
+        missing: dict[Key, Any] = {name: value for name, value in fixed.items() if name not in known}
+        features: dict[Key, Any] = {**missing, **base.features, **changes}
+        source = ProceduralSource(features, boxes)
         return source.interval_ends() if self.preset == "systematicity_grid" else source
 
 
