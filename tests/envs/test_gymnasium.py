@@ -136,7 +136,7 @@ def brake(tensordict: Any) -> Any:
 
 
 def test_ego_needs_controlled_vehicles() -> None:
-    env = make(EGO, contexts=crossing(adoption=0.0), config=short(horizon_s=20.0))
+    env = make(EGO, contexts=crossing(adoption=0.0), config=short(horizon_s=20.0), in_process=True)
     try:
         with pytest.raises(IzooError, match=r"no controlled vehicle entered.*higher adoption"):
             env.reset(seed=0)

@@ -74,7 +74,7 @@ def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
 
 def test_agents_is_empty_only_at_the_end() -> None:
     """Whoever loops ``while env.agents`` sees the whole episode, however thin the traffic."""
-    env = parallel_env(crossing(inflow_vph_per_lane=100.0, adoption=0.3), short(horizon_s=200.0))
+    env = parallel_env(crossing(inflow_vph_per_lane=100.0, adoption=0.3), short(horizon_s=200.0), in_process=True)
     try:
         frames = play(env, seed=4)
         assert frames and env.host.over and env.host.time_s == 200.0
@@ -105,7 +105,7 @@ def test_state_holds_every_vehicle(env: EcoDrivingParallel) -> None:
 
 
 def test_vehicles_beyond_the_bound_are_left_to_sumo() -> None:
-    env = parallel_env(crossing(), short(), max_vehicles=8)
+    env = parallel_env(crossing(), short(), max_vehicles=8, in_process=True)
     try:
         with pytest.warns(UserWarning, match="raise max_vehicles"):
             frames = play(env)
@@ -116,7 +116,7 @@ def test_vehicles_beyond_the_bound_are_left_to_sumo() -> None:
 
 
 def test_pictures() -> None:
-    env = parallel_env(crossing(), short(), render_mode="rgb_array")
+    env = parallel_env(crossing(), short(), render_mode="rgb_array", in_process=True)
     try:
         env.reset()
         picture = env.render()
