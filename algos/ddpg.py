@@ -164,11 +164,11 @@ class Squash(nn.Module):
 
     def __init__(self, low: float, high: float) -> None:
         super().__init__()
-        self.middle, self.half = (high + low) / 2, (high - low) / 2
+        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
 
     def forward(self, raw: Tensor) -> Tensor:
         """Return accelerations of the same shape, m/s^2."""
-        return torch.tanh(raw) * self.half + self.middle
+        return torch.tanh(raw) * self.half_width + self.middle
 
 
 class ActionValue(nn.Module):
@@ -176,12 +176,12 @@ class ActionValue(nn.Module):
 
     def __init__(self, features: int, low: float, high: float, config: DDPGConfig) -> None:
         super().__init__()
-        self.middle, self.half = (high + low) / 2, (high - low) / 2
+        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
         self.network = base.mlp(features + 1, config.hidden, 1, config.activation, last_gain=1.0)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Return values ``[*B, 1]`` of observations ``[*B, F]`` and accelerations ``[*B, 1]``."""
-        return self.network(torch.cat([observation, (action - self.middle) / self.half], dim=-1))
+        return self.network(torch.cat([observation, (action - self.middle) / self.half_width], dim=-1))
 
 
 def make_actor(features: int, low: float, high: float, config: DDPGConfig) -> TensorDictModule:
