@@ -59,33 +59,46 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
 
 
 def score_table(summary: dict[str, Any]) -> Table:
-    """Scores side by side, human driving first; counts are means per episode and approach."""
-    scores = summary["scores"]
-    names = sorted(scores, key=lambda name: name != HUMAN)
-    table = Table(title="Scores (all vehicles that crossed)", title_justify="left")
-    table.add_column("")
-    for name in names:
-        table.add_column(name, justify="right")
-    for key in SHOWN_SCORES:
-        unit = f" ({SCORES[key].unit})" if SCORES[key].unit else ""
-        values = [scores[name][key] for name in names]
-        table.add_row(SCORES[key].label + unit, *("-" if value is None else f"{value:.4g}" for value in values))
-    return table
+    """Scores side by side."""
+    return _rich("Scores (all vehicles that crossed)", *score_rows(summary))
 
 
 def benefit_table(name: str, baseline: str, comparison: dict[str, Any], main: bool) -> Table:
-    """One policy against one baseline, under both gates, with and without saturated approaches."""
+    """One policy against one baseline."""
     mark = " (headline)" if main else ""
-    table = Table(title=f"{name} against {baseline}{mark}", title_justify="left")
-    table.add_column("")
+    return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
+
+
+def score_rows(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of the scores, human driving first; counts are means per episode and approach."""
+    scores = summary["scores"]
+    names = sorted(scores, key=lambda name: name != HUMAN)
+    lines = []
+    for key in SHOWN_SCORES:
+        unit = f" ({SCORES[key].unit})" if SCORES[key].unit else ""
+        values = [scores[name][key] for name in names]
+        lines.append([SCORES[key].label + unit, *("-" if value is None else f"{value:.4g}" for value in values)])
+    return ["", *names], lines
+
+
+def comparison_rows(comparison: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of a comparison, with and without saturated approaches."""
     blocks = {"all": "all"}
     if comparison["saturated"]:
         blocks["unsaturated"] = "without saturated"
-    for label in blocks.values():
-        table.add_column(label, justify="right")
-    for label, block, statistic in _LINES:
-        table.add_row(label, *(percent(comparison[name][block][statistic]) for name in blocks))
-    table.add_row("approaches (n)", *(str(comparison[name]["exact"]["mean"]["n"]) for name in blocks))
+    lines = [
+        [label, *(percent(comparison[name][block][statistic]) for name in blocks)] for label, block, statistic in _LINES
+    ]
+    lines.append(["approaches (n)", *(str(comparison[name]["exact"]["mean"]["n"]) for name in blocks)])
+    return ["", *blocks.values()], lines
+
+
+def _rich(title: str, header: list[str], lines: list[list[str]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for column, word in enumerate(header):
+        table.add_column(word, justify="right" if column else "left")
+    for line in lines:
+        table.add_row(*line)
     return table
 
 

@@ -58,8 +58,9 @@ FEATURES = (
 """What the approach is like; ``green_share`` is the mean over its movements."""
 EPISODE_COLUMNS = tuple(f"episode_{name}" for name in EPISODE_METRICS)
 COLUMNS = (*IDENTITY, *FEATURES, *APPROACH_METRICS, *EPISODE_COLUMNS)
-_TEXT = ("policy", "context", "context_hash", "intersection", "city", "approach", "demand", "hour", "season", "engine")
-_TEXT += ("cv_vehicle",)
+_TEXT = tuple(
+    name for name in IDENTITY if name not in {"context_id", "seed", "adoption", "temperature_c", "humidity_pct"}
+)
 _WHOLE = ("context_id", "seed")
 
 
