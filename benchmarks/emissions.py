@@ -50,7 +50,8 @@ def variants(states: dict[str, np.ndarray]) -> dict[str, tuple[Callable[[], Any]
             module(*tensors, 20.0, 46.0)
 
     def kernel() -> None:
-        emission_rate_kernel(*states.values(), active, 20.0, 46.0, weights, out)
+        arrays: list[Any] = [*states.values(), active, 20.0, 46.0, weights, out]
+        emission_rate_kernel(*arrays)
 
     return {
         "MovesSurrogate (batched torch module)": (batched, batch),

@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from izoo.metrics.definitions import EPISODE_METRICS
 
@@ -149,7 +149,9 @@ def _stepped(env: Any, steps: int) -> Sample:
     return rate * num, rate * num * agents, vehicles, agents
 
 
-def _collected(collector: str, context: Any, config: Any, workers: int, steps: int) -> Sample:
+def _collected(
+    collector: Literal["parallel", "multisync"], context: Any, config: Any, workers: int, steps: int
+) -> Sample:
     """Collect batches with a freshly initialised PPO policy, as training does."""
     import torch
 

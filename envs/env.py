@@ -61,9 +61,9 @@ class EcoDrivingBase(EnvBase):
             self.schedule = reseed(self.schedule, seed)
 
     def _next_frame(self) -> TensorDict:
-        columns = self.reader.observation()
-        columns["agents"]._set_str("reward", self.reader.reward(), validated=True, inplace=False, non_blocking=False)
-        return TensorDict._new_unsafe(columns, batch_size=self.batch_size)
+        frame = self._frame()
+        frame.get("agents")._set_str("reward", self.reader.reward(), validated=True, inplace=False, non_blocking=False)
+        return frame
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """Step, and begin new episodes where one has ended; return the step and the state to act on next.
@@ -80,6 +80,9 @@ class EcoDrivingBase(EnvBase):
         return tensordict, root
 
     def _first_frame(self) -> TensorDict:
+        return self._frame()
+
+    def _frame(self) -> TensorDict:
         return TensorDict._new_unsafe(self.reader.observation(), batch_size=self.batch_size)
 
 
@@ -144,7 +147,7 @@ class EcoDrivingEnv(EcoDrivingBase):
         return self._first_frame()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self._simulator is None or self._simulator.road is None:
+        if self._simulator is None or not self._simulator.started:
             raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
         self.reader.write_action(tensordict)
         self._simulator.step()
@@ -155,7 +158,7 @@ class EcoDrivingEnv(EcoDrivingBase):
 
         TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
         """
-        if self._simulator is None or self._simulator.road is None:
+        if self._simulator is None or not self._simulator.started:
             raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
         from izoo.envs.render import draw
 

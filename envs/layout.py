@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -136,9 +137,10 @@ def frame_bytes(config: EnvConfig, num_envs: int) -> int:
     return sum(_padded(field, num_envs) for field in frame_fields(config))
 
 
-def map_frames(buffer: memoryview | bytearray, config: EnvConfig, num_envs: int) -> dict[str, np.ndarray]:
+def map_frames(buffer: Any, config: EnvConfig, num_envs: int) -> dict[str, np.ndarray]:
     """Return the arrays ``[num_envs, *shape]`` by name, all of them views of ``buffer``."""
-    arrays, offset = {}, 0
+    arrays: dict[str, np.ndarray] = {}
+    offset = 0
     for field in frame_fields(config):
         shape = (num_envs, *field.shape)
         arrays[field.name] = np.ndarray(shape, field.dtype, buffer, offset)

@@ -87,7 +87,7 @@ class SumoParallelEnv(EcoDrivingBase):
     def _begin_episodes(self, plan: dict[int, int]) -> None:
         """Start the planned episodes ``{worker: episode}`` side by side; a worker lost meanwhile gets a second try."""
         for attempt in range(2):
-            lost = {}
+            lost: dict[int, WorkerLost] = {}
             for index, episode in plan.items():
                 try:
                     self._worker(index).reset(*self.schedule(episode), episode)
@@ -96,10 +96,10 @@ class SumoParallelEnv(EcoDrivingBase):
             failures = self._collect([index for index in plan if index not in lost], lost)
             if failures:
                 raise failures[0]
-            for index, error in lost.items():
+            for index, reason in lost.items():
                 if attempt == 1:
-                    raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {error}")
-                self._replace(index, error)
+                    raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {reason}")
+                self._replace(index, reason)
             plan = {index: plan[index] for index in lost}
         self._started = True
 
@@ -130,8 +130,8 @@ class SumoParallelEnv(EcoDrivingBase):
         failures = self._collect(waiting, lost)
         if failures:
             raise failures[0]
-        for index, error in lost.items():
-            self._replace(index, error)
+        for index, reason in lost.items():
+            self._replace(index, reason)
             self._truncate(index, tensordict)
         return self._next_frame()
 

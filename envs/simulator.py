@@ -73,7 +73,7 @@ class Simulator:
     def __init__(self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights) -> None:
         self.config, self.frame, self.weights = config, frame, weights
         self.session = SumoSession(gui=config.gui)
-        self.road: RoadNet | None = None
+        self._road: RoadNet | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._out = Out(*(frame[name] for name in Out._fields))
         count = config.num_agents
@@ -86,7 +86,7 @@ class Simulator:
         """Begin an episode, run its warm-up, and write the first frame."""
         config = self.config
         net = build_net(context.intersection)
-        self.road = road = read_road(net)
+        self._road = road = read_road(net)
         if len(road.approaches) > config.num_approaches:
             raise IzooError(
                 f"{context.name} has {len(road.approaches)} approaches, but env.num_approaches is "
@@ -127,6 +127,18 @@ class Simulator:
         final = self.steps >= self.config.control_steps
         self._write_progress(final)
         return final
+
+    @property
+    def started(self) -> bool:
+        """Whether an episode has begun."""
+        return self._road is not None
+
+    @property
+    def road(self) -> RoadNet:
+        """The road net of the present episode."""
+        if self._road is None:
+            raise IzooError("no episode has begun; call reset() first.")
+        return self._road
 
     @property
     def time_s(self) -> float:
@@ -205,8 +217,13 @@ class Simulator:
             edge for name in self.context.demand_approaches for edge in road.incoming_edges[road.approaches.index(name)]
         ]
         shape = clock.colour.shape[:2]
-        static = (getattr(clock, name) for name in ClockArrays._fields[:8])
-        self.clock = ClockArrays(*static, np.zeros(shape, np.int64), *(np.zeros(shape) for _ in range(3)))
+        self.clock = ClockArrays(
+            **{name: getattr(clock, name) for name in ClockArrays._fields[:8]},
+            now=np.zeros(shape, np.int64),
+            time_left_s=np.zeros(shape),
+            until_second_s=np.zeros(shape),
+            until_third_s=np.zeros(shape),
+        )
         self.phase = self._read_clock()
         reward = config.reward
         self._rules = Rules(

@@ -157,7 +157,7 @@ def _exactly(connection: socket.socket, length: int) -> bytes:
 def main(descriptor: int, memory: int) -> None:
     """Serve one parent until it says goodbye or is gone."""
     connection = socket.socket(fileno=descriptor)
-    simulator = None
+    simulator: Any = None
     try:
         while True:
             kind = connection.recv(1)

@@ -15,7 +15,7 @@ from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 
-AlgoConfig = Union[PPOConfig, DDPGConfig, MAPPOConfig, GCRLConfig]
+AlgoConfig = Union[PPOConfig, DDPGConfig, MAPPOConfig, GCRLConfig]  # noqa: UP007 - OmegaConf reads this form
 
 
 @dataclass(frozen=True)

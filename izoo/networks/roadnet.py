@@ -1,14 +1,15 @@
 """Reads a SUMO net of one intersection into arrays: lanes of the controlled region, movements, and the signal clock.
 
 Vehicles are located by an integer lane. ``P`` counts approaches (legs with incoming lanes), ``Q`` exits (legs with
-outgoing lanes), ``L`` lanes of the controlled region, ``K`` phases of the main signal. Conventions of the nets are those
-of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and ``AA2A``).
+outgoing lanes), ``L`` lanes of the controlled region, ``K`` phases of the main signal. Conventions of the nets are
+those of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and ``AA2A``).
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import re
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -273,7 +274,7 @@ class _Reader:
                 self._link_chain(c, chain, p, q)
         if (links.sum(axis=1) == 0).any():
             leg = self.approaches[int(np.argmin(links.sum(axis=1)))]
-            raise IzooError(f"{self.path}: no lane of the approach {leg}2TL leads across the junction TL; repair the net.")
+            raise IzooError(f"{self.path}: no lane of the approach {leg}2TL leads across junction TL; repair the net.")
         return turn, links
 
     def _chain(self, connection: Any) -> list[str]:
@@ -297,7 +298,7 @@ class _Reader:
             self.rows[lane].update(offset=offset, inside=total)
             offset += self.rows[lane]["length"]
         # Of several connections of one lane to one exit the outer loop meets the rightmost target first; it is kept.
-        for before, after in zip(path, path[1:], strict=False):
+        for before, after in itertools.pairwise(path):
             self.rows[before]["next"].setdefault(q, after)
             self.rows[after]["prev"].setdefault(p, before)
 
@@ -317,7 +318,7 @@ class _Reader:
                             self._add_edge(lane.rsplit("_", 1)[0], APPROACHING, p, -1)
                     after = self.lanes[f"{pocket}_{c.get('toLane')}"]
                     path = [before, *(self.lanes[lane] for lane in chain), after]
-                    for one, two in zip(path, path[1:], strict=False):
+                    for one, two in itertools.pairwise(path):
                         self.rows[two]["prev"].setdefault(p, one)
                         for q in self.rows[after]["next"]:
                             self.rows[one]["next"].setdefault(q, two)
