@@ -2,7 +2,8 @@
 
 Vehicles are located by an integer lane. ``P`` counts approaches (legs with incoming lanes), ``Q`` exits (legs with
 outgoing lanes), ``L`` lanes of the controlled region, ``K`` phases of the main signal. Conventions of the nets are
-those of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and ``AA2A``).
+those of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and
+``AA2A``).
 """
 
 from __future__ import annotations
