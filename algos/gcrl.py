@@ -50,7 +50,7 @@ class GCRLConfig(PPOConfig):
         layers: convolutions (DGN 2; released 2; ours 2).
         heads: attention heads per convolution (DGN 8; released 4; ours 4).
         hidden: widths of the encoder's layers; the last is also that of every convolution, shared among its heads (DGN
-            512, 128; released 64, where each head is that wide; ours 128, 64).
+            512, 128; released 64, where each head is that wide; ours 128, 128).
     """
 
     name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
@@ -58,7 +58,6 @@ class GCRLConfig(PPOConfig):
     range_m: float | None = 100.0
     layers: int = 2
     heads: int = 4
-    hidden: tuple[int, ...] = (128, 64)
 
     def __post_init__(self) -> None:
         super().__post_init__()
