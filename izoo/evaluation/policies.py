@@ -79,7 +79,7 @@ def import_policy(reference: str) -> Policy:
         found: Any = functools.reduce(getattr, attribute.split("."), importlib.import_module(module_name))
     except (ImportError, AttributeError) as error:
         raise IzooError(f"cannot import the policy {reference!r}: {error}. It is written module:function.") from error
-    policy: Policy = found() if inspect.isclass(found) else found
+    policy: Any = found() if inspect.isclass(found) else found
     return policy
 
 
