@@ -137,8 +137,10 @@ def _time_net(spec: IntersectionSpec, report: TrialReport) -> bool:
     except IzooError as error:
         report.failures[spec.name] = str(error)
         return False
-    for kind, start, end in zip((report.build_s, report.lookup_s, report.read_s), times, times[1:], strict=False):
-        kind.append(end - start)
+    report.read_s.append(times[3] - times[2])
+    if spec.net_path is None:
+        report.build_s.append(times[1] - times[0])
+        report.lookup_s.append(times[2] - times[1])
     return True
 
 

@@ -87,14 +87,13 @@ def write_png(tables: Mapping[str, np.ndarray], path: Path) -> None:
         for index, (axis, name) in enumerate(zip(row, FEATURES, strict=True)):
             published = marginal(city, name)
             rebuilt = published.histogram(table[:, index])
-            if published.edges is not None:
-                places, width = (published.edges[:-1] + published.edges[1:]) / 2.0, np.diff(published.edges)
-            else:
+            edges = published.edges
+            if edges is None:
                 assert published.values is not None
-                places, width = published.values, np.full(len(published.prob), 0.9)
-            axis.bar(places, published.prob, width, color="0.75", label="published")
-            axis.step(places, rebuilt, where="mid", color="tab:blue", linewidth=1.0, label="rebuilt")
+                edges = np.append(published.values - 0.5, published.values[-1] + 0.5)
+            axis.stairs(published.prob / published.prob.sum(), edges, fill=True, color="0.75", label="published")
+            axis.stairs(rebuilt, edges, color="tab:blue", linewidth=1.0, label="rebuilt")
             axis.set_title(f"{city}: {name}", fontsize=7)
             axis.tick_params(labelsize=6)
     axes[0, 0].legend(fontsize=6)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=70)
