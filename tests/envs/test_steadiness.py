@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
 import random
@@ -57,7 +58,9 @@ def wait_until_gone(pids: set[int], patience_s: float = 10.0) -> set[int]:
     return {pid for pid in pids if alive(pid)}
 
 
+@functools.cache
 def undisturbed(steps: int) -> TensorDict:
+    """The first steps of the two workers of :func:`pair`, which nobody kills."""
     env = SumoParallelEnv(2, crossing(), config=short(), seed=6)
     try:
         return play(env, steps)
@@ -271,7 +274,16 @@ ENDINGS = {
 }
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize(
+    "ending",
+    [
+        *("killed in the middle of steps", "Ctrl-C", "an exception"),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("killed while idle", "terminated", "falling off the end")
+        ),
+    ],
+)
 def test_no_orphans_and_no_shared_memory(ending: str) -> None:
     code, number = ENDINGS[ending]
     parent = subprocess.Popen(
