@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import importlib
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +34,7 @@ class Elevation:
             raise IzooError(f"the elevation raster {path} does not exist; give the path of a GeoTIFF.")
         rasterio = _rasterio()
         try:
-            with rasterio.open(path) as raster:
+            with _own_projections(), rasterio.open(path) as raster:
                 self._heights = raster.read(1, masked=True).astype(float).filled(np.nan)
                 self._inverse = (~raster.transform)[:6]
                 self._crs = raster.crs
@@ -46,7 +48,8 @@ class Elevation:
         """Height in m at a place in degrees; NaN outside the raster and where it has no data."""
         x, y = lonlat
         if self._crs is not None:
-            xs, ys = _rasterio().warp.transform(_LONLAT, self._crs, [x], [y])
+            with _own_projections():
+                xs, ys = _rasterio().warp.transform(_LONLAT, self._crs, [x], [y])
             x, y = xs[0], ys[0]
         a, b, c, d, e, f = self._inverse
         column, row = a * x + b * y + c, d * x + e * y + f
@@ -150,6 +153,21 @@ def _count(text: str | None, place: str) -> float:
 def _put(table: dict[Any, float], key: Any, value: float, place: str) -> None:
     if table.setdefault(key, value) != value:
         raise IzooError(f"{place}: {key} has two different values, {table[key]:g} and {value:g}; keep one line.")
+
+
+@contextlib.contextmanager
+def _own_projections() -> Iterator[None]:
+    """Let rasterio use its own table of projections: importing SUMO points it to one that it cannot read."""
+    set_by_sumo = {
+        name: os.environ.pop(name)
+        for name in ("PROJ_DATA", "PROJ_LIB")
+        if Path(os.environ.get(name, "")).parts[-3:] == ("sumo", "data", "proj")
+    }
+    try:
+        with _rasterio().Env():
+            yield
+    finally:
+        os.environ.update(set_by_sumo)
 
 
 def _rasterio() -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import sumo
 
 from izoo.contexts.spec import Approach, IntersectionSpec
 from izoo.errors import IzooError
@@ -305,8 +306,11 @@ def test_broken_traffic_tables(tmp_path: Path, text: str, words: str) -> None:
     assert not (tmp_path / "town").exists()
 
 
-def test_grade_from_an_elevation_raster(tmp_path: Path) -> None:
+@pytest.mark.parametrize("after_sumo", [False, True])
+def test_grade_from_an_elevation_raster(after_sumo: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rasterio = pytest.importorskip("rasterio", reason="elevation needs the extra izoo[osm]")
+    for name in ("PROJ_DATA", "PROJ_LIB"):
+        monkeypatch.delenv(name, raising=False)
     size, pixel = 100, 10.0
     east = (np.arange(size) + 0.5) * pixel - size * pixel / 2.0
     heights = np.tile(0.05 * east, (size, 1)).astype("float32")
@@ -316,6 +320,10 @@ def test_grade_from_an_elevation_raster(tmp_path: Path) -> None:
     profile = {"driver": "GTiff", "height": size, "width": size, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
     with rasterio.open(path, "w", transform=place, **profile) as file:
         file.write(heights, 1)
+    if after_sumo:
+        # What ``import sumo`` does, once per process.
+        for name in ("PROJ_DATA", "PROJ_LIB"):
+            monkeypatch.setenv(name, str(Path(sumo.SUMO_HOME, "data", "proj")))
     spec, _ = build(crossing(), tmp_path, elevation=path)
     assert approach(spec, "D").grade == pytest.approx(0.05, abs=1e-3), (
         "uphill towards the stop line, coming from the west"
