@@ -38,7 +38,7 @@ from izoo.envs.layout import (
     TTC_CAP_S,
 )
 from izoo.networks.clock import RED
-from izoo.networks.roadnet import APPROACHING
+from izoo.networks.roadnet import APPROACHING, INSIDE
 
 GRIDLOCK_S = 180.0
 """The region is in gridlock when none of its vehicles has moved for this long."""
@@ -69,6 +69,7 @@ _NAN_ACTIONS = METRIC["nan_actions"]
 _LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
 _RED_CROSSINGS_CV = METRIC["red_crossings_cv"]
 _RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
+_JUNCTION_DEFERRED = METRIC["junction_deferred"]
 _UNSLOTTED_STEPS = METRIC["unslotted_steps"]
 _STEPS = EPISODE_METRIC["steps"]
 _RETURN = EPISODE_METRIC["return"]
@@ -82,6 +83,9 @@ _GRIDLOCK = EPISODE_METRIC["gridlock"]
 @njit(cache=True)
 def plan_commands(agent_row, action, defer, yields, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
     """Sort the agents into those whose speed is commanded and those left to SUMO.
+
+    Inside the junction a CV always is: vehicles that are made to stand there are driven into from the side, which no
+    check of SUMO's prevents.
 
     Args:
         action: ``[A]`` m/s^2; NaN counts as defer.
@@ -104,9 +108,11 @@ def plan_commands(agent_row, action, defer, yields, step_s, floats, ints, flags,
         asked = defer[a] != 0
         if lost:
             sums[p, _NAN_ACTIONS] += 1
-        if yields[r] and not asked and not lost:
-            sums[p, _LANE_CHANGE_DEFERRED] += 1
-        if lost or asked or yields[r]:
+        inside = ints[r, LOCATION] == INSIDE
+        if not asked and not lost:
+            sums[p, _LANE_CHANGE_DEFERRED] += yields[r]
+            sums[p, _JUNCTION_DEFERRED] += inside
+        if lost or asked or yields[r] or inside:
             sums[p, _DEFERRED_STEPS] += 1
             flags[r, DEFERRED] = 1
             if flags[r, COMMANDED]:
@@ -163,7 +169,7 @@ def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[n
     sums[p, _ABS_ACCEL] += floats[r, SUM_ACCEL]
     sums[p, _ABS_JERK] += floats[r, SUM_JERK]
     if floats[r, MIN_TTC] < np.inf:
-        sums[p, _MIN_TTC_SUM_S] += floats[r, MIN_TTC]
+        sums[p, _MIN_TTC_SUM_S] += min(floats[r, MIN_TTC], TTC_CAP_S)
         sums[p, _MIN_TTC_VEHICLES] += 1
     if flags[r, IS_CV]:
         sums[p, _RED_CROSSINGS_CV] += on_red

@@ -59,6 +59,11 @@ class EcoDrivingBase(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self.schedule = reseed(self.schedule, seed)
+            self._restart_episodes()
+
+    def _restart_episodes(self) -> None:
+        """Number episodes from the first again."""
+        raise NotImplementedError
 
     def _next_frame(self) -> TensorDict:
         frame = self._frame()
@@ -117,8 +122,12 @@ class EcoDrivingEnv(EcoDrivingBase):
     ) -> None:
         config = config or EnvConfig()
         super().__init__(contexts, config, seed, [], bytearray(frame_bytes(config, 1)))
-        self._episode, self._stride = worker, num_workers
+        self._first, self._stride = worker, num_workers
+        self._restart_episodes()
         self._simulator: Simulator | None = None
+
+    def _restart_episodes(self) -> None:
+        self._episode = self._first
 
     @property
     def simulator(self) -> Simulator:

@@ -23,6 +23,9 @@ from izoo.envs.kernels import (
     sort_lanes,
 )
 from izoo.envs.layout import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, WRONG_LANE
+from izoo.envs.stale import forget_stale_kernels
+
+forget_stale_kernels()
 
 
 class Tables(NamedTuple):

@@ -51,10 +51,14 @@ class SumoParallelEnv(EcoDrivingBase):
         super().__init__(contexts, config, seed, [num_workers], mmap.mmap(self._memory, 0))
         self.num_workers = num_workers
         self.restarts = 0
-        self._next_episode = np.arange(num_workers) + first_episode
+        self._first_episode = first_episode
+        self._restart_episodes()
         self._workers: list[Worker | None] = [None] * num_workers
         self._started = False
         self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
+
+    def _restart_episodes(self) -> None:
+        self._next_episode = np.arange(self.num_workers) + self._first_episode
 
     def episodes_begun(self) -> int:
         """How many episodes of the schedule have been handed out; a continued run starts from there."""
@@ -70,7 +74,12 @@ class SumoParallelEnv(EcoDrivingBase):
             worker = self._workers[index] = Worker(self._memory, setup, self.config.watchdog_s)
         return worker
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        if options:
+            raise IzooError(
+                f"SumoParallelEnv.reset() does not take {', '.join(options)}; give contexts= to the constructor, or "
+                "('context', 'episode') per environment in the tensordict."
+            )
         requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         chosen = range(self.num_workers) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from izoo.contexts.source import ContextList
+from izoo.envs.stale import digest, kernel_sources
 from izoo.networks.cache import CACHE_ENV
 from izoo.networks.dataset import load_dataset
 
@@ -23,14 +23,11 @@ def pytest_configure(config: pytest.Config) -> None:
 def _compile_afresh(config: pytest.Config) -> None:
     """Forget compiled kernels when any of them has changed: numba looks only at the file of the calling one."""
     folder = Path(config.cache.mkdir("kernels"))  # type: ignore[union-attr]
-    root = Path(__file__).parents[1]
-    sources = sorted([*root.glob("envs/*.py"), *root.glob("izoo/emissions/*.py"), *root.glob("izoo/networks/*.py")])
-    current = hashlib.sha256(b"".join(path.read_bytes() for path in sources if b"njit" in path.read_bytes()))
-    stamp = folder / "stamp"
-    if not stamp.exists() or stamp.read_text() != current.hexdigest():
+    stamp, current = folder / "stamp", digest(kernel_sources())
+    if not stamp.exists() or stamp.read_text() != current:
         shutil.rmtree(folder)
         folder.mkdir()
-        stamp.write_text(current.hexdigest())
+        stamp.write_text(current)
     os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
 
 

@@ -25,15 +25,16 @@ APPROACH_METRICS: tuple[str, ...] = (
     "stopped_time_s",  # seconds below 1 m/s from entering to crossing, over counted vehicles that crossed
     "abs_accel_sum",  # sum of |a| in m/s^2 over steps from entering to crossing (comfort)
     "abs_jerk_sum",  # sum of |a_t - a_{t-1}| / dt in m/s^3 over the same steps
-    "min_ttc_sum_s",  # sum over crossed vehicles that ever closed in on a leader of their minimum time to collision
+    "min_ttc_sum_s",  # minimum time to collision, at most 10 s, summed over crossed vehicles that ever closed in
     "min_ttc_vehicles",  # how many those are
     "waiting",  # vehicles of this approach that still wait to enter the network at the end (spill-back)
     "collisions_cv",  # collisions whose rear vehicle is a CV
     "collisions_hdv",  # collisions whose rear vehicle is human-driven
     "agent_steps",  # steps of CVs that held an agent slot
-    "deferred_steps",  # those of them left to SUMO: asked for, NaN action, or slowed for a lane change
+    "deferred_steps",  # those of them left to SUMO: asked for, NaN action, slowed for a lane change, or inside
     "nan_actions",  # those of them whose action was NaN
     "lane_change_deferred",  # those of them left to SUMO because it slowed the CV for a lane change
+    "junction_deferred",  # those of them left to SUMO because the CV was inside the junction
     "unslotted_steps",  # steps of CVs that found no free agent slot and were driven by IDM
     "red_crossings_cv",  # CVs that crossed the stop line on red where turning right on red is not legal
     "red_crossings_hdv",  # human-driven vehicles that did

@@ -287,8 +287,13 @@ def test_commands_are_applied() -> None:
     close = (realised[free] - value).abs() < 1e-3
     assert close.float().mean() > 0.9
     # Where SUMO intervenes it is for safety: it brakes harder, never less.
-    moving = mask & (speed > 1.0)
+    moving = mask & (speed > 1.0) & (v["location"] != 1)
     assert (realised[moving] <= value + 1e-3).all() and (realised[moving] < value - 0.1).any()
+    # Inside the junction it drives alone.
+    deferred = torch.gather(frames["next", "vehicles", "deferred"], 1, row)
+    inside = mask & (v["location"] == 1)
+    assert deferred[inside].all() and not deferred[free].any()
+    assert final(frames)["junction_deferred"].sum() == (frames["agents", "mask"] & (v["location"] == 1)).sum() > 0
     fast = run(crossing(adoption=1.0), lambda td: set_action(td, torch.full((64, 1), 2.6)))
     assert fast["next", "vehicles", "speed_mps"].max() <= 16.0 + 1e-4
 

@@ -23,7 +23,7 @@ def run(config: EnvConfig, act=steer, **changes: object) -> TensorDict:  # type:
 @pytest.fixture(scope="module")
 def frames() -> TensorDict:
     """An episode in which CVs leave and others take their slots."""
-    return run(short(horizon_s=120.0), inflow_vph_per_lane=500.0)
+    return run(short(horizon_s=200.0), inflow_vph_per_lane=500.0)
 
 
 def holders(part: TensorDict) -> torch.Tensor:
