@@ -27,7 +27,7 @@ SETTLE_STEPS = 400
 CHUNK = 200
 """Steps per environment in a collected batch."""
 AGENT_SLOTS = 96
-VEHICLE_STEPS, STEPS = EPISODE_METRICS.index("vehicle_steps"), EPISODE_METRICS.index("steps")
+VEHICLE_STEPS = EPISODE_METRICS.index("vehicle_steps")
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,14 @@ def _variants(context: Any, workers: int) -> dict[str, Callable[[float], Sample]
 
 def _bare(context: Any, steps: int) -> Sample:
     """Step libsumo alone, with nobody reading or commanding; count vehicles in a second, untimed pass."""
+    from izoo.contexts.source import episode_seed
     from izoo.envs import EcoDrivingEnv, EnvConfig
 
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=AGENT_SLOTS))
     try:
-        env.reset()
-        session = env.simulator.session
-        rate = _time_steps(session.advance, steps)
-        env.reset()
+        env.reset(context=context, seed=episode_seed(0, 0))
+        rate = _time_steps(env.simulator.session.advance, steps)
+        env.reset(context=context, seed=episode_seed(0, 0))
         simulator, vehicles, agents = env.simulator, 0, 0
         simulator.frame["defer"][:] = 1
         for step in range(SETTLE_STEPS + steps):
@@ -132,18 +132,19 @@ def _stepped(env: Any, steps: int) -> Sample:
         state = env.reset()
         action = torch.full((*env.batch_size, env.config.num_agents, 1), env.action_spec["agents", "action"].high.max())
         masks: list[torch.Tensor] = []
+        totals = env.frames["episode_metrics"]
+        seen: list[float] = []
 
         def step() -> None:
             nonlocal state
             state.set(("agents", "action"), action)
             masks.append(state.get(("agents", "mask")))
+            seen.append(totals[:, VEHICLE_STEPS].sum())
             _, state = env.step_and_maybe_reset(state)
 
         rate = _time_steps(step, steps)
         agents = float(torch.stack(masks[-steps:]).sum()) / (steps * num)
-        vehicles = float(env.frames["episode_metrics"][:, VEHICLE_STEPS].sum()) / float(
-            env.frames["episode_metrics"][:, STEPS].sum()
-        )
+        vehicles = float(seen[-1] - seen[-steps]) / ((steps - 1) * num)
     finally:
         env.close()
     return rate * num, rate * num * agents, vehicles, agents
