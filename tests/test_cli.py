@@ -102,9 +102,9 @@ BAD = {
     "num_workers=0": "num_workers is 0",
     "resume=nowhere": "does not exist",
     "contexts=dataset": "contexts.path=DIR",
-    "contexts.green_s=20..x": "low..high",
-    "contexts.green_s=900": "green_s",
-    "contexts.lane_count=9": "lane_count",
+    "contexts=pcg contexts.green_s=20..x": "low..high",
+    "contexts=pcg contexts.green_s=900": "green_s",
+    "contexts=pcg contexts.lane_count=9": "lane_count",
 }
 
 
@@ -113,7 +113,7 @@ def test_bad_words_are_one_sentence(
     word: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert train.main([word]) == 2
+    assert train.main(word.split(" ")) == 2
     error = capsys.readouterr().err
     assert BAD[word] in error
     assert "Traceback" not in error

@@ -11,6 +11,7 @@ from izoo.algos.gcrl import GCRLConfig
 from izoo.algos.mappo import MAPPOConfig
 from izoo.algos.ppo import PPOConfig
 from izoo.algos.residual import ActionConfig, DirectAction
+from izoo.conf.cities import CityContexts
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
@@ -105,7 +106,7 @@ class TrainConfig:
 
     algo: AlgoConfig = field(default_factory=PPOConfig)
     action: ActionConfig = field(default_factory=DirectAction)
-    contexts: ContextsConfig = field(default_factory=PcgContexts)
+    contexts: ContextsConfig = field(default_factory=CityContexts)
     env: EnvConfig = field(default_factory=training_env)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)

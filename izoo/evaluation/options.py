@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.cities import CityContexts
+from izoo.conf.contexts import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 
@@ -32,7 +33,7 @@ class EvaluateConfig:
 
     run: str | None = None
     policy: str | None = None
-    contexts: ContextsConfig = field(default_factory=PcgContexts)
+    contexts: ContextsConfig = field(default_factory=CityContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
     num_contexts: int | None = None
     seeds: int = 3
