@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -185,7 +185,7 @@ class GraphActor(nn.Module):
     def __init__(self, features: int, low: float, high: float, config: GCRLConfig) -> None:
         super().__init__()
         self.graph = GraphNetwork(features, 2, config, last_gain=0.01)
-        last = self.graph.head[-1]  # type: ignore[index]
+        last = cast(nn.Linear, cast(nn.Sequential, self.graph.head)[-1])
         self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread)
 
     def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:

@@ -79,7 +79,7 @@ def _convert(kind: Any, value: Any, path: str) -> Any:
 def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
     if value is None and type(None) in kinds:
         return None
-    groups = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
+    groups: list[Any] = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     if groups and isinstance(value, Mapping):
         names = {get_args(field_types(kind)["name"])[0]: kind for kind in groups if "name" in field_types(kind)}
         name = value.get("name")
