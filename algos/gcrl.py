@@ -185,7 +185,7 @@ class GraphActor(nn.Module):
     def __init__(self, features: int, low: float, high: float, config: GCRLConfig) -> None:
         super().__init__()
         self.graph = GraphNetwork(features, 2, config, last_gain=0.01)
-        last = cast(nn.Linear, cast(nn.Sequential, self.graph.head)[-1])
+        last = cast(nn.Linear, self.graph.head[-1])
         self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread)
 
     def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
