@@ -30,7 +30,6 @@ class SumoParallelEnv(EcoDrivingBase):
     Args:
         num_workers: ``N``.
         contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` workers share the schedule.
-        first_episode: number of the first episode, for runs that continue.
     """
 
     def __init__(
@@ -40,7 +39,6 @@ class SumoParallelEnv(EcoDrivingBase):
         *,
         config: EnvConfig | None = None,
         seed: int = 0,
-        first_episode: int = 0,
     ) -> None:
         if num_workers < 1:
             raise IzooError(f"num_workers is {num_workers}; one worker or more is needed.")
@@ -51,18 +49,13 @@ class SumoParallelEnv(EcoDrivingBase):
         super().__init__(contexts, config, seed, [num_workers], mmap.mmap(self._memory, 0))
         self.num_workers = num_workers
         self.restarts = 0
-        self._first_episode = first_episode
         self._restart_episodes()
         self._workers: list[Worker | None] = [None] * num_workers
         self._started = False
         self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
 
     def _restart_episodes(self) -> None:
-        self._next_episode = np.arange(self.num_workers) + self._first_episode
-
-    def episodes_begun(self) -> int:
-        """How many episodes of the schedule have been handed out; a continued run starts from there."""
-        return int(self._next_episode.min())
+        self._next_episode = np.arange(self.num_workers)
 
     def _worker(self, index: int) -> Worker:
         worker = self._workers[index]
@@ -154,7 +147,7 @@ class SumoParallelEnv(EcoDrivingBase):
         self._worker(index)
 
     def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
-        """Report a lost step: the state before it, truncated, without reward."""
+        """Report a lost step: the state before it, truncated, without reward; nothing was measured (0 steps)."""
         row = {name: array[index] for name, array in self.frames.items()}
         row["observation"][:] = tensordict.get(("agents", "observation"))[index].numpy()
         row["mask"][:] = tensordict.get(("agents", "mask"))[index].numpy()
@@ -163,6 +156,8 @@ class SumoParallelEnv(EcoDrivingBase):
         row["agent_terminated"][:] = 0
         row["reward"][:] = 0.0
         row["reward_vector"][:] = 0.0
+        row["approach_metrics"][:] = 0.0
+        row["episode_metrics"][:] = 0.0
         row["terminated"][:] = 0
         row["truncated"][:] = 1
 

@@ -27,6 +27,8 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     Args:
         batch: ``[N, T]`` steps of a training environment.
 
+    Episodes that a lost worker took along report no steps, and are left out.
+
     Returns:
         ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,
         ``collisions``, and :data:`LOGGED_SCORES` pooled over them (every vehicle weighs the same). What is unknown is
@@ -37,11 +39,13 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     if mask.any():
         stats["reward"] = float(masked_mean(reward, mask, tuple(range(mask.ndim))))
     ended = batch.get(("next", "done")).squeeze(-1)
-    count = int(ended.sum())
+    totals = batch.get(("next", TOTALS))[ended]
+    totals = totals[split_totals(totals)[0]["steps"] > 0]
+    count = len(totals)
     stats["episodes"] = float(count)
     if count == 0:
         return stats
-    episode, approach = split_totals(batch.get(("next", TOTALS))[ended])
+    episode, approach = split_totals(totals)
     stats["return"] = float(episode["return"].mean())
     stats["collisions"] = float(episode["collisions"].mean())
     sums = {name: value.double().sum() for name, value in approach.items()}

@@ -29,7 +29,7 @@ Y = np.round(GENERATOR.normal(0.3, 1, size=(5, 11)), 3)
 
 
 @pytest.mark.parametrize(
-    # rliable.library.get_interval_estimates on X, 50,000 repetitions.
+    # get_interval_estimates of rliable on X, 50,000 repetitions.
     ("statistic", "value", "low", "high"),
     [(mean, -0.00081818, -0.2309, 0.2252), (iqm, -0.02872727, -0.2745, 0.2406)],
 )

@@ -1,0 +1,28 @@
+"""What training logs of the episodes that ended: one that a lost worker took along is not among them."""
+
+from __future__ import annotations
+
+import torch
+
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EnvConfig
+from izoo.training.environments import TrainingParallelEnv
+from izoo.training.episodes import episode_stats
+
+
+def test_a_lost_episode_is_not_logged() -> None:
+    config = EnvConfig(emit=(), horizon_s=60.0, warmup_s=5.0)
+    env = TrainingParallelEnv(2, contexts=procedural_context(inflow_vph_per_lane=600.0), config=config)
+    try:
+        state, steps = env.reset(), []
+        for step in range(config.control_steps):
+            if step == 50:
+                env._workers[1].process.kill()  # type: ignore[union-attr]
+            state["agents", "action"] = torch.zeros(2, config.num_agents, 1)
+            done, state = env.step_and_maybe_reset(state)
+            steps.append(done)
+    finally:
+        env.close()
+    batch = torch.stack(steps, 1)
+    assert int(batch["next", "done"].sum()) == 2
+    assert episode_stats(batch)["episodes"] == 1.0
