@@ -8,14 +8,17 @@ SUPPORTED := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12)
 PYTHON ?= $(shell for name in python3.11 python3.12 python3.10 python3 python; do \
 	$$name -c '$(SUPPORTED)' 2>/dev/null && { echo $$name; break; }; done)
 ARGS ?=
+# Processes that run tests side by side; some tests start two or more of their own.
+TEST_WORKERS ?= 2
 
-.PHONY: help install train test lint typecheck check clean
+.PHONY: help install train test lint typecheck docs check clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make train      install into .venv if need be and train PPO for a few minutes (ARGS='seed=1 ...' adds options)"
 	@echo "make test       install and run the tests (ARGS='-k name' adds pytest options)"
-	@echo "make check      tests, lint and type check: what CI runs"
+	@echo "make docs       build the documentation site into build/site (Python 3.11 or newer)"
+	@echo "make check      tests, lint, type check and documentation: what CI runs"
 	@echo "make install | lint | typecheck | clean"
 
 install: $(STAMP)
@@ -32,7 +35,7 @@ train: $(STAMP)
 	$(BIN)/python -m izoo.train $(ARGS)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile $(ARGS)
 
 lint: $(STAMP)
 	$(BIN)/python -m ruff check .
@@ -45,7 +48,12 @@ typecheck: $(STAMP)
 	cd build/typecheck && MYPYPATH=. ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
 		--cache-dir ../../.mypy_cache -p izoo
 
-check: test lint typecheck
+# Warnings are errors; nothing is fetched from the network, here or when the pages are read.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "Documentation: build/site/index.html"
+
+check: test lint typecheck docs
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

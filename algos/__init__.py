@@ -5,5 +5,10 @@
 - :mod:`~izoo.algos.ppo`: PPO with shared parameters.
 - :mod:`~izoo.algos.sets`, :mod:`~izoo.algos.mappo`: PPO on whole frames; with a critic over the set of vehicles.
 - :mod:`~izoo.algos.gcrl`: PPO on the graph of nearby vehicles.
+- :mod:`~izoo.algos.action`: what a learned action stands for.
+- :mod:`~izoo.algos.ppo_config`, :mod:`~izoo.algos.ddpg_config`: hyper-parameters.
 - :mod:`~izoo.algos.scripted`: drivers that do not learn.
 """
+
+DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
+"""Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`), for those who need their names before PyTorch is loaded."""

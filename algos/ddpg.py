@@ -8,9 +8,9 @@ see no padding.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
@@ -19,144 +19,12 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
-from izoo.algos import base
+from izoo.algos import acting, base
+from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.replay import ERROR, Replay, transitions
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import check_range
 
 ACTION_VALUE = ("agents", "state_action_value")
-
-
-@dataclass(frozen=True)
-class DDPGConfig:
-    """Hyper-parameters of DDPG; the defaults are the preset ``tuned``.
-
-    Sources: "RLlib" is the default of RLlib's DDPG, which the paper used with Ray 2.11 (since Ray 2.8 in
-    ``rllib_contrib/ddpg/src/rllib_ddpg/ddpg/ddpg.py``); "Lillicrap" is arXiv 1509.02971; "TD3" is arXiv 1802.09477;
-    "Schaul" is arXiv 1511.05952; "ours" was chosen by short runs here.
-
-    Attributes:
-        name: the algorithm.
-        frames_per_batch: environment steps, over all workers, between two rounds of updates (RLlib: one step of each of
-            ten workers; ours 1,950, one episode, since a round has a fixed cost).
-        updates_per_frame: gradient steps per environment step (RLlib one per step of ten workers, so 0.1; ours 0.2).
-        minibatch_rows: transitions per gradient step (RLlib, ours 256; Lillicrap 64).
-        replay_rows: transitions held; of 60 features each takes 500 bytes (RLlib 50,000; Lillicrap 1e6; ours 100,000,
-            50 MB).
-        rows_per_frame: most transitions stored per environment step, drawn at random from a batch; ``null`` stores all
-            (RLlib). The agents of one step see much the same, so a part of them lets the replay reach further back
-            (ours 2).
-        learning_starts: environment steps before the first update (RLlib 1,500; ours 3,900).
-        random_frames: environment steps of uniformly random accelerations at the start, counted in whole batches (RLlib
-            1,000; ours 0: the mean of the range is braking, and a jam teaches little).
-        priority_alpha: exponent of prioritised replay; 0 draws uniformly (RLlib, Schaul 0.6; Lillicrap, ours 0).
-        priority_beta: exponent of its correction (RLlib, Schaul 0.4).
-        actor_lr: Adam's learning rate of the actor (RLlib 1e-3; Lillicrap 1e-4; ours 3e-4).
-        critic_lr: that of the critic (RLlib, Lillicrap 1e-3, which is ours).
-        weight_decay: of both networks (RLlib 1e-6; Lillicrap 1e-2 on the critic; ours 0).
-        tau: share by which target networks follow at each update (RLlib 0.002; Lillicrap 0.001; TD3 0.005; ours
-            0.01).
-        gamma: discount per step of 0.5 s (RLlib, Lillicrap 0.99, which is ours).
-        n_step: steps whose rewards are summed before the critic takes over (RLlib, Lillicrap 1; ours 20, 10 s: a step
-            of 0.5 s changes little, and values spread back through the target networks that much faster; the noise on
-            the later actions is small enough to go uncorrected).
-        saturation_coeff: weight in the actor's loss of the squared distance, before the tanh, from the untrained output
-            (RLlib, Lillicrap 0; arXiv 1707.01495, from 0 and with 1; ours 0.02). Without it a critic that is wrong at
-            first drives the actor to full throttle everywhere, where the tanh has no gradient to bring it back.
-        value_loss: ``l2`` (RLlib, Lillicrap) or ``smooth_l1`` (ours: bounded gradients).
-        max_grad_norm: bound on each network's gradient; ``null`` for none (RLlib; ours 1).
-        reward_scale: rewards are multiplied by it (RLlib 1; ours 0.1, so that values are of order 1).
-        noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
-            Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
-        noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib
-            0.1 x 0.2 = 0.02; Lillicrap 0.2 of half the width; ours 0.06, which makes about 0.8 m/s^2 in all).
-        noise_final: factor on the noise at the end of its decay (RLlib 0.02; ours 0.2).
-        noise_frames: environment steps in which that factor falls linearly from 1; ``null``: the whole run (RLlib
-            10,000; ours the whole run).
-        hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
-        activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
-        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5).
-        save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without
-            it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
-    """
-
-    name: Literal["ddpg"] = "ddpg"
-    frames_per_batch: int = 1950
-    updates_per_frame: float = 0.2
-    minibatch_rows: int = 256
-    replay_rows: int = 100_000
-    rows_per_frame: float | None = 2.0
-    learning_starts: int = 3900
-    random_frames: int = 0
-    priority_alpha: float = 0.0
-    priority_beta: float = 0.4
-    actor_lr: float = 3e-4
-    critic_lr: float = 1e-3
-    weight_decay: float = 0.0
-    tau: float = 0.01
-    gamma: float = 0.99
-    n_step: int = 20
-    saturation_coeff: float = 0.02
-    value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
-    max_grad_norm: float | None = 1.0
-    reward_scale: float = 0.1
-    noise_theta: float = 0.15
-    noise_sigma: float = 0.06
-    noise_final: float = 0.2
-    noise_frames: int | None = None
-    hidden: tuple[int, ...] = (128, 128)
-    activation: Literal["tanh", "relu", "silu"] = "relu"
-    initial_accel_mps2: float = 0.5
-    save_replay: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("frames_per_batch", "minibatch_rows", "replay_rows", "n_step"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
-        for name in ("learning_starts", "random_frames"):
-            check_range(f"algo.{name}", getattr(self, name), 0, 10**12)
-        for name in ("priority_alpha", "priority_beta", "gamma", "noise_theta", "noise_final", "weight_decay"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("updates_per_frame", "actor_lr", "critic_lr", "reward_scale"):
-            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_range("algo.tau", self.tau, 1e-9, 0.5)
-        for name in ("noise_sigma", "saturation_coeff"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)
-        if self.rows_per_frame is not None:
-            check_range("algo.rows_per_frame", self.rows_per_frame, 1e-3, 10**6)
-        if self.noise_frames is not None:
-            check_range("algo.noise_frames", self.noise_frames, 1, 10**12)
-        check_choice("algo.activation", self.activation, base.ACTIVATIONS)
-        if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths: [128,128].")
-
-    @classmethod
-    def paper(cls) -> DDPGConfig:
-        """Return the preset ``paper``: RLlib's defaults, as the paper used them.
-
-        Three differences remain: updates come in rounds instead of after each step; each vehicle has noise of its own,
-        where RLlib's is one process for all; and the weights of prioritised replay apply to the actor's loss as well.
-        """
-        return cls(
-            frames_per_batch=390,
-            updates_per_frame=0.1,
-            replay_rows=50_000,
-            rows_per_frame=None,
-            learning_starts=1500,
-            random_frames=1000,
-            priority_alpha=0.6,
-            actor_lr=1e-3,
-            weight_decay=1e-6,
-            tau=0.002,
-            n_step=1,
-            saturation_coeff=0.0,
-            value_loss="l2",
-            max_grad_norm=None,
-            reward_scale=1.0,
-            noise_sigma=0.02,
-            noise_final=0.02,
-            noise_frames=10_000,
-            hidden=(400, 300),
-            initial_accel_mps2=-0.95,
-        )
 
 
 class Squash(nn.Module):
@@ -214,7 +82,8 @@ class ExploringPolicy(TensorDictModuleBase):
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
         self.network = actor.module
-        self.low, self.high = low, high
+        self.arrays = acting.Arrays(self.network)
+        self.low, self.high = float(low), float(high)
         self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
         # Buffers, so that collectors in other processes receive them with the weights.
         self.register_buffer("noise_factor", torch.tensor(1.0))
@@ -222,20 +91,41 @@ class ExploringPolicy(TensorDictModuleBase):
         self.noise = torch.zeros(0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write accelerations ``[*B, A, 1]`` into ``tensordict``."""
-        action = self.network(tensordict.get(base.OBSERVATION))
+        """Write accelerations ``[*B, A, 1]`` into ``tensordict``; the actor's are 0 in empty slots."""
+        agents = tensordict.get("agents")
+        mask = agents.get("mask")
+        action = self.mean(agents.get("observation"), mask)
         if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
-            action = self._explore(action, tensordict.get(base.MASK).unsqueeze(-1))
-        return tensordict.set(base.ACTION, action)
+            action = self._explore(action, mask.unsqueeze(-1))
+        agents._set_str("action", action, validated=True, inplace=False, non_blocking=False)  # its shape is right
+        return tensordict
+
+    def mean(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return the actor's accelerations ``[*B, A, 1]``, compiled on the CPU where no gradient is asked for."""
+        if not acting.compilable(observation):
+            return (
+                torch.zeros_like(mask, dtype=observation.dtype)
+                .masked_scatter(mask, self.network(observation[mask]))
+                .unsqueeze(-1)
+            )
+        out, own = np.empty(mask.numel(), np.float32), self.arrays
+        acting.act_squashed(
+            observation.reshape(-1, observation.shape[-1]).numpy(),
+            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
+            *own.layers(),
+            own.activation,
+            (self.low, self.high),
+            out,
+        )
+        return torch.from_numpy(out).view(*mask.shape, 1)
 
     def _explore(self, action: Tensor, mask: Tensor) -> Tensor:
         if self.noise.shape != action.shape:
             self.noise = torch.zeros_like(action)
-        noise = (1.0 - self.theta) * self.noise + self.sigma * torch.randn_like(action)
-        self.noise = torch.where(mask, noise, torch.zeros_like(noise))
+        self.noise.mul_(1.0 - self.theta).add_(torch.randn_like(action), alpha=self.sigma).masked_fill_(~mask, 0.0)
         if self.uniform:
             return self.low + (self.high - self.low) * torch.rand_like(action)
-        return (action + self.noise_factor * self.noise).clamp(self.low, self.high)
+        return torch.addcmul(action, self.noise, self.noise_factor).clamp_(self.low, self.high)
 
 
 def make_loss(actor: TensorDictModule, critic: ValueOperator, config: DDPGConfig) -> DDPGLoss:
@@ -259,17 +149,20 @@ class DDPG:
         config: hyper-parameters.
         features: length ``F`` of an observation.
         low, high: bounds of the acceleration, m/s^2.
+        device: where the networks and the replay live.
     """
 
-    def __init__(self, config: DDPGConfig, features: int, low: float, high: float) -> None:
+    def __init__(
+        self, config: DDPGConfig, features: int, low: float, high: float, device: torch.device | str = "cpu"
+    ) -> None:
         self.config = config
-        self.actor = make_actor(features, low, high, config)
+        self.actor = make_actor(features, low, high, config).to(device)
         self.critic = ValueOperator(
             ActionValue(features, low, high, config), in_keys=[base.OBSERVATION, base.ACTION], out_keys=[ACTION_VALUE]
-        )
-        self.policy = ExploringPolicy(self.actor, low, high, config)
+        ).to(device)
+        self.policy = ExploringPolicy(self.actor, low, high, config).to(device)
         self.untrained_output = self.actor.module[0][-1].bias.item()
-        self.loss = make_loss(self.actor, self.critic, config)
+        self.loss = make_loss(self.actor, self.critic, config).to(device)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
         self.parameters = {
             "actor": list(self.loss.actor_network_params.values(True, True)),
@@ -282,7 +175,9 @@ class DDPG:
             ],
             weight_decay=config.weight_decay,
         )
-        self.replay = Replay(config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta)
+        self.replay = Replay(
+            config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta, device
+        )
         self.frames = self.frames_held = 0
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
@@ -344,7 +239,7 @@ class DDPG:
         self.policy.load_state_dict(state["policy"])
         self.loss.load_state_dict(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])
-        self.policy.noise = state["noise"]
+        self.policy.noise = state["noise"].clone()  # the policy changes it in place
         self.frames = state["frames"]
         self.replay.load_state_dict(state["replay"])
         self.frames_held = self.frames if state["replay"] else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
@@ -12,7 +13,7 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from izoo.algos import base
+from izoo.algos import acting, base
 from izoo.errors import check_range
 
 _LOG_2, _HALF_LOG_2_PI = math.log(2.0), 0.5 * math.log(2.0 * math.pi)
@@ -51,8 +52,8 @@ def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: flo
 class SamplingPolicy(TensorDictModuleBase):
     """The policy of a :func:`tanh_normal` actor, for collection: same parameters and distribution, less overhead.
 
-    Building distribution objects costs more than the network at a few dozen rows. It samples, or takes the median where
-    TorchRL's exploration type says so.
+    Empty slots, where there is a mask, get ``loc`` 0, ``scale`` 1, action 0 and log-probability 0. It samples, or takes
+    the median, as TorchRL's exploration type says.
 
     Args:
         actor: whose network is shared.
@@ -64,25 +65,75 @@ class SamplingPolicy(TensorDictModuleBase):
         self.in_keys = [base.OBSERVATION]
         self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
         self.network = actor[0].module
-        self.middle, self.half = (high + low) / 2, (high - low) / 2
+        self.bounds = (float(low), float(high))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write loc, scale, action ``[*B, A, 1]`` and log-probability ``[*B, A]`` into ``tensordict``."""
         agents = tensordict.get("agents")
-        loc, scale = self.parameters_of(agents)
+        observation, mask = agents.get("observation"), agents.get("mask", None)
+        if mask is None:
+            mask = torch.ones(observation.shape[:-1], dtype=torch.bool, device=observation.device)
         if exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
-            raw = loc
+            noise = torch.zeros_like(mask, dtype=observation.dtype)
         else:
-            raw = torch.addcmul(loc, scale, torch.randn_like(loc))
-        # log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)), which does not lose precision far from 0.
-        slope = 2.0 * (_LOG_2 - raw - nn.functional.softplus(-2.0 * raw))
-        log_prob = -0.5 * ((raw - loc) / scale).square() - scale.log() - slope - (_HALF_LOG_2_PI + math.log(self.half))
-        agents.set("loc", loc)
-        agents.set("scale", scale)
-        agents.set("action", torch.tanh(raw).mul_(self.half).add_(self.middle))
-        agents.set("action_log_prob", log_prob.squeeze(-1))
+            noise = torch.randn(mask.shape, dtype=observation.dtype, device=observation.device)
+        loc, scale, action, log_prob = self.sample(observation, mask, noise).unbind(0)
+        one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
+        for key, value in (*one.items(), ("action_log_prob", log_prob)):
+            agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
         return tensordict
 
-    def parameters_of(self, agents: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Return median and spread before the tanh, ``[*B, A, 1]`` each, of the group ``agents`` ``[*B, A]``."""
-        return self.network(agents.get("observation"))
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
+        loc, scale = self.parameters_of(observation, mask)
+        sample = squashed_sample(loc.squeeze(-1), scale.squeeze(-1), noise[mask], *self.bounds)
+        padded = observation.new_zeros((4, *mask.shape))
+        padded[1].fill_(1.0)
+        padded[:, mask] = sample
+        return padded
+
+    def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return median and spread before the tanh, ``[n, 1]`` each, of the ``n`` agents of ``[*B, A, F]``."""
+        return self.network(observation[mask])
+
+
+class CompiledPolicy(SamplingPolicy):
+    """:class:`SamplingPolicy`, compiled where it acts on the CPU without gradients; here, a fully connected network."""
+
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
+        super().__init__(actor, low, high)
+        self.arrays = acting.Arrays(self.network)
+        (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
+        mapping = extract.scale_mapping
+        self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
+        if not acting.compilable(observation):
+            return super().sample(observation, mask, noise)
+        out = np.empty((4, mask.numel()), np.float32)
+        self.act(
+            observation.reshape(-1, observation.shape[-1]).numpy(),
+            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
+            noise.reshape(-1).numpy(),
+            out,
+        )
+        return torch.from_numpy(out).view(4, *mask.shape)
+
+    def act(self, observation: np.ndarray, mask: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
+        """Fill ``out [4, M * A]`` for ``observation [M * A, F]``, ``mask [M, A]`` and ``noise [M * A]``."""
+        own = self.arrays
+        acting.act(observation, mask, *own.layers(), own.activation, self.spread, self.bounds, noise, out)
+
+
+def squashed_sample(loc: Tensor, scale: Tensor, noise: Tensor, low: float, high: float) -> Tensor:
+    """Return ``loc``, ``scale``, the action ``tanh(loc + scale * noise)`` on ``[low, high]`` and its log-probability.
+
+    All of one shape ``[*M]``; the result is ``[4, *M]``.
+    """
+    half = (high - low) / 2
+    raw = torch.addcmul(loc, scale, noise)
+    # log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)), which does not lose precision far from 0.
+    slope = 2.0 * (_LOG_2 - raw - nn.functional.softplus(-2.0 * raw))
+    log_prob = -0.5 * noise.square() - scale.log() - slope - (_HALF_LOG_2_PI + math.log(half))
+    return torch.stack([loc, scale, torch.tanh(raw) * half + (high + low) / 2, log_prob])

@@ -5,110 +5,96 @@ over itself and its neighbours convolves the encodings, layer by layer, with the
 the encodings of all layers, so ``layers`` bounds how many hops information travels. DGN learns values of discrete
 actions and regularises attention over time for them; here actor and critic are two such networks, trained with PPO.
 
-The graph follows from the observations: vehicles are as far apart as their signed distances to the stop line. That is
-the distance along the road on one approach, the paper's setting. An observation does not say which approach its vehicle
-is on, so with demand from several approaches, vehicles on others that are as far from the stop line count as near too.
+The graph follows from the observations alone: vehicles are as far apart as their signed distances to the stop line.
+Where demand enters from one approach, which is the paper's setting, that is the distance along the road up to the line;
+beyond it, vehicles that left by different exits count as near when they are equally far from the junction. With demand
+from all approaches, vehicles on different ones count as near too, and can take the places of nearer ones on the own
+road among the ``neighbours``: nothing observed says which approach a vehicle is on. Equal signal clocks do not prove
+one approach, since opposite approaches share phases; unequal ones prove two only for equal intentions, so a rule made
+of them would cut some of the wrong pairs and keep as many. What tells roads apart as far as it can be told (signal
+clock, intention, lane, location, context features) is in the encodings that the attention weighs. ``neighbours=null``
+makes everyone within ``range_m`` a neighbour, so that nobody on the own road is crowded out.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import cast
 
+import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from izoo.algos import base
-from izoo.algos.gaussian import SamplingPolicy, normal_parameters, tanh_normal
-from izoo.algos.ppo import PPOConfig
-from izoo.algos.sets import COLUMN, FRAME, RowView, SetPPO
+from izoo.algos import base, graph_acting
+from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.ppo_config import GCRLConfig
+from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets, places
 from izoo.envs.layout import DISTANCE_SCALE_M, EGO_FEATURES
-from izoo.errors import IzooError, check_range
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""
+REACH = ("agents", "reach_m")
+"""Key of how far away a row's neighbours may be, m."""
+ROW = [base.OBSERVATION, FRAME, COLUMN, REACH]
+BIN_ROWS = 16
+"""Least rows of a set that attention works on, where there are as many; larger sets pad more, smaller ones cost more
+calls."""
+NO_LIMIT = 2**31
+"""For the compiled policy: more neighbours than a frame can hold."""
 
 
-@dataclass(frozen=True)
-class GCRLConfig(PPOConfig):
-    """Hyper-parameters of graph RL: those of PPO, and of the graph network.
-
-    Sources: "DGN" is arXiv 1810.09202, appendix; "released" is the IntersectionZoo code's ``ppo_gat_training.py``,
-    whose settings the preset ``paper`` takes. (There the nodes of a graph are the rows of a minibatch, whatever step or
-    episode they stem from, and actor and critic share the network; here nodes are the vehicles of one step, and actor
-    and critic share nothing.)
-
-    Attributes:
-        name: the algorithm.
-        neighbours: how many of the nearest vehicles are neighbours, ties included; ``null``: all (DGN 3; released: all;
-            ours 4).
-        range_m: vehicles farther away than this are no neighbours; ``null``: any distance (DGN and released: none; ours
-            100, the order of the distances over which one driver's speed reaches those behind).
-        layers: convolutions (DGN 2; released 2; ours 2).
-        heads: attention heads per convolution (DGN 8; released 4; ours 4).
-        hidden: widths of the encoder's layers; the last is also that of every convolution, shared among its heads (DGN
-            512, 128; released 64, where each head is that wide; ours 128, 128).
-    """
-
-    name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
-    neighbours: int | None = 4
-    range_m: float | None = 100.0
-    layers: int = 2
-    heads: int = 4
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.neighbours is not None:
-            check_range("algo.neighbours", self.neighbours, 0, 4096)
-        if self.range_m is not None:
-            check_range("algo.range_m", self.range_m, 0.0, 1e6, "m")
-        for name in ("layers", "heads"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 4096)
-        if self.hidden[-1] % self.heads:
-            raise IzooError(
-                f"the last of algo.hidden={list(self.hidden)} must be a multiple of algo.heads={self.heads}: the heads "
-                "share it."
-            )
-
-    @classmethod
-    def paper(cls) -> GCRLConfig:
-        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none."""
-        return replace(
-            cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
-            epochs=10,
-            minibatch_rows=32,
-            max_grad_norm=4.0,
-            hidden=(64,),
-            activation="relu",
-            neighbours=None,
-            range_m=None,
-        )
-
-
-def neighbourhood(position_m: Tensor, mask: Tensor, count: int | None, range_m: float | None) -> Tensor:
-    """Return who attends to whom, ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` is ``i`` or its neighbour.
+def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: float | None) -> Tensor:
+    """Return how far away the last neighbour of each agent may be, ``[*M, A]``; below 0, it has none.
 
     Args:
-        position_m: ``[*M, A]`` positions along the road; those of empty slots must be finite.
-        mask: ``[*M, A]`` which slots hold an agent.
+        position_m: ``[*M, A]`` positions along the road; all must be finite.
+        others: ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` could be a neighbour of ``i``.
         count: the nearest so many are neighbours, and whoever is as near as the last of them, so that the order of the
             slots decides nothing; ``None`` for all.
         range_m: neighbours are at most so far away; ``None`` for any distance.
     """
-    agents = mask.shape[-1]
-    oneself = torch.eye(agents, dtype=torch.bool, device=mask.device)
+    bound = math.inf if range_m is None else range_m
+    if count is None or count == 0:
+        return torch.full_like(position_m, bound if count is None else -1.0)
+    distance = (position_m.unsqueeze(-1) - position_m.unsqueeze(-2)).abs().masked_fill(~others, math.inf)
+    return distance.kthvalue(min(count, distance.shape[-1]), dim=-1).values.clamp(max=bound)
+
+
+class Bins(Sets):
+    """Whole frames side by side in sets of about one size, so attention within frames of any size pads little.
+
+    Args:
+        frame, column: ``[n]`` places of the rows, as for :class:`izoo.algos.sets.SetNetwork`.
+    """
+
+    def __init__(self, frame: Tensor, column: Tensor) -> None:
+        sizes = torch.bincount(frame).tolist()
+        width = max([min(BIN_ROWS, len(frame)), 1, *sizes])
+        starts, end = [], 0
+        for size in sizes:
+            if end % width + size > width:
+                end += width - end % width
+            starts.append(end)
+            end += size
+        super().__init__(frame.new_tensor(starts)[frame] + column, (max(-(-end // width), 1), width))
+        self.frame = self.pack(frame + 1)
+
+    def others(self) -> Tensor:
+        """Return ``[K, W, W]`` bool: entry ``(i, j)`` says that ``j`` is another agent of the frame of ``i``."""
+        together = (self.frame.unsqueeze(-1) == self.frame.unsqueeze(-2)) & (self.frame > 0).unsqueeze(-1)
+        return together & ~torch.eye(self.shape[1], dtype=torch.bool, device=self.frame.device)
+
+
+def neighbourhood(position_m: Tensor, others: Tensor, reach: Tensor) -> Tensor:
+    """Return who attends to whom, ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` is ``i`` or its neighbour.
+
+    The arguments are those of :func:`reach_m`, and what it returned.
+    """
     distance = (position_m.unsqueeze(-1) - position_m.unsqueeze(-2)).abs()
-    other = (mask.unsqueeze(-1) & mask.unsqueeze(-2)) & ~oneself
-    if range_m is not None:
-        other = other & (distance <= range_m)
-    if count is not None and count < agents - 1:
-        distance = distance.masked_fill(~other, math.inf)
-        limit = distance.kthvalue(count, dim=-1, keepdim=True).values if count else distance.new_tensor(-1.0)
-        other = other & (distance <= limit)
-    return other | oneself
+    near = others & (distance <= reach.unsqueeze(-1))
+    return near | torch.eye(near.shape[-1], dtype=torch.bool, device=near.device)
 
 
 class Convolution(nn.Module):
@@ -128,17 +114,24 @@ class Convolution(nn.Module):
             base.mlp(width, (), width, activation, last_gain=2.0**0.5), base.ACTIVATIONS[activation]()
         )
 
-    def forward(self, encoding: Tensor, attended: Tensor) -> Tensor:
-        """Convolve ``encoding`` ``[*M, A, width]`` over the graph ``attended`` ``[*M, A, A]``."""
-        parts = (
-            self.project(encoding).unflatten(-1, (3, self.heads, -1)).transpose(-4, -2)
-        )  # [*M, heads, 3, A, width/heads]
-        query, key, value = parts.unbind(-3)
-        mixed = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=attended.unsqueeze(-3))
-        return self.combine(mixed.transpose(-3, -2).flatten(-2))
+    def forward(self, encoding: Tensor, bins: Bins, unattended: Tensor) -> Tensor:
+        """Convolve the rows ``encoding`` ``[n, width]``.
+
+        Args:
+            encoding: of all agents.
+            bins: which of them are together.
+            unattended: ``[K, W, W]`` who attends to whom: 0, and minus infinity for the others.
+        """
+        sets, agents = bins.shape
+        parts = bins.pack(self.project(encoding)).view(sets, agents, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        query, key, value = parts.reshape(3, sets * self.heads, agents, -1).unbind(0)
+        penalty = unattended.unsqueeze(1).expand(-1, self.heads, -1, -1).reshape(-1, agents, agents)
+        scores = torch.baddbmm(penalty, query, key.mT, alpha=query.shape[-1] ** -0.5)
+        mixed = (scores.softmax(-1) @ value).unflatten(0, (sets, self.heads)).transpose(1, 2).flatten(-2)
+        return self.combine(bins.unpack(mixed))
 
 
-class GraphNetwork(nn.Module):
+class GraphNetwork(SetNetwork):
     """Encoder, convolutions and a head that reads the encodings of all layers.
 
     Args:
@@ -157,24 +150,31 @@ class GraphNetwork(nn.Module):
         self.convolutions = nn.ModuleList(Convolution(width, config.heads, activation) for _ in range(config.layers))
         self.head = base.mlp((config.layers + 1) * width, (), outputs, activation, last_gain)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return ``[*M, A, outputs]``; empty slots hold finite numbers without meaning.
+    def rows(self, observation: Tensor, frame: Tensor, column: Tensor, reach: Tensor | None = None) -> Tensor:
+        """Return ``[n, outputs]``.
 
         Args:
-            observation: ``[*M, A, F]``.
-            mask: ``[*M, A]``.
+            observation, frame, column: see :class:`izoo.algos.sets.SetNetwork`.
+            reach: ``[n]`` from :func:`reach_m`, where it is known.
         """
-        observation = torch.where(mask.unsqueeze(-1), observation, torch.zeros_like(observation))
-        position_m = observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M
-        attended = neighbourhood(position_m, mask, self.neighbours, self.range_m)
+        bins = Bins(frame, column)
+        position_m, others = bins.pack(positions_m(observation)), bins.others()
+        reach = reach_m(position_m, others, self.neighbours, self.range_m) if reach is None else bins.pack(reach)
+        attended = neighbourhood(position_m, others, reach)
+        unattended = torch.zeros_like(attended, dtype=observation.dtype).masked_fill(~attended, -math.inf)
         encodings = [self.encode(observation)]
         for convolution in self.convolutions:
-            encodings.append(convolution(encodings[-1], attended))
+            encodings.append(convolution(encodings[-1], bins, unattended))
         return self.head(torch.cat(encodings, dim=-1))
 
 
-class GraphActor(nn.Module):
-    """Median and spread of every agent's acceleration before the tanh, ``[*M, A, 1]`` each, from the graph.
+def positions_m(observation: Tensor) -> Tensor:
+    """Return the positions ``[*M]`` along the road that observations ``[*M, F]`` tell."""
+    return observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M
+
+
+class GraphActor(SetNetwork):
+    """Median and spread of every agent's acceleration before the tanh, ``[n, 1]`` each, from the graph.
 
     Args:
         features: length ``F`` of an observation.
@@ -188,26 +188,43 @@ class GraphActor(nn.Module):
         last = cast(nn.Linear, self.graph.head[-1])
         self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``(loc, scale)`` of observations ``[*M, A, F]`` with ``mask`` ``[*M, A]``."""
-        return self.extract(self.graph(observation, mask))
+    def rows(
+        self, observation: Tensor, frame: Tensor, column: Tensor, reach: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return ``(loc, scale)``; see :meth:`GraphNetwork.rows`."""
+        return self.extract(self.graph.rows(observation, frame, column, reach))
 
 
-class GraphPolicy(SamplingPolicy):
-    """The policy for collection; it acts on whole frames, so it reads the mask as well."""
+class GraphPolicy(CompiledPolicy):
+    """The policy for collection; it acts on whole frames, so it needs the mask."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float, config: GCRLConfig) -> None:
         super().__init__(actor, low, high)
         self.in_keys = [base.OBSERVATION, base.MASK]
+        self.shape = len(config.hidden), config.layers, config.heads
+        count = NO_LIMIT if config.neighbours is None else config.neighbours
+        range_m = math.inf if config.range_m is None else config.range_m
+        self.graph = STOP_LINE_DISTANCE, DISTANCE_SCALE_M, count, float(range_m)
 
-    def parameters_of(self, agents: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Return median and spread before the tanh; slots beyond the last that is taken are left out of the graph."""
-        observation, mask = agents.get("observation"), agents.get("mask")
-        taken = mask.reshape(-1, mask.shape[-1]).any(0).nonzero()
-        used = int(taken[-1]) + 1 if len(taken) else 1
-        unused = (0, 0, 0, mask.shape[-1] - used)
-        loc, scale = self.network.network(observation[..., :used, :], mask[..., :used])
-        return nn.functional.pad(loc, unused), nn.functional.pad(scale, unused, value=1.0)
+    def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return median and spread before the tanh, ``[n, 1]`` each, of the ``n`` agents of ``[*B, A, F]``."""
+        return self.network(observation[mask], *places(mask))
+
+    def act(self, observation: np.ndarray, mask: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
+        """Fill ``out [4, M * A]`` for ``observation [M * A, F]``, ``mask [M, A]`` and ``noise [M * A]``."""
+        own = self.arrays
+        graph_acting.act(
+            observation,
+            mask,
+            *own.layers(),
+            self.shape,
+            own.activation,
+            self.graph,
+            self.spread,
+            self.bounds,
+            noise,
+            out,
+        )
 
 
 class GCRL(SetPPO):
@@ -217,14 +234,22 @@ class GCRL(SetPPO):
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy on flat rows of whole frames."""
-        network = RowView(GraphActor(features, low, high, self.config))
-        return tanh_normal(network, [base.OBSERVATION, FRAME, COLUMN], low, high)
+        return tanh_normal(RowView(GraphActor(features, low, high, self.config)), ROW, low, high)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high)
+        return GraphPolicy(self.actor, low, high, self.config)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""
         critic = RowView(GraphNetwork(features, 1, self.config, last_gain=1.0))
-        return ValueOperator(critic, in_keys=[base.OBSERVATION, FRAME, COLUMN], out_keys=[base.VALUE])
+        return ValueOperator(critic, in_keys=ROW, out_keys=[base.VALUE])
+
+    @torch.no_grad()
+    def advantages(self, batch: TensorDictBase) -> TensorDict:
+        """Estimate advantages and flatten; each row also remembers its reach, since the graph does not learn."""
+        rows = super().advantages(batch)
+        bins = Bins(rows.get(FRAME), rows.get(COLUMN))
+        position_m = bins.pack(positions_m(rows.get(base.OBSERVATION)))
+        reach = reach_m(position_m, bins.others(), self.config.neighbours, self.config.range_m)
+        return rows.set(REACH, bins.unpack(reach))

@@ -9,53 +9,19 @@ al., arXiv 1810.00825). Keeping the own embedding matters, since vehicles leave 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import torch
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos import base
-from izoo.algos.ppo import PPOConfig
-from izoo.algos.sets import COLUMN, FRAME, RowView, SetPPO
-from izoo.errors import check_range
+from izoo.algos.ppo_config import MAPPOConfig
+from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets
 
 COUNT_SCALE = 10.0
 """The number of agents enters the critic divided by this."""
 
 
-@dataclass(frozen=True)
-class MAPPOConfig(PPOConfig):
-    """Hyper-parameters of MAPPO: those of PPO, and of the critic over the set.
-
-    The paper names MAPPO but trains it with the defaults of RLlib 2.11, which has no such algorithm; the example it
-    ships (``rllib/examples/centralized_critic.py``) is PPO with another critic, for two agents. So the preset ``paper``
-    is PPO's, with the set critic as here.
-
-    Attributes:
-        name: the algorithm.
-        critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
-            output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
-        critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
-    """
-
-    name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
-    critic_queries: int = 4
-    critic_embedding: int = 128
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_range("algo.critic_queries", self.critic_queries, 1, 64)
-        check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
-
-    @classmethod
-    def paper(cls) -> MAPPOConfig:
-        """Return the preset ``paper``: RLlib 2.11's defaults of PPO, and the critic as here."""
-        return cls(**vars(PPOConfig.paper()) | {"name": "mappo"})
-
-
-class SetCritic(nn.Module):
+class SetCritic(SetNetwork):
     """Values of agents that form a set.
 
     Args:
@@ -76,13 +42,13 @@ class SetCritic(nn.Module):
         )
         self.value = base.mlp(2 * width + 1, config.hidden[-1:], 1, config.activation, last_gain=1.0)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return values ``[*M, A, 1]`` of observations ``[*M, A, F]``; finite, and without meaning, in empty slots."""
-        observation = torch.where(mask.unsqueeze(-1), observation, torch.zeros_like(observation))
-        own = self.embed(observation)
-        summary = self.gather(self.attend(own, mask).flatten(-2))
+    def rows(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor:
+        """Return values ``[n, 1]``; see :class:`izoo.algos.sets.SetNetwork`."""
+        sets, own = Sets.frames(frame, column), self.embed(observation)
+        mask = sets.pack(torch.ones_like(frame, dtype=torch.bool))
+        summary = self.gather(self.attend(sets.pack(own), mask).flatten(-2))
         count = mask.sum(-1, keepdim=True).to(own.dtype) / COUNT_SCALE
-        shared = torch.cat([summary, count], dim=-1).unsqueeze(-2).expand(*mask.shape, -1)
+        shared = torch.cat([summary, count], dim=-1).index_select(0, frame)
         return self.value(torch.cat([own, shared], dim=-1))
 
     def attend(self, own: Tensor, mask: Tensor) -> Tensor:

@@ -8,8 +8,7 @@ normalisation and logs see no padding.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -20,112 +19,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from izoo.algos import base
-from izoo.algos.gaussian import SamplingPolicy, normal_parameters, tanh_normal
-from izoo.errors import IzooError, check_choice, check_range
-
-
-@dataclass(frozen=True)
-class PPOConfig:
-    """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
-
-    Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which
-    the paper used; "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs.
-
-    Attributes:
-        name: the algorithm.
-        frames_per_batch: environment steps, over all workers, between two updates (RLlib collects whole episodes on
-            ten workers here: 10 x 1,950; ours: 3,900, two episodes).
-        rows_per_epoch: agent-steps drawn at random, without replacement, for each epoch; ``null`` uses all (RLlib).
-            The agents of one step are paid alike and see much the same, so a part of them carries most of the
-            information (ours).
-        epochs: passes over the batch (RLlib 30; ours 4).
-        minibatch_rows: agent-steps per gradient step (RLlib 128; ours 1,024, for speed).
-        lr: Adam's learning rate (RLlib 5e-5; Schulman 3e-4; ours 5e-4, annealed).
-        anneal_lr: lower the learning rate linearly to 0 over the run (Schulman, Andrychowicz; RLlib does not).
-        gamma: discount per step of 0.5 s (RLlib 0.99: a horizon of 50 s; ours the same).
-        gae_lambda: trace decay of generalised advantage estimation (RLlib 1.0; Schulman 0.95, which is ours).
-        clip_epsilon: bound on the change of the probability ratio (RLlib 0.3; Schulman 0.2, which is ours).
-        value_coeff: weight of the value loss (RLlib 1.0; ours 0.5). The networks are separate, so with Adam it matters
-            for gradient clipping alone.
-        value_loss: ``l2`` (RLlib) or ``smooth_l1`` (ours: bounded gradients).
-        value_error_clip: squared value errors above this give no gradient (RLlib 10); ``null`` for none (ours).
-        entropy_coeff: weight of the entropy bonus (RLlib 0; ours the same).
-        kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
-        kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
-            0.01).
-        max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
-        reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
-            are of order 1 and the value function learns within a few batches).
-        hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
-        activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
-        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
-            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5).
-        initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
-    """
-
-    name: Literal["ppo"] = "ppo"
-    frames_per_batch: int = 3900
-    rows_per_epoch: int | None = 32768
-    epochs: int = 4
-    minibatch_rows: int = 1024
-    lr: float = 5e-4
-    anneal_lr: bool = True
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip_epsilon: float = 0.2
-    value_coeff: float = 0.5
-    value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
-    value_error_clip: float | None = None
-    entropy_coeff: float = 0.0
-    kl_coeff: float = 0.0
-    kl_target: float = 0.01
-    max_grad_norm: float | None = 0.5
-    reward_scale: float = 0.1
-    hidden: tuple[int, ...] = (128, 128)
-    activation: Literal["tanh", "relu", "silu"] = "tanh"
-    initial_accel_mps2: float = 0.5
-    initial_spread: float = 0.35
-
-    def __post_init__(self) -> None:
-        for name in ("frames_per_batch", "epochs", "minibatch_rows"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
-        if self.rows_per_epoch is not None:
-            check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
-        for name in ("gamma", "gae_lambda"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
-            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_choice("algo.activation", self.activation, base.ACTIVATIONS)
-        if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(
-                f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128]."
-            )
-
-    @classmethod
-    def paper(cls) -> PPOConfig:
-        """Return the preset ``paper``: RLlib 2.11's defaults, as the paper used them.
-
-        RLlib samples a normal distribution and clips it to the action range, where this squashes it with a tanh.
-        """
-        return cls(
-            frames_per_batch=19500,
-            rows_per_epoch=None,
-            epochs=30,
-            minibatch_rows=128,
-            lr=5e-5,
-            anneal_lr=False,
-            gae_lambda=1.0,
-            clip_epsilon=0.3,
-            value_coeff=1.0,
-            value_loss="l2",
-            value_error_clip=10.0,
-            kl_coeff=0.2,
-            max_grad_norm=None,
-            reward_scale=1.0,
-            hidden=(256, 256),
-            initial_accel_mps2=-0.95,
-            initial_spread=1.0,
-        )
+from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.ppo_config import PPOConfig
 
 
 def make_actor(features: int, low: float, high: float, config: PPOConfig) -> ProbabilisticActor:
@@ -226,7 +121,7 @@ class PPO:
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return SamplingPolicy(self.actor, low, high)
+        return CompiledPolicy(self.actor, low, high)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""

@@ -129,13 +129,21 @@ class Replay:
         capacity: most transitions held.
         minibatch_rows: transitions per draw.
         alpha, beta: of :class:`PriorityDraws`; an ``alpha`` of 0 draws uniformly.
+        device: where the transitions are held and drawn; priorities stay on the CPU.
     """
 
-    def __init__(self, capacity: int, minibatch_rows: int, alpha: float = 0.0, beta: float = 0.4) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        minibatch_rows: int,
+        alpha: float = 0.0,
+        beta: float = 0.4,
+        device: torch.device | str = "cpu",
+    ) -> None:
         self.sampler = PriorityDraws(capacity, alpha, beta) if alpha > 0 else RandomSampler()
         self.capacity = capacity
         self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(capacity), sampler=self.sampler, batch_size=minibatch_rows
+            storage=LazyTensorStorage(capacity, device=device), sampler=self.sampler, batch_size=minibatch_rows
         )
 
     def __len__(self) -> int:
@@ -153,7 +161,7 @@ class Replay:
     def learned(self, minibatch: TensorDictBase) -> None:
         """Set the priorities of a minibatch to its absolute errors, from what the loss left in :data:`ERROR`."""
         if isinstance(self.sampler, PriorityDraws):
-            self.sampler.update_priority(minibatch.get("index"), minibatch.get(ERROR).sqrt())
+            self.sampler.update_priority(minibatch.get("index").cpu(), minibatch.get(ERROR).sqrt().cpu())
 
     def state_dict(self) -> dict[str, Any]:
         """Return the transitions, their priorities and the place of the next one."""

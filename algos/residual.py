@@ -7,10 +7,7 @@ networks emit, what it computes log-probabilities of, and what its losses see. T
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -22,52 +19,8 @@ from izoo.algos.scripted import Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, observation_names
-from izoo.errors import check_range
 
 RESIDUAL = ("agents", "residual")
-Build = Callable[[Any, int, float, float], base.Algorithm]
-"""What builds an algorithm from its options, the length of an observation, and the bounds of its action."""
-
-
-@dataclass(frozen=True)
-class DirectAction:
-    """The policy's action is the acceleration.
-
-    Attributes:
-        name: the action mode.
-    """
-
-    name: Literal["direct"] = "direct"
-
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> base.Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        return build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
-
-
-@dataclass(frozen=True)
-class ResidualAction:
-    """The policy's action is added to the acceleration of the nominal controller.
-
-    Attributes:
-        name: the action mode.
-        half_width_mps2: the residual lies between plus and minus this. 1 m/s^2 is as much as glide itself commands, so
-            that it can be overruled where it brakes for nothing, and no more.
-    """
-
-    name: Literal["residual"] = "residual"
-    half_width_mps2: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_range("action.half_width_mps2", self.half_width_mps2, 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2")
-
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> base.Algorithm:
-        """Return the algorithm that ``build`` makes for residuals, which start at 0 whatever its options say."""
-        config = dataclasses.replace(config, initial_accel_mps2=0.0)
-        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2)
-        return Residual(learned, NominalDriver(env))
-
-
-ActionConfig = DirectAction | ResidualAction
 
 
 class NominalDriver(nn.Module):

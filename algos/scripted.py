@@ -105,9 +105,11 @@ class ConstantSpeed(ScriptedDriver):
 
 @dataclass(frozen=True)
 class GlideConfig:
-    """Settings of :class:`Glide`.
+    """Settings of :class:`Glide`; tuned by hand on measured training intersections.
 
     Attributes:
+        max_lanes: approaches with more lanes are left alone. Where vehicles choose among lanes the queue ahead cannot
+            be guessed from the leader, others overtake and merge in front, and the rule costs more than it gains.
         start_lag_s: time from green until the first vehicle of a queue crosses.
         headway_s: time between two vehicles of a discharging queue.
         spacing_m: road that a queued vehicle takes up.
@@ -122,6 +124,7 @@ class GlideConfig:
         brake_mps2, push_mps2: bounds on the commanded braking and acceleration.
     """
 
+    max_lanes: int = 1
     start_lag_s: float = 2.0
     headway_s: float = 2.2
     spacing_m: float = 7.5
@@ -129,7 +132,7 @@ class GlideConfig:
     queue_speed_mps: float = 2.0
     margin_s: float = 2.0
     late_s: float = 2.0
-    floor_mps: float = 5.0
+    floor_mps: float = 4.0
     near_m: float = 15.0
     headway_gap_s: float = 1.5
     response_s: float = 2.0
@@ -139,6 +142,7 @@ class GlideConfig:
     def __post_init__(self) -> None:
         for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
             check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
+        check_range("glide.max_lanes", self.max_lanes, 0, 100)
         check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
 
 
@@ -148,11 +152,12 @@ class Glide(ScriptedDriver):
     Each CV estimates when it can pass: the start of a green of its movement, plus the time that the queue ahead on its
     lane needs to discharge, skipping greens that the queue uses up; and slows gently, early, to arrive then. What it
     cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. Whoever
-    need not slow, is near the stop line, or follows closely is left to IDM.
+    need not slow, is near the stop line, or follows closely is left to IDM, and so is everyone on approaches with
+    more lanes than ``max_lanes``.
 
     Args:
-        config: settings of the environment; the leader and the features ``green_s``, ``red_s`` and
-            ``speed_limit_mps`` must be observed.
+        config: settings of the environment; the leader and the features ``green_s``, ``red_s``, ``speed_limit_mps``
+            and ``lane_count`` must be observed.
         settings: of the rule.
     """
 
@@ -160,12 +165,15 @@ class Glide(ScriptedDriver):
         super().__init__()
         self.settings = settings or GlideConfig()
         self.columns = {name: column for column, name in enumerate(observation_names(config))}
-        needed = ("leader_present", "context_green_s", "context_red_s", "context_speed_limit_mps")
+        needed = (
+            "leader_present",
+            *(f"context_{name}" for name in ("green_s", "red_s", "speed_limit_mps", "lane_count")),
+        )
         missing = [name for name in needed if name not in self.columns]
         if missing:
             raise IzooError(
                 f"glide needs {', '.join(missing)} in the observation; observe the leader (env.neighbours) and the "
-                "features green_s, red_s and speed_limit_mps (env.observed)."
+                "features green_s, red_s, speed_limit_mps and lane_count (env.observed)."
             )
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -180,7 +188,15 @@ class Glide(ScriptedDriver):
         arrival_s = self.passing_time(observation, distance, free_s)
         advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.full_like(limit, s.floor_mps))
         following = leader & (gap < s.headway_gap_s * speed)
-        idle = (arrival_s - free_s < s.late_s) | (distance < s.near_m) | following | ~approaching | (advised >= limit)
+        wide = self._column(observation, "context_lane_count", feature("lane_count").scale) > s.max_lanes + 0.5
+        idle = (
+            wide
+            | (arrival_s - free_s < s.late_s)
+            | (distance < s.near_m)
+            | following
+            | ~approaching
+            | (advised >= limit)
+        )
         accel = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
         return accel, idle
 

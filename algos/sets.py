@@ -2,8 +2,9 @@
 
 A *frame* is one environment at one time; its agents are a set. A set network maps ``(observation [M, A, F],
 mask [M, A])`` to something per agent, whatever the order of the slots and whatever stands in the empty ones. Losses
-still see flat rows, one per valid agent-step, so TorchRL's own statistics, normalisation and logs see no padding:
-:class:`RowView` puts the rows of whole frames back together, applies the network, and takes the rows out again.
+still see flat rows, one per valid agent-step, so TorchRL's own statistics, normalisation and logs see no padding. The
+networks themselves work on such rows, beside which stands who is together (:class:`SetNetwork`); they lay them out in
+sets only where agents meet, so empty slots cost nothing elsewhere.
 """
 
 from __future__ import annotations
@@ -33,43 +34,75 @@ def places(mask: Tensor) -> tuple[Tensor, Tensor]:
     return torch.unique_consecutive(frame, return_inverse=True)[1], column
 
 
-class RowView(nn.Module):
-    """A set network on flat rows.
+class SetNetwork(nn.Module):
+    """A network on sets of agents, which works on the rows of the agents alone and knows which of them are together."""
 
-    The sets are packed to the size of the largest, which costs nothing in exactness and saves the empty slots' share of
-    the work.
+    def rows(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Return one row ``[n, ...]`` per agent.
+
+        Args:
+            observation: ``[n, F]`` all agents of each frame that occurs, in any order.
+            frame: ``[n]`` numbers of their frames, from 0, without gaps.
+            column: ``[n]`` their places in the frame, from 0, without gaps.
+        """
+        raise NotImplementedError
+
+    def forward(self, observation: Tensor, mask: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Apply the network to frames ``[*M, A, F]`` with ``mask`` ``[*M, A]``; empty slots get 0."""
+        found = self.rows(observation[mask], *places(mask))
+        return tuple(spread_out(part, mask) for part in found) if isinstance(found, tuple) else spread_out(found, mask)
+
+
+def spread_out(rows: Tensor, mask: Tensor) -> Tensor:
+    """Return ``[*M, A, ...]``: the ``rows`` ``[n, ...]`` where ``mask`` ``[*M, A]`` is true, 0 elsewhere."""
+    return rows.new_zeros(*mask.shape, *rows.shape[1:]).masked_scatter(
+        mask.reshape(*mask.shape, *(1,) * (rows.ndim - 1)), rows
+    )
+
+
+class Sets:
+    """Rows laid out in sets ``[K, W, ...]``.
 
     Args:
-        network: maps ``(observation [M, A, F], mask [M, A])`` to a tensor ``[M, A, ...]``, or a tuple of them.
+        slot: ``[n]`` place of each row among the ``K * W``.
+        shape: ``(K, W)``.
     """
 
-    def __init__(self, network: nn.Module) -> None:
+    def __init__(self, slot: Tensor, shape: tuple[int, int]) -> None:
+        self.slot, self.shape = slot, shape
+
+    @classmethod
+    def frames(cls, frame: Tensor, column: Tensor) -> Sets:
+        """Return one set per frame, as wide as the largest; the arguments are those of :meth:`SetNetwork.rows`."""
+        if len(frame) == 0:
+            return cls(frame, (1, 1))
+        width = int(column.max()) + 1
+        return cls(frame * width + column, (int(frame.max()) + 1, width))
+
+    def pack(self, rows: Tensor) -> Tensor:
+        """Return ``[K, W, ...]``: the rows ``[n, ...]`` in their places, 0 elsewhere."""
+        sets, width = self.shape
+        return rows.new_zeros(sets * width, *rows.shape[1:]).index_copy(0, self.slot, rows).unflatten(0, self.shape)
+
+    def unpack(self, packed: Tensor) -> Tensor:
+        """Return the rows ``[n, ...]`` of sets ``[K, W, ...]``."""
+        return packed.flatten(0, 1).index_select(0, self.slot)
+
+
+class RowView(nn.Module):
+    """A set network on flat rows, for a loss.
+
+    Args:
+        network: what it applies.
+    """
+
+    def __init__(self, network: SetNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Apply the network to whole frames.
-
-        Args:
-            observation: ``[n, F]`` rows: all agents of each frame that occurs.
-            frame: ``[n]`` numbers of their frames, from 0.
-            column: ``[n]`` their places in the frame, from 0.
-
-        Returns:
-            What the network returns, one row ``[n, ...]`` per row.
-        """
-        if len(observation) == 0:
-            sets, mask = observation.new_zeros(1, 1, observation.shape[-1]), frame.new_zeros(1, 1, dtype=torch.bool)
-        else:
-            shape = int(frame.max()) + 1, int(column.max()) + 1
-            sets = observation.new_zeros(*shape, observation.shape[-1])
-            mask = frame.new_zeros(shape, dtype=torch.bool)
-            sets[frame, column] = observation
-            mask[frame, column] = True
-        result = self.network(sets, mask)
-        if isinstance(result, tuple):
-            return tuple(part[frame, column] for part in result)
-        return result[frame, column]
+    def forward(self, *rows: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Return what the network's :meth:`SetNetwork.rows` does."""
+        return self.network.rows(*rows)
 
 
 class SetPPO(PPO):

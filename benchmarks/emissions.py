@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from izoo import cli
+
 ROUNDS = 5
 API_CALLS = 200
 """The package's own API loads a network per call, so few calls say enough."""
@@ -139,4 +141,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(cli.exit_code("benchmarks.emissions", main))

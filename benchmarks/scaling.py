@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from izoo import cli
+
 SETTLE_STEPS = 400
 RESETS = 7
 
@@ -123,13 +125,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.add_argument("--steps", type=int, default=800, help="timed steps per world (default 800)")
     options = parser.parse_args(argv)
+    if options.steps < 1:
+        parser.error(f"--steps is {options.steps}; one or more are needed")
     print("izoo scaling: loading torch and SUMO", file=sys.stderr, flush=True)
     import torch
     from rich.console import Console
     from rich.table import Table
 
     torch.set_num_threads(1)
-    rows = [measure(context, options.steps) for context in worlds()]
+    contexts, rows = worlds(), []
+    for number, context in enumerate(contexts, 1):
+        print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
+        rows.append(measure(context, options.steps))
     slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row["environment_us"] for row in rows], 1)
     if options.json:
         print(json.dumps({"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed}, indent=1))
@@ -157,4 +164,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(cli.exit_code("benchmarks.scaling", main))

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from izoo import cli
 from izoo.metrics.definitions import EPISODE_METRICS
 
 ROUNDS = 3
@@ -134,17 +135,19 @@ def _stepped(env: Any, steps: int) -> Sample:
         masks: list[torch.Tensor] = []
         totals = env.frames["episode_metrics"]
         seen: list[float] = []
+        counted = (SETTLE_STEPS + 1, SETTLE_STEPS + steps)
 
         def step() -> None:
             nonlocal state
             state.set(("agents", "action"), action)
             masks.append(state.get(("agents", "mask")))
-            seen.append(totals[:, VEHICLE_STEPS].sum())
+            if len(masks) in counted:
+                seen.append(totals[:, VEHICLE_STEPS].sum())
             _, state = env.step_and_maybe_reset(state)
 
         rate = _time_steps(step, steps)
         agents = float(torch.stack(masks[-steps:]).sum()) / (steps * num)
-        vehicles = float(seen[-1] - seen[-steps]) / ((steps - 1) * num)
+        vehicles = float(seen[1] - seen[0]) / ((steps - 1) * num)
     finally:
         env.close()
     return rate * num, rate * num * agents, vehicles, agents
@@ -156,7 +159,7 @@ def _collected(
     """Collect batches with a freshly initialised PPO policy, as training does."""
     import torch
 
-    from izoo.algos.ppo import PPOConfig
+    from izoo.algos.ppo_config import PPOConfig
     from izoo.conf.options import CollectorConfig, TrainConfig
     from izoo.contexts.source import as_schedule
     from izoo.envs.layout import observation_names
@@ -226,6 +229,10 @@ def main(argv: list[str] | None = None) -> int:
     for name in chosen:
         if name not in known:
             parser.error(f"unknown scenario {name!r}; choose from: {', '.join(known)}")
+    if options.workers < 1:
+        parser.error(f"--workers is {options.workers}; one or more are needed")
+    if options.steps < CHUNK:
+        parser.error(f"--steps is {options.steps}; it must be {CHUNK} or more: collectors are timed in batches of that")
     print("izoo throughput: loading torch and SUMO", file=sys.stderr, flush=True)
     import torch
 
@@ -242,4 +249,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(cli.exit_code("benchmarks.throughput", main))

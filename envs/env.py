@@ -36,6 +36,8 @@ class EcoDrivingBase(EnvBase):
     """
 
     batch_locked = True
+    leaves: tuple[str, ...] = ()
+    """Arrays of a frame that are emitted at the root, besides the groups of ``config.emit``."""
 
     def __init__(
         self, contexts: Contexts | None, config: EnvConfig | None, seed: int, batch_size: list[int], buffer: Any
@@ -46,7 +48,7 @@ class EcoDrivingBase(EnvBase):
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
         self.frames = map_frames(buffer, config, *(batch_size or [1]))
         views = self.frames if batch_size else {name: array[0] for name, array in self.frames.items()}
-        self.reader = specs.FrameReader(config, views, self.batch_size)
+        self.reader = specs.FrameReader(config, views, self.batch_size, self.leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -67,28 +69,38 @@ class EcoDrivingBase(EnvBase):
 
     def _next_frame(self) -> TensorDict:
         frame = self._frame()
-        frame.get("agents")._set_str("reward", self.reader.reward(), validated=True, inplace=False, non_blocking=False)
+        _set(frame._get_str("agents", None), "reward", self.reader.reward())
         return frame
+
+    def step_lean(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Step, and return what is set under ``"next"``: ``step`` without its checks."""
+        following = self._step(tensordict)
+        _set(tensordict, "next", following)
+        return following
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """Step, and begin new episodes where one has ended; return the step and the state to act on next.
 
-        The same as TorchRL's own, without checks that the specs' test has made once.
+        The same as TorchRL's own, but lean (:meth:`step_lean`).
         """
-        following = self._step(tensordict)
-        tensordict._set_str("next", following, validated=True, inplace=False, non_blocking=False)
-        ended = following._get_str("done", None)
-        root = following.exclude(("agents", "reward"))
-        if self.frames["truncated"].any():
+        following = self.step_lean(tensordict)
+        if b"\1" in self.frames["done"].tobytes():
             # Not reset(): given the mask alone, it would blank the rows that go on.
-            root = self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
-        return tensordict, root
-
-    def _first_frame(self) -> TensorDict:
-        return self._frame()
+            ended = following._get_str("done", None)
+            return tensordict, self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
+        values = dict(following.items())
+        agents = dict(values["agents"].items())
+        del agents["reward"]
+        values["agents"] = TensorDict._new_unsafe(agents, batch_size=self.reader.agents_batch)
+        return tensordict, TensorDict._new_unsafe(values, batch_size=self.batch_size)
 
     def _frame(self) -> TensorDict:
         return TensorDict._new_unsafe(self.reader.observation(), batch_size=self.batch_size)
+
+
+def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
+    """Set an entry whose shape is known to be right."""
+    tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
 class EcoDrivingEnv(EcoDrivingBase):
@@ -153,7 +165,7 @@ class EcoDrivingEnv(EcoDrivingBase):
             self._episode += self._stride
         planned, planned_seed = self.schedule(episode) if context is None else (context, 0)
         self.simulator.reset(planned, planned_seed if seed is None else seed, episode)
-        return self._first_frame()
+        return self._frame()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self._simulator is None or not self._simulator.started:

@@ -1,7 +1,8 @@
 """One compiled call per step: everything between reading SUMO and handing out a frame.
 
-Calling compiled code costs some microseconds per array that is passed, so the kernels of :mod:`izoo.envs.kernels` and
-:mod:`izoo.envs.accounting` are joined here, and arrays that live as long as an episode travel in tuples.
+Calling compiled code costs a fraction of a microsecond per array that is passed, and there are some seventy, so the
+kernels of :mod:`izoo.envs.kernels` and :mod:`izoo.envs.accounting` are joined here, and what lives as long as an
+episode is handed over once, in a :class:`World`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.core import types
+from numba.experimental import structref
 
 from izoo.emissions.kernel import emission_rate_kernel
 from izoo.envs.accounting import account, pay, reward_terms, sum_episode
@@ -22,7 +25,18 @@ from izoo.envs.kernels import (
     read_clock,
     sort_lanes,
 )
-from izoo.envs.layout import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, WRONG_LANE
+from izoo.envs.layout import (
+    ACCEL,
+    AGENT,
+    ELECTRIC,
+    EMISSION,
+    GRADE,
+    MOVES_CLASS,
+    PRESENT,
+    SPEED,
+    STEADY,
+    WRONG_LANE,
+)
 from izoo.envs.stale import forget_stale_kernels
 
 forget_stale_kernels()
@@ -32,7 +46,8 @@ class Tables(NamedTuple):
     """The simulator's tables (columns in :mod:`izoo.envs.layout`) and the working memory of the sort.
 
     ``floats [C, *]``, ``ints [C, *]``, ``flags [C, *]``, ``terms [C, 5]`` (individual reward terms), ``sums [P, M]``
-    and ``episode [E]`` (metrics), ``agent_row [A]`` (-1: empty), ``order [C]``, ``lane_start [L + 1]``.
+    and ``episode [E]`` (metrics), ``agent_row [A]`` (-1: empty), ``order [C]``, ``lane_start [L + 1]``, and ``suspects
+    [C]`` (agents' rows on a lane that does not lead to their exit).
     """
 
     floats: np.ndarray
@@ -44,6 +59,7 @@ class Tables(NamedTuple):
     agent_row: np.ndarray
     order: np.ndarray
     lane_start: np.ndarray
+    suspects: np.ndarray
 
 
 class ClockArrays(NamedTuple):
@@ -80,6 +96,7 @@ class Rules(NamedTuple):
     features: np.ndarray
     emit_vehicles: bool
     emit_signal: bool
+    emit_metrics: bool
 
 
 class Out(NamedTuple):
@@ -89,6 +106,7 @@ class Out(NamedTuple):
     mask: np.ndarray
     agent_vehicle: np.ndarray
     agent_terminated: np.ndarray
+    agent_done: np.ndarray
     reward: np.ndarray
     reward_vector: np.ndarray
     vehicle_floats: np.ndarray
@@ -96,18 +114,43 @@ class Out(NamedTuple):
     vehicle_flags: np.ndarray
     signal_colour: np.ndarray
     signal_time_left_s: np.ndarray
+    approach_metrics: np.ndarray
+    episode_metrics: np.ndarray
+
+
+@structref.register
+class WorldType(types.StructRef):  # type: ignore[misc]
+    """Type of :class:`World` in compiled code."""
+
+
+class World(structref.StructRefProxy):  # type: ignore[misc]
+    """An episode's tables, road, clock, rules, surrogates and frame, as compiled code holds them; a copy of none."""
+
+
+structref.define_proxy(World, WorldType, ["tables", "road", "clock", "rules", "surrogate", "out"])
+
+
+@njit(cache=True)
+def hold(tables, road, clock, rules, surrogate, out):  # type: ignore[no-untyped-def]
+    """Return a :class:`World`."""
+    return World(tables, road, clock, rules, surrogate, out)
 
 
 @njit(cache=True)
 def emit_co2(rows, tables, rules, surrogate):  # type: ignore[no-untyped-def]
     """Write each vehicle's CO2 of the step in g; electric CVs emit nothing."""
-    n = rows.shape[0]
+    changed = np.empty(rows.shape[0], np.int64)
+    n = 0
+    for r in rows:
+        if not tables.flags[r, STEADY]:
+            changed[n] = r
+            n += 1
     inputs = np.empty((3, n), np.float32)
     classes = np.empty(n, np.int64)
     active = np.empty(n, np.uint8)
     rate = np.empty(n, np.float32)
     for j in range(n):
-        r = rows[j]
+        r = changed[j]
         inputs[0, j] = tables.floats[r, SPEED]
         inputs[1, j] = tables.floats[r, ACCEL]
         inputs[2, j] = tables.floats[r, GRADE]
@@ -117,13 +160,11 @@ def emit_co2(rows, tables, rules, surrogate):  # type: ignore[no-untyped-def]
         inputs[0], inputs[1], inputs[2], classes, active, rules.temperature_c, rules.humidity_pct, surrogate, rate
     )
     for j in range(n):
-        tables.floats[rows[j], EMISSION] = rate[j] * rules.step_s
+        tables.floats[changed[j], EMISSION] = rate[j] * rules.step_s
 
 
 @njit(cache=True)
-def make_frame(  # type: ignore[no-untyped-def]
-    rows, reading, acting, leavers, time_s, phase, measured, tables, road, clock, rules, surrogate, out, suspects
-):
+def make_frame(rows, reading, acting, leavers, time_s, phase, measured, world):  # type: ignore[no-untyped-def]
     """Turn what SUMO reported into the next frame.
 
     Args:
@@ -134,17 +175,18 @@ def make_frame(  # type: ignore[no-untyped-def]
         time_s: simulated time after the step.
         phase: the signal phase in force during the step.
         measured: whether the step counts (the first frame of an episode does not).
-        suspects: ``[C]`` output: agents' rows on a lane that does not lead to their exit.
+        world: the :class:`World`.
 
     Returns:
         The phase in force from now on, and the number of suspects.
     """
+    tables, road, clock, rules, out = world.tables, world.road, world.clock, world.rules, world.out
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     lane, position, speed, signals = reading
     place(rows, lane, position, speed, signals, floats, ints, flags, road, rules.step_s)
     sort_lanes(rows, floats, ints, tables.lane_start.shape[0] - 1, tables.order, tables.lane_start)
     find_leaders(rows, floats, ints, flags, tables.order, tables.lane_start, road)
-    emit_co2(rows, tables, rules, surrogate)
+    emit_co2(rows, tables, rules, world.surrogate)
     if measured:
         before, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
         account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
@@ -184,6 +226,7 @@ def make_frame(  # type: ignore[no-untyped-def]
         if slot >= 0:
             tables.agent_row[slot] = -1
             out.agent_terminated[slot] = 1
+    out.agent_done[:] = out.agent_terminated
     state = (clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s)
     observe(
         tables.agent_row,
@@ -207,10 +250,13 @@ def make_frame(  # type: ignore[no-untyped-def]
         out.signal_time_left_s[: clock.now.shape[0], : clock.now.shape[1]] = clock.time_left_s
     if measured:
         sum_episode(rows, acting, floats, ints, flags, out.reward, rules.step_s, tables.sums, tables.episode)
+    out.episode_metrics[:] = tables.episode
+    if rules.emit_metrics:
+        out.approach_metrics[:] = tables.sums
     count = 0
     for j in range(rows.shape[0]):
         r = rows[j]
         if flags[r, WRONG_LANE] and ints[r, AGENT] >= 0:
-            suspects[count] = r
+            tables.suspects[count] = r
             count += 1
     return phase, count

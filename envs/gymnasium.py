@@ -19,8 +19,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.host import RENDER_MODES, Host, checked_action, render_modes
+from izoo.envs.commands import Commands, action_space, read_action
+from izoo.envs.config import EnvConfig
+from izoo.envs.host import RENDER_MODES, Host, render_modes
 from izoo.envs.layout import observation_names
 from izoo.envs.vector import ViewVector
 from izoo.errors import IzooError
@@ -36,12 +37,12 @@ Observation = TypeVar("Observation")
 EPISODES_TRIED = 3
 
 
-class _View(gym.Env[Observation, np.ndarray]):
+class _View(gym.Env[Observation, Any]):
     """What both views share.
 
     Args:
         contexts: what is played, as for :class:`~izoo.envs.EcoDrivingEnv`.
-        config: settings of the environment; ``emit`` and ``gui`` have no effect, ``lane_change`` is refused.
+        config: settings of the environment; ``emit`` and ``gui`` have no effect.
         render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
         in_process: simulate in this process instead of one of the environment's own: faster, but a process can hold
             only one such environment.
@@ -79,7 +80,9 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
 
     - observation: ``observation`` ``[A, F]`` float32 (columns in :attr:`observation_names`; zero in empty slots) and
       ``mask`` ``[A]`` int8: the slot holds a CV.
-    - action: ``[A]`` accelerations in m/s^2, cut to [-4.5, 2.6]; NaN leaves a CV to SUMO and is counted.
+    - action: ``[A]`` accelerations in m/s^2, cut to [-4.5, 2.6]; NaN leaves a CV to SUMO and is counted. With
+      ``config.lane_change`` a dictionary: these as ``acceleration``, and ``lane_change`` ``[A]`` (0 right, 1 keep, 2
+      left).
     - reward: the mean over the CVs that acted, 0 where there was none.
     - terminated: never; truncated: the horizon.
     - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.layout.REWARD_VECTOR`), ``vehicle``
@@ -93,7 +96,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
         self.observation_space: Any = spaces.Dict(
             observation=spaces.Box(-np.inf, np.inf, (a, f), np.float32), mask=spaces.MultiBinary(a)
         )
-        self.action_space = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (a,), np.float32)
+        self.action_space: Any = action_space(self.config, a)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -103,13 +106,13 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
         self.host.begin(seed, options)
         return self._observation(), {"vehicle": self.host.numbers, **self.host.plan(), **self.host.info()}
 
-    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Simulate a step with the accelerations ``action [A]``."""
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Simulate a step with the accelerations ``action [A]``, or the dictionary described above."""
         host, frame = self.host, self.host.frame
         host.require_running()
-        array = checked_action(action, (self.config.num_agents,))
+        acceleration, lane_change = read_action(self.config, action, self.config.num_agents)
         acted = host.mask
-        host.step(array)
+        host.step(Commands(acceleration, np.zeros(self.config.num_agents, bool), lane_change))
         reward = frame["reward"].copy()
         info = {
             "reward": reward,
@@ -135,25 +138,35 @@ class EcoDrivingEgo(_View[np.ndarray]):
     ``reset(options=...)`` always begin a simulation.
 
     - observation: ``[F]`` float32, columns in :attr:`observation_names`; zero after the ego has left.
-    - action: ``[1]``, acceleration in m/s^2, cut to [-4.5, 2.6]; NaN leaves the ego to SUMO and is counted.
+    - action: ``[1]``, acceleration in m/s^2, cut to [-4.5, 2.6]; NaN leaves the ego to SUMO and is counted. With
+      ``config.lane_change`` a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2
+      left).
     - reward: the ego's.
     - info: ``vehicle`` (the ego's number in the simulation's demand), ``time_s``, and in steps ``reward_vector``
       ``[11]``; at the horizon ``metrics``.
 
     Args:
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
-            one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]``: any policy
-            that can be evaluated. ``None``: SUMO drives them.
-        contexts, config, render_mode, in_process: see :class:`_View`.
+            one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
+            ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. ``None``: SUMO drives them.
+        contexts, config, render_mode, in_process: as for :class:`EcoDrivingJoint`.
     """
 
-    def __init__(self, *args: Any, others: Policy | None = None, **options: Any) -> None:
-        super().__init__(*args, **options)
+    def __init__(
+        self,
+        contexts: Contexts | None = None,
+        config: EnvConfig | None = None,
+        render_mode: str | None = None,
+        in_process: bool = False,
+        *,
+        others: Policy | None = None,
+    ) -> None:
+        super().__init__(contexts, config, render_mode, in_process)
         if others is not None and not callable(others):
             raise IzooError(f"others is a {type(others).__name__}; give a policy of TensorDicts, or None for SUMO.")
         self.others = others
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.observation_names),), np.float32)
-        self.action_space = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (1,), np.float32)
+        self.action_space: Any = action_space(self.config, None)
         self._slot, self._vehicle = -1, -1
 
     def reset(
@@ -174,7 +187,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
                 host.begin()
             while not host.over:
                 before = host.numbers
-                host.step(*self._commands())
+                host.step(self._commands())
                 entered = host.numbers
                 entered = np.where(np.isin(entered, before), -1, entered)
                 if (entered >= 0).any() and not host.over:
@@ -186,16 +199,17 @@ class EcoDrivingEgo(_View[np.ndarray]):
             "higher adoption, or a longer horizon_s."
         )
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Simulate a step in which the ego has the acceleration ``action [1]``."""
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Simulate a step in which the ego has the acceleration ``action [1]``, or does what the dictionary says."""
         host, frame, slot = self.host, self.host.frame, self._slot
         host.require_running()
         if slot < 0:
             raise IzooError("step() came after the ego's end; call reset(), it chooses the next one.")
-        own = checked_action(action, (1,))
-        commands, defer = self._commands()
-        commands[slot], defer[slot] = own[0], False
-        host.step(commands, defer)
+        acceleration, lane_change = read_action(self.config, action, None)
+        commands = self._commands()
+        commands.action[slot], commands.defer[slot] = acceleration[0], False
+        commands.lane_change[slot] = lane_change[0]
+        host.step(commands)
         terminated, truncated = bool(frame["agent_terminated"][slot]), bool(frame["agent_truncated"][slot])
         info = {"vehicle": self._vehicle, "reward_vector": frame["reward_vector"][slot].copy(), **host.info()}
         observation = self._observation()
@@ -206,11 +220,11 @@ class EcoDrivingEgo(_View[np.ndarray]):
     def _observation(self) -> np.ndarray:
         return self.host.frame["observation"][self._slot].copy()
 
-    def _commands(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what ``others`` wants: accelerations ``[A]`` and which CVs to leave to SUMO ``[A]``."""
-        count = self.config.num_agents
+    def _commands(self) -> Commands:
+        """Return what ``others`` wants of every CV."""
+        commands, count = self.host.commands(), self.config.num_agents
         if self.others is None:
-            return np.zeros(count, np.float32), np.ones(count, bool)
+            return commands
         import torch
         from tensordict import TensorDict
 
@@ -221,11 +235,14 @@ class EcoDrivingEgo(_View[np.ndarray]):
         }
         with torch.no_grad():
             result = self.others(TensorDict({"agents": TensorDict(agents, [count])}, []))
-        action, defer = result.get(("agents", "action"), None), result.get(("agents", "defer"), None)
-        if action is None:
+        wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
+        if wanted["action"] is None:
             raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, 1] accelerations.")
-        left = np.zeros(count, bool) if defer is None else defer.reshape(count).numpy().astype(bool)
-        return action.reshape(count).numpy().astype(np.float32), left
+        commands.defer[:] = False
+        for name, values in commands._asdict().items():
+            if wanted[name] is not None:
+                values[:] = wanted[name].reshape(count).numpy()
+        return commands
 
 
 def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:

@@ -18,6 +18,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
+from izoo.envs.commands import KEEP_LANE, Commands
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import NUMBER, VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, frame_bytes, map_frames
 from izoo.envs.sumo import has_screen
@@ -61,8 +62,6 @@ class Host:
         config = EnvConfig() if config is None else config
         if not isinstance(config, EnvConfig):
             raise IzooError(f"config is a {type(config).__name__}; give an izoo.envs.EnvConfig.")
-        if config.lane_change:
-            raise IzooError("this view commands accelerations alone; use izoo.envs.EcoDrivingEnv for lane_change=True.")
         self.config = dataclasses.replace(config, emit=("vehicles", "signal"), gui=render_mode == "human")
         self.render_mode = render_mode
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
@@ -108,20 +107,21 @@ class Host:
         self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
         self.over = False
 
-    def step(self, action: np.ndarray, defer: np.ndarray | None = None) -> None:
-        """Simulate one step.
+    def commands(self) -> Commands:
+        """Return commands that leave every CV to SUMO, to be filled in."""
+        count = self.config.num_agents
+        return Commands(np.zeros(count, np.float32), np.ones(count, bool), np.full(count, KEEP_LANE, np.int64))
 
-        Args:
-            action: ``[A]`` accelerations in m/s^2; NaN leaves a CV to SUMO and is counted.
-            defer: ``[A]`` bool, CVs to leave to SUMO.
+    def step(self, commands: Commands) -> None:
+        """Simulate one step.
 
         Raises:
             IzooError: no episode is running.
             RuntimeError: the simulation's process was lost.
         """
         self.require_running()
-        self.frame["action"][:] = action
-        self.frame["defer"][:] = False if defer is None else defer
+        for name, values in commands._asdict().items():
+            self.frame[name][:] = values
         self._ask(self._runner[0].step)
         self.steps += 1
         self.over = bool(self.frame["truncated"][0])
@@ -234,21 +234,6 @@ class Host:
 def render_modes() -> list[str]:
     """The render modes that this machine has."""
     return list(RENDER_MODES) if has_screen() else ["rgb_array"]
-
-
-def checked_action(action: Any, shape: tuple[int, ...], what: str = "the action") -> np.ndarray:
-    """Return an action as an array of ``shape``.
-
-    Raises:
-        IzooError: it is of another shape or no array of floating-point numbers.
-    """
-    array = np.asarray(action)
-    if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
-        raise IzooError(
-            f"{what} is {array.dtype} of shape {list(array.shape)}; give accelerations in m/s^2 as floating-point "
-            f"numbers of shape {list(shape)}."
-        )
-    return array
 
 
 def _stop(runner: list[Simulator | Worker]) -> None:

@@ -37,6 +37,7 @@ from izoo.envs.layout import (
     REGION_LANE,
     SPEED,
     SPEED_SCALE_MPS,
+    STEADY,
     STOP_LINE,
     TIME_SCALE_S,
     TTC,
@@ -78,11 +79,13 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
     """Write what SUMO reported for ``rows`` into the tables.
 
     ``lane``, ``position``, ``speed`` and ``signals`` are ``[n]``: region lane, lane position of the front bumper in m,
-    m/s, and SUMO's signal bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration.
+    m/s, and SUMO's signal bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration. Rows are
+    marked steady whose speed, acceleration and grade are exactly those of the last step, and so is what they emit.
     """
     for j in range(rows.shape[0]):
         r, new_lane, s = rows[j], lane[j], position[j]
-        if flags[r, FRESH]:
+        fresh, old_speed, old_grade = flags[r, FRESH], floats[r, SPEED], floats[r, GRADE]
+        if fresh:
             floats[r, PREV_ACCEL] = floats[r, ACCEL]
             flags[r, FRESH] = 0
         else:
@@ -103,6 +106,8 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
             floats[r, STOP_LINE] = path
         floats[r, PATH_POSITION] = path
         floats[r, GRADE] = grade_under(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
+        same_motion = speed[j] == old_speed and floats[r, ACCEL] == floats[r, PREV_ACCEL]
+        flags[r, STEADY] = not fresh and same_motion and floats[r, GRADE] == old_grade
         ints[r, LOCATION] = location
         ints[r, REGION_LANE] = new_lane
         ints[r, LANE] = road.lane_index[new_lane]

@@ -57,8 +57,8 @@ NUM_INTS = 10
 VEHICLE_FLAGS = ("present", "is_cv", "blinker_left", "blinker_right", "has_leader", "deferred")
 """Columns of ``("vehicles", name)`` as bool."""
 (PRESENT, IS_CV, BLINKER_LEFT, BLINKER_RIGHT, HAS_LEADER, DEFERRED) = range(6)
-(COUNTED, CROSSED, ELECTRIC, WRONG_LANE, FRESH, COMMANDED) = range(6, 12)
-NUM_FLAGS = 12
+(COUNTED, CROSSED, ELECTRIC, WRONG_LANE, FRESH, COMMANDED, STEADY) = range(6, 13)
+NUM_FLAGS = 13
 
 REWARD_COLUMNS = ("speed_mps", "stopped", "emission_g", "comfort", "realism")
 """Individual columns of ``("agents", "reward_vector")``; the same names with ``fleet_`` follow, then ``min_ttc_s``."""
@@ -85,6 +85,8 @@ NEIGHBOUR_FEATURES = ("speed", "distance", "blinker_left", "blinker_right", "pre
 
 METRIC = {name: column for column, name in enumerate(APPROACH_METRICS)}
 EPISODE_METRIC = {name: column for column, name in enumerate(EPISODE_METRICS)}
+TOTALS = "totals"
+"""Array ``[E + P * M]``: the episode's metrics, then those of each approach; also mapped as two arrays."""
 CONTEXT_VALUES = ("adoption", "temperature_c", "humidity_pct", "engine")
 
 
@@ -116,18 +118,19 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
     yield Field("mask", u8, (a,))
     yield Field("agent_terminated", u8, (a,))
     yield Field("agent_truncated", u8, (a,))
+    yield Field("agent_done", u8, (a,))
     yield Field("agent_vehicle", i64, (a,))
     yield Field("terminated", u8, (1,))
     yield Field("truncated", u8, (1,))
+    yield Field("done", u8, (1,))
     yield Field("reward_vector", f32, (a, len(REWARD_VECTOR)))
     yield Field("vehicle_floats", f32, (v, len(VEHICLE_FLOATS)))
     yield Field("vehicle_ints", i32, (v, len(VEHICLE_INTS)))
     yield Field("vehicle_flags", u8, (v, len(VEHICLE_FLAGS)))
     yield Field("signal_colour", i32, (p, p))
     yield Field("signal_time_left_s", f32, (p, p))
-    yield Field("approach_metrics", f32, (p, len(APPROACH_METRICS)))
+    yield Field(TOTALS, f32, (len(EPISODE_METRICS) + p * len(APPROACH_METRICS),))
     yield Field("approach_mask", u8, (p,))
-    yield Field("episode_metrics", f32, (len(EPISODE_METRICS),))
     yield Field("context_values", f32, (len(CONTEXT_VALUES),))
     yield Field("context_ids", i64, (3,))  # episode number, context id or -1, seed
 
@@ -145,6 +148,9 @@ def map_frames(buffer: Any, config: EnvConfig, num_envs: int) -> dict[str, np.nd
         shape = (num_envs, *field.shape)
         arrays[field.name] = np.ndarray(shape, field.dtype, buffer, offset)
         offset += _padded(field, num_envs)
+    episode, approach = np.split(arrays[TOTALS], [len(EPISODE_METRICS)], axis=1)
+    arrays["episode_metrics"] = episode
+    arrays["approach_metrics"] = approach.reshape(num_envs, config.num_approaches, len(APPROACH_METRICS))
     return arrays
 
 

@@ -68,6 +68,8 @@ class SumoParallelEnv(EcoDrivingBase):
         return worker
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        if not self._finalizer.alive:
+            raise IzooError("this SumoParallelEnv is closed; make another one.")
         if options:
             raise IzooError(
                 f"SumoParallelEnv.reset() does not take {', '.join(options)}; give contexts= to the constructor, or "
@@ -84,7 +86,7 @@ class SumoParallelEnv(EcoDrivingBase):
                 plan[index] = int(self._next_episode[index])
                 self._next_episode[index] += self.num_workers
         self._begin_episodes(plan)
-        return self._first_frame()
+        return self._frame()
 
     def _begin_episodes(self, plan: dict[int, int]) -> None:
         """Start the planned episodes ``{worker: episode}`` side by side; a worker lost meanwhile gets a second try."""
@@ -153,13 +155,14 @@ class SumoParallelEnv(EcoDrivingBase):
         row["mask"][:] = tensordict.get(("agents", "mask"))[index].numpy()
         row["agent_vehicle"][:] = tensordict.get(("agents", "vehicle"))[index].numpy()
         row["agent_truncated"][:] = row["mask"]
+        row["agent_done"][:] = row["mask"]
         row["agent_terminated"][:] = 0
         row["reward"][:] = 0.0
         row["reward_vector"][:] = 0.0
-        row["approach_metrics"][:] = 0.0
-        row["episode_metrics"][:] = 0.0
+        row["totals"][:] = 0.0
         row["terminated"][:] = 0
         row["truncated"][:] = 1
+        row["done"][:] = 1
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all workers."""

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.host import OPTIONS, Host, checked_action, render_modes
+from izoo.envs.commands import Commands, action_space, read_action
+from izoo.envs.config import EnvConfig
+from izoo.envs.host import OPTIONS, Host, render_modes
 from izoo.envs.layout import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, observation_names
 from izoo.errors import IzooError, check_range, unknown_choice
 
@@ -44,7 +45,7 @@ def parallel_env(
 
     Args:
         contexts: what is played, as for :class:`~izoo.envs.EcoDrivingEnv`.
-        config: settings of the environment; ``emit`` and ``gui`` have no effect, ``lane_change`` is refused.
+        config: settings of the environment; ``emit`` and ``gui`` have no effect.
         seed: base seed of the episodes; ``reset(seed=...)`` sets another one and begins with its first episode.
         render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
         max_vehicles: length of ``possible_agents``. An episode's vehicles are numbered in order of departure; CVs with
@@ -61,7 +62,8 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
     - Agents are named ``cv_<number>`` by the vehicle's number in the episode's demand, so a vehicle has the same name
       whatever the policy does. ``possible_agents`` are the names up to ``max_vehicles``.
     - Observation: ``[F]`` float32 (columns in :attr:`observation_names`). Action: ``[1]``, acceleration in m/s^2, cut
-      to [-4.5, 2.6]; NaN leaves the CV to SUMO and is counted, ``None`` leaves it to SUMO.
+      to [-4.5, 2.6]; NaN leaves the CV to SUMO and is counted, ``None`` leaves it to SUMO. With ``config.lane_change``
+      a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2 left).
     - What :meth:`step` returns speaks of the agents that acted and of those that entered in the step: an agent that
       left is terminated, with a zero observation (its value is zero) and its last reward; those present at the horizon
       are truncated, with their last observation; a newcomer's reward is 0.
@@ -93,7 +95,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         self.agents: list[str] = []
         self._slot: dict[str, int] = {}
         self._observation_space = spaces.Box(-np.inf, np.inf, (len(self.observation_names),), np.float32)
-        self._action_space = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (1,), np.float32)
+        self._action_space = action_space(self.config, None)
         p = self.config.num_approaches
         sizes = {
             "vehicles": self.config.num_vehicles * len(VEHICLE_COLUMNS),
@@ -109,7 +111,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         """Return the observation space, the same for all agents."""
         return self._observation_space
 
-    def action_space(self, agent: str) -> spaces.Box:
+    def action_space(self, agent: str) -> spaces.Space[Any]:
         """Return the action space, the same for all agents."""
         return self._action_space
 
@@ -141,9 +143,9 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         if self.host.over and self.host.context is not None and not actions:
             return {}, {}, {}, {}, {}
         self.host.require_running()
-        action, defer = self._commands(actions)
+        commands = self._commands(actions)
         acted, slots = self.agents, self._slot
-        self.host.step(action, defer)
+        self.host.step(commands)
         frame = self.host.frame
         rewards = {agent: float(frame["reward"][slots[agent]]) for agent in acted}
         terminated = {agent: bool(frame["agent_terminated"][slots[agent]]) for agent in acted}
@@ -194,20 +196,21 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         """End the simulation."""
         self.host.close()
 
-    def _commands(self, actions: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Return accelerations ``[A]`` and which CVs are left to SUMO ``[A]``."""
+    def _commands(self, actions: Mapping[str, Any]) -> Commands:
+        """Return what the agents' actions come to."""
         strangers, missing = sorted(actions.keys() - self._slot.keys()), sorted(self._slot.keys() - actions.keys())
         if strangers:
             raise IzooError(f"{', '.join(strangers[:3])} cannot act, being no live agent; act for env.agents alone.")
         if missing:
             raise IzooError(f"actions lacks {', '.join(missing[:3])}; act for all env.agents (None: SUMO drives).")
-        action, defer = np.zeros(self.config.num_agents, np.float32), np.ones(self.config.num_agents, bool)
+        commands = self.host.commands()
         for agent, value in actions.items():
             if value is not None:
-                shape = (1,) if np.ndim(value) else ()
-                action[self._slot[agent]] = checked_action(value, shape, f"the action of {agent}").item()
-                defer[self._slot[agent]] = False
-        return action, defer
+                slot = self._slot[agent]
+                acceleration, lane_change = read_action(self.config, value, None, f"the action of {agent}")
+                commands.action[slot], commands.lane_change[slot] = acceleration[0], lane_change[0]
+                commands.defer[slot] = False
+        return commands
 
     def _find_agents(self) -> None:
         """Name the CVs that are there, in order of their numbers."""
@@ -224,9 +227,8 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
 
     def _pass_time(self) -> None:
         """Simulate while there is nobody to act."""
-        nobody = np.zeros(self.config.num_agents, np.float32), np.ones(self.config.num_agents, bool)
         while not self.agents and not self.host.over:
-            self.host.step(*nobody)
+            self.host.step(self.host.commands())
             self._find_agents()
         if self.host.over:
             self.agents = []

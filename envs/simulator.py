@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import os
 import tempfile
+from itertools import filterfalse
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs import accounting
 from izoo.envs.config import NEIGHBOURS, EnvConfig
 from izoo.envs.context_table import observed_table
-from izoo.envs.fused import ClockArrays, Out, Rules, Tables, make_frame
+from izoo.envs.fused import ClockArrays, Out, Rules, Tables, hold, make_frame
 from izoo.envs.kernels import read_clock, road_arrays
 from izoo.envs.layout import (
     ACCEL,
@@ -110,7 +111,8 @@ class Simulator:
         self._started_s = self.session.time_s
         self._make_frame(acting=np.full(config.num_agents, -1), leavers=[], measured=False)
         self._write_context(episode)
-        self._write_progress(final=False)
+        for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
+            self.frame[name][:] = 0
 
     def step(self) -> bool:
         """Apply the frame's actions, simulate one step, and write the next frame; return whether the episode ended."""
@@ -120,12 +122,13 @@ class Simulator:
         self.steps += 1
         leavers = self._find_leavers()
         self._register_newcomers()
-        self._make_frame(acting, leavers, measured=True)
         self._count_collisions()
+        self._make_frame(acting, leavers, measured=True)
         if leavers:
             self._release_rows(leavers)
         final = self.steps >= self.config.control_steps
-        self._write_progress(final)
+        if final:
+            self._finish()
         return final
 
     @property
@@ -194,9 +197,9 @@ class Simulator:
         self._bind_tables()
 
     def _bind_tables(self) -> None:
+        """Hand the present tables and the episode's constants to compiled code."""
         capacity = len(self.names)
-        self._suspects = np.zeros(capacity, np.int64)
-        self.tables = Tables(
+        tables = Tables(
             self.floats,
             self.ints,
             self.flags,
@@ -206,11 +209,13 @@ class Simulator:
             self.agent_row,
             np.zeros(capacity, np.int64),
             np.zeros(len(self.road.lane_ids) + 1, np.int64),
+            np.zeros(capacity, np.int64),
         )
+        self._suspects = tables.suspects
+        self._world = hold(tables, self.lanes, self.clock, self._rules, self.weights, self._out)
 
     def _prepare_road(self) -> None:
         road, clock, config = self.road, self.road.clock, self.config
-        self._bind_tables()
         self.lanes = road_arrays(road)
         self.lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
         self.entry_edges = [
@@ -241,7 +246,9 @@ class Simulator:
             features=observed_table(self.context, road, config.observed),
             emit_vehicles="vehicles" in config.emit,
             emit_signal="signal" in config.emit,
+            emit_metrics="metrics" in config.emit,
         )
+        self._bind_tables()
 
     def _read_clock(self) -> int:
         clock = self.clock
@@ -284,9 +291,8 @@ class Simulator:
     def _register_newcomers(self) -> None:
         row_of = self.row_of
         for edge in self.entry_edges:
-            for name in self.session.on_edge(edge):
-                if name not in row_of:
-                    self._register(name, counted=True)
+            for name in filterfalse(row_of.__contains__, self.session.on_edge(edge)):
+                self._register(name, counted=True)
 
     def _register_present(self) -> None:
         """Register everybody in the region at the end of the warm-up, also inside the junction and behind it."""
@@ -350,13 +356,7 @@ class Simulator:
             self.time_s,
             self.phase,
             measured,
-            self.tables,
-            self.lanes,
-            self.clock,
-            self._rules,
-            self.weights,
-            self._out,
-            self._suspects,
+            self._world,
         )
         self._find_yielding(suspects)
 
@@ -391,23 +391,16 @@ class Simulator:
 
     # -- frames --------------------------------------------------------------------------------------------------------
 
-    def _write_progress(self, final: bool) -> None:
-        frame = self.frame
-        if final:
-            self._finish()
-            frame["agent_truncated"][:] = frame["mask"]
-        else:
-            frame["agent_truncated"][:] = 0
-        frame["terminated"][:] = 0
-        frame["truncated"][:] = final
-        if final or "metrics" in self.config.emit:
-            frame["approach_metrics"][:] = self.sums
-        frame["episode_metrics"][:] = self.episode_sums
-
     def _finish(self) -> None:
+        """Truncate everybody who is still there, and complete the metrics."""
         accounting.book_unfinished(self.rows, self.floats, self.ints, self.flags, self.sums)
         waiting = np.array([int(name) for name in self.session.waiting()], np.int64)
         np.add.at(self.sums[:, METRIC["waiting"]], self.traffic.approach[waiting], 1.0)
+        frame = self.frame
+        frame["agent_truncated"][:] = frame["mask"]
+        frame["agent_done"][:] |= frame["mask"]
+        frame["truncated"][:] = frame["done"][:] = 1
+        frame["approach_metrics"][:] = self.sums
 
     def _write_context(self, episode: int) -> None:
         context, frame = self.context, self.frame

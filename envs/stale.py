@@ -16,7 +16,7 @@ import izoo.metrics.definitions
 import izoo.networks.clock
 import izoo.networks.roadnet
 
-_STAMP = "izoo-kernels.sha256"
+_STAMP = "kernels.sha256"
 
 
 def kernel_sources() -> list[Path]:
@@ -32,15 +32,17 @@ def digest(sources: list[Path]) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
-def forget_stale_kernels() -> None:
-    """Remove izoo's compiled kernels beside their sources unless they were compiled from the present ones.
+def forget_stale_kernels(sources: list[Path] | None = None) -> None:
+    """Remove compiled kernels beside their ``sources`` unless they were compiled from the present ones.
 
-    A cache that ``NUMBA_CACHE_DIR`` puts elsewhere is left to whoever set it.
+    Without ``sources``, those of the environment. A stamp is left beside the first of them. A cache that
+    ``NUMBA_CACHE_DIR`` puts elsewhere is left to whoever set it.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    sources = kernel_sources()
-    stamp = Path(__file__).parent / "__pycache__" / _STAMP
+    beside = Path(__file__) if sources is None else sources[0]
+    sources = kernel_sources() if sources is None else sources
+    stamp = beside.parent / "__pycache__" / f"{beside.stem}-{_STAMP}"
     current = digest(sources)
     # Where the folder cannot be written, numba does not cache there either.
     with contextlib.suppress(OSError):

@@ -105,7 +105,7 @@ class SumoSession:
             raise IzooError(
                 "libsumo holds one simulation per process, and another environment of this process is using it; "
                 "close() that one first, or run each in a process of its own: izoo.envs.SumoParallelEnv, or "
-                "gymnasium.make_vec(..., vectorization_mode='async')."
+                "gymnasium.make_vec(..., vectorization_mode='async'), or a view without in_process=True."
             )
         try:
             if self._running:

@@ -62,6 +62,15 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
 
 
+def exit_code(name: str, main: Callable[[], int]) -> int:
+    """Return what ``main``, of a command with a parser of its own, returns; 130 when it was stopped by Ctrl-C."""
+    try:
+        return main()
+    except KeyboardInterrupt:
+        print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
+        return EXIT_INTERRUPTED
+
+
 def _run(command: Command, words: Sequence[str]) -> int:
     flags = [word for word in words if word.startswith("-")]
     options = [word for word in words if not word.startswith("-")]
@@ -185,8 +194,14 @@ def _as_word(value: Any) -> str:
 
 
 def attribute_docs(owner: type) -> dict[str, str]:
-    """Return the texts of the ``Attributes:`` section of a class's docstring, by name."""
-    text = inspect.getdoc(owner) or ""
+    """Return the texts of the ``Attributes:`` sections of a class's docstring and its bases', by name."""
+    docs: dict[str, str] = {}
+    for part in reversed(owner.__mro__[:-1]):
+        docs.update(_section(inspect.cleandoc(part.__doc__ or "")))
+    return docs
+
+
+def _section(text: str) -> dict[str, str]:
     _, _, section = text.partition("Attributes:\n")
     docs: dict[str, str] = {}
     names: list[str] = []

@@ -1,16 +1,19 @@
-"""``python -m izoo.collect``: store what a policy experiences as memory-mapped TensorDicts; :func:`load` opens them."""
+"""``python -m izoo.collect``: store what a policy experiences as memory-mapped TensorDicts; :func:`load` and
+:func:`replay_buffer` open them.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from izoo import cli
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
+    from torchrl.data import TensorDictReplayBuffer
 
 
 def load(folder: Path | str) -> TensorDictBase:
@@ -25,6 +28,21 @@ def load(folder: Path | str) -> TensorDictBase:
     from izoo.training.dataset import load as load_dataset
 
     return load_dataset(folder)
+
+
+def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
+    """Open a collected data set as one read-only replay buffer, however many shards it has, without copying.
+
+    Args:
+        folder: what ``out=`` named.
+        options: of :class:`torchrl.data.TensorDictReplayBuffer`: ``replay_buffer(folder, batch_size=256)``.
+
+    Returns:
+        A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
+    """
+    from izoo.training.dataset import replay_buffer as open_buffer
+
+    return open_buffer(folder, **options)
 
 
 def _config() -> type:

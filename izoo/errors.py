@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class IzooError(ValueError):
@@ -40,3 +41,9 @@ def check_range(what: str, value: float, low: float, high: float, unit: str = ""
     if not low <= value <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
+
+
+def check_folder(folder: Path, remedy: str) -> None:
+    """Raise :class:`IzooError`, which ends with what to give instead, unless ``folder`` is one."""
+    if not folder.is_dir():
+        raise IzooError(f"{folder} is {'a file' if folder.exists() else 'no folder'}; {remedy}.")

@@ -1,33 +1,117 @@
-"""``python -m izoo.report``: an evaluation as one HTML page that opens from disk."""
+"""``python -m izoo.report``: results as one HTML page that opens from disk."""
 
 from __future__ import annotations
 
-import argparse
+import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from izoo import __version__
-from izoo.cli import EXIT_BAD_INPUT
-from izoo.errors import IzooError
+from izoo.cli import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from izoo.errors import IzooError, check_folder, unknown_choice
+
+HELP = """Write results as one HTML page that opens from disk and asks for nothing else.
+
+Usage: python -m izoo.report RESULTS [option=value ...]
+
+RESULTS is what izoo.evaluate, izoo.train, izoo.benchmarks.generalization or izoo.benchmarks.tradeoffs has written.
+
+Options, with their defaults:
+  out=RESULTS/report.html
+      The page.
+  title=null
+      Its title; null: what the folder says, such as "train -> test".
+  replay=true
+      Show the best and the worst approach of every policy, played again beside the baseline. That takes some seconds
+      for each the first time; then they lie in the folder "replays" of the evaluation.
+  imports=false
+      Import policies that are written module:function for that. Say true only of results that you trust.
+  partial=false
+      Accept a benchmark that is not finished.
+
+Example: python -m izoo.report results/productivity-small out=report.html"""
+_WORDS = {"true": True, "false": False}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command; ``--help`` explains them."""
+
+    results: Path
+    out: Path | None = None
+    title: str | None = None
+    replay: bool = True
+    imports: bool = False
+    partial: bool = False
+
+
+def parse(words: Sequence[str]) -> Options:
+    """Read the command line.
+
+    Raises:
+        IzooError: an unknown option, a value that is none, or not exactly one folder.
+    """
+    # Folders may contain "=": what names no option and exists is a folder.
+    named = [word.partition("=") for word in words if "=" in word and not Path(word).exists()]
+    folders = [word for word in words if "=" not in word or Path(word).exists()]
+    flags = [word for word in folders if word.startswith("-")]
+    if flags:
+        raise unknown_choice("flag", flags[0], ["--help", "--version"])
+    if len(folders) != 1:
+        raise IzooError(f"give one folder of results, not {len(folders)}: python -m izoo.report RESULTS.")
+    values: dict[str, str] = {name: value for name, _, value in named}
+    for name in values:
+        if name not in ("out", "title", "replay", "imports", "partial"):
+            raise unknown_choice("option", name, ["out", "title", "replay", "imports", "partial"])
+    flagged = {name: _flag(name, values[name]) for name in ("replay", "imports", "partial") if name in values}
+    title, out = values.get("title", "null"), values.get("out", "null")
+    return Options(
+        Path(folders[0]).expanduser(),
+        None if out == "null" else Path(out).expanduser(),
+        None if title == "null" else title,
+        **flagged,
+    )
+
+
+def _flag(name: str, value: str) -> bool:
+    if value not in _WORDS:
+        raise unknown_choice(f"{name}=", value, _WORDS)
+    return _WORDS[value]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m izoo.report", description="Write an evaluation as an HTML page.")
-    parser.add_argument("results", type=Path, help="a folder that izoo.evaluate or izoo.train has written")
-    parser.add_argument("--out", type=Path, help="the page; by default report.html in that folder")
-    parser.add_argument("--title", help="title of the page; by default the folder's name")
-    arguments = parser.parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
     print(f"izoo {__version__} report", flush=True)
-    from izoo.reporting.page import write_report
-
+    if {"-h", "--help"} & {*words}:
+        print(HELP)
+        return 0
+    if "--version" in words:
+        return 0
     try:
-        path = write_report(arguments.results, arguments.out, arguments.title)
+        options = parse(words)
+        check_folder(options.results, "give one that izoo.evaluate, izoo.train or a benchmark has written")
+        os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
+        from izoo.reporting.page import write_report
+
+        path = write_report(
+            options.results,
+            options.out,
+            options.title,
+            replay=options.replay,
+            imports=options.imports,
+            partial=options.partial,
+            note=lambda text: print(text, flush=True),
+        )
     except IzooError as error:
         print(f"izoo report: {error}", file=sys.stderr, flush=True)
         return EXIT_BAD_INPUT
-    print(f"Report: {path}", flush=True)
+    except KeyboardInterrupt:
+        print("izoo report: stopped.", file=sys.stderr, flush=True)
+        return EXIT_INTERRUPTED
+    print(f"Report: {path} ({path.stat().st_size / 1e6:.1f} MB)", flush=True)
     return 0
 
 

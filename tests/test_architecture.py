@@ -105,5 +105,6 @@ def test_the_top_level_is_what_was_agreed() -> None:
     seen = {name for name in seen if not name.endswith(".egg-info")}
     assert seen == {
         *("pyproject.toml", "izoo", "envs", "algos", "benchmarks", "tests", "README.md"),
-        *("Makefile", "constraints.txt", "LICENSE"),
+        *("Makefile", "constraints.txt", "LICENSE", "Dockerfile", "mkdocs.yml"),
+        *("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"),
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from izoo import collect, train
-from izoo.algos.ppo import PPOConfig
+from izoo.algos.ppo_config import PPOConfig
 from izoo.conf import compose
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.contexts import DatasetContexts, PcgContexts
@@ -171,6 +171,20 @@ def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
         process.stdout.read()
     assert process.returncode == 0
     assert elapsed < 1.0
+
+
+COMMANDS = ("train", "evaluate", "collect", "benchmarks.generalization", "benchmarks.tradeoffs")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_answer_before_pytorch_is_loaded(name: str) -> None:
+    program = (
+        f"import sys; from izoo.{name} import main; codes = main(['--help']), main(['nonsense=1']); "
+        "sys.exit(codes != (0, 2) or 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "unknown option 'nonsense'" in done.stderr
 
 
 def test_unknown_nested_option_lists_its_siblings() -> None:

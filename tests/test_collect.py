@@ -9,6 +9,7 @@ import pytest
 import torch
 from tensordict import MemoryMappedTensor
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
+from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 
 from izoo import collect
 from izoo.conf.options import CollectConfig
@@ -59,6 +60,32 @@ def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> N
     whole, parts = collect.load(data), collect.load(out)
     for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
         assert torch.equal(whole[key], parts[key])
+
+
+def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
+    writer = dataset.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
+    writer.write(collect.load(data))
+    buffer = collect.replay_buffer(tmp_path, batch_size=64)
+    whole, storage = collect.load(data), buffer.storage
+    assert len(storage) == 300 and [len(shard) for shard in storage.shards] == [128, 128, 44]
+    assert all(isinstance(shard["agents", "observation"], MemoryMappedTensor) for shard in storage.shards)
+    key = ("agents", "observation")
+    for index in (torch.tensor([299, 0, 127, 128, 5, 299]), slice(120, 260), slice(None), [3, -1], torch.arange(0)):
+        assert torch.equal(storage.get(index)[key], whole[key][index])
+    assert torch.equal(storage[-300][key], whole[key][0]) and storage[7].shape == ()
+    assert torch.equal(storage[torch.tensor([[1, 200], [2, 130]])][key], whole[key][torch.tensor([[1, 200], [2, 130]])])
+    with pytest.raises(IndexError, match="has 300 steps"):
+        storage.get(300)
+    with pytest.raises(IzooError, match="read only"):
+        storage[0] = whole[0]
+    sample = buffer.sample()
+    assert sample.shape == (64,) and len(buffer) == 300
+    assert torch.equal(sample[key], whole[key][sample["index"].view(-1)])
+    assert set(sample["index"].view(-1).tolist()) - set(range(128)), "later shards are drawn too"
+    with pytest.raises(RuntimeError, match="doesn't allow writing"):
+        buffer.extend(whole)
+    ordered = collect.replay_buffer(tmp_path, sampler=SamplerWithoutReplacement(shuffle=False), batch_size=100)
+    assert torch.equal(torch.cat([batch[key] for batch in ordered]), whole[key])
 
 
 @pytest.mark.parametrize(

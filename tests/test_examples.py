@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
-TESTED = {"ppo_by_hand", "sb3_ego", "own_contexts", "own_reward", "own_policy", "offline_data"}
+TESTED = {"ppo_by_hand", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city", "offline_data"}
 
 
 @pytest.fixture(autouse=True)
@@ -77,6 +78,26 @@ def test_own_policy(tmp_path: Path) -> None:
     own, uncommanded = (table[table["policy"] == name] for name in ("arrive-on-green", "uncommanded"))
     assert len(own) == 2 and (own["agent_steps"] > own["deferred_steps"]).all()
     assert (uncommanded["agent_steps"] == uncommanded["deferred_steps"]).all()
+
+
+@pytest.mark.parametrize("extract", [None, "osm/west_oakland.osm"])
+def test_own_city(extract: str | None, tmp_path: Path) -> None:
+    pytest.importorskip("osmium")
+    from izoo.docs.examples import own_city
+
+    data = os.environ.get("IZOO_TEST_DATA")
+    if extract is not None and not data:
+        pytest.skip("IZOO_TEST_DATA is unset")
+    file = None if extract is None else Path(data or "", extract)
+    table = own_city.main(
+        file, tmp_path / "town", horizon_s=125.0, seeds=(0,), num_workers=0, max_approaches=2, cache=tmp_path / "cache"
+    )
+    assert set(table["policy"]) == {"human", "uncommanded", "glide"} and len(table) == 6
+    assert table["crossed"].sum() > 0 and (tmp_path / "town").is_dir()
+    if extract is None:
+        from izoo.networks.dataset import load_specs
+
+        assert [len(spec.approach_names) for spec in load_specs(tmp_path / "town")] == [4, 3]
 
 
 def test_offline_data() -> None:

@@ -61,7 +61,7 @@ def test_the_wheel_holds_all_modules_and_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for top in ("izoo", *MAPPING):
         for path in (ROOT / top).rglob("*"):
-            if path.suffix in (".py", ".yaml", ".json", ".csv") and "__pycache__" not in path.parts:
+            if path.suffix in (".py", ".yaml", ".json", ".csv", ".osm") and "__pycache__" not in path.parts:
                 inside = MAPPING.get(top, top)
                 assert f"{inside}/{path.relative_to(ROOT / top).as_posix()}" in names
     assert "izoo/py.typed" in names
@@ -102,7 +102,7 @@ def test_constraints_pin_every_dependency() -> None:
 
 
 def test_no_index_host_is_named() -> None:
-    for name in ("pyproject.toml", "constraints.txt", "Makefile", ".ci/run"):
+    for name in ("pyproject.toml", "constraints.txt", "Makefile", "Dockerfile", ".ci/run"):
         text = (ROOT / name).read_text()
         assert "://" not in text and "index-url" not in text and "find-links" not in text
 

@@ -156,7 +156,8 @@ def test_damaged_checkpoints_are_refused_and_the_previous_one_named(tmp_path: Pa
     first = checkpoint.save(tmp_path, 100, make_state(), keep=5)
     second = checkpoint.save(tmp_path, 200, make_state(), keep=5)
     whole = second.read_bytes()
-    for damage in (whole[: len(whole) // 2], b"", b"not a checkpoint"):
+    # The last two are an empty pickle stack and a stream that ends within a number.
+    for damage in (whole[: len(whole) // 2], b"", b"not a checkpoint", b"\x80\x02.", b"\x80\x02J\x00"):
         second.write_bytes(damage)
         with pytest.raises(IzooError, match="cut short or not a checkpoint") as caught:
             checkpoint.load(second)
@@ -186,6 +187,18 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
         checkpoint.save(tmp_path, 200, make_state(), keep=1)
     assert checkpoint.listed(tmp_path) == [first]
     assert list(first.parent.iterdir()) == [first]
+
+
+def test_a_full_disk_ends_the_run_with_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    (run_dir / "metrics.partial").symlink_to("/dev/full")  # every write there meets a full disk
+    assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
+    error = capsys.readouterr().err
+    assert "No space left on device" in error and f"resume={run_dir}" in error and "step-000000000200.pt" in error
+    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 200
+    (run_dir / "metrics.partial").unlink()
+    assert train.main([f"resume={run_dir}", "total_frames=400"]) == 0
 
 
 def test_the_table_grows_columns_and_leaves_unknown_numbers_empty(tmp_path: Path) -> None:

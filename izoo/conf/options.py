@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Union
 
-from izoo.algos.ddpg import DDPGConfig
-from izoo.algos.gcrl import GCRLConfig
-from izoo.algos.mappo import MAPPOConfig
-from izoo.algos.ppo import PPOConfig
-from izoo.algos.residual import ActionConfig, DirectAction
+from izoo.algos.action import ActionConfig, DirectAction
+from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.cities import CityContexts
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
@@ -25,10 +23,11 @@ class CollectorConfig:
 
     Attributes:
         name: ``parallel``: worker processes step together, the policy runs in this process; ``multisync``: one process
-            per environment runs the policy as well; ``single``: one environment, in this process.
+            per environment runs the policy as well; ``single``: one environment, in this process; ``ray``: as
+            ``multisync``, over the machines of a Ray cluster (the one that RAY_ADDRESS names, or else this machine).
     """
 
-    name: Literal["parallel", "single", "multisync"] = "parallel"
+    name: Literal["parallel", "single", "multisync", "ray"] = "parallel"
 
 
 @dataclass(frozen=True)
@@ -59,6 +58,30 @@ class CheckpointConfig:
     def __post_init__(self) -> None:
         check_range("checkpoint.every_batches", self.every_batches, 1, 10**9)
         check_range("checkpoint.keep", self.keep, 1, 10**6)
+
+
+@dataclass(frozen=True)
+class ValidationConfig:
+    """The comparison with human driving, on held-out contexts, that runs beside training and chooses the best weights.
+
+    Contexts and episodes are the same for every run with the same ``contexts``, whatever its seed.
+
+    Attributes:
+        every_batches: batches between two validations; weights that are due while one is still running wait, or give
+            way to newer ones. The last weights of a run of this many batches or more are validated too. 0: never.
+        contexts: how many contexts are drawn from the validation split; where contexts have no splits, or too few
+            intersections for one, from the training contexts.
+        seeds: paired episodes per context, 3 or more.
+    """
+
+    every_batches: int = 10
+    contexts: int = 4
+    seeds: int = 3
+
+    def __post_init__(self) -> None:
+        check_range("validation.every_batches", self.every_batches, 0, 10**9)
+        check_range("validation.contexts", self.contexts, 1, 10**6)
+        check_range("validation.seeds", self.seeds, 3, 10**6)
 
 
 @dataclass(frozen=True)
@@ -95,9 +118,12 @@ class TrainConfig:
         collector: how environments are stepped.
         logger: where metrics go besides the CSV.
         checkpoint: when the run's state is saved.
+        validation: the comparison that goes on beside training, and chooses the best weights.
         evaluation: the comparison that ends the run.
         seed: base seed: episodes, drivers, network weights, exploration.
         num_workers: environments, each in a process of its own (but for ``collector=single``).
+        device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
+            Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
         total_frames: environment steps of the whole run, over all workers.
         run_dir: folder of the run; null: ``runs/<date-time>-<algo>-seed<seed>`` in the current folder.
         resume: folder of a run to go on with; its own options are used, except ``total_frames`` and ``num_workers``
@@ -111,9 +137,11 @@ class TrainConfig:
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
     seed: int = 0
     num_workers: int = 2
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
     total_frames: int = 195_000
     run_dir: str | None = None
     resume: str | None = None

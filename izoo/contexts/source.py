@@ -120,12 +120,16 @@ def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule
         return RoundRobinSchedule([contexts], seed)
     if isinstance(contexts, ContextSource):
         return RandomSchedule(contexts, seed)
-    if isinstance(contexts, Sequence):
+    # Sequences may be long and make their entries when asked, so the first stands for all.
+    if isinstance(contexts, Sequence) and (not contexts or isinstance(contexts[0], Context)):
         return RandomSchedule(ContextList(contexts), seed)
     if callable(contexts):
         return contexts
+    kind = type(contexts).__name__
+    if isinstance(contexts, Sequence) and not isinstance(contexts, str):
+        kind += f" of {type(contexts[0]).__name__}"
     raise IzooError(
-        f"contexts is a {type(contexts).__name__}; give a Context, a sequence of them, a source with "
+        f"contexts is a {kind}; give a Context, a sequence of them, a source with "
         "sample(generator), or a schedule that maps an episode number to (context, seed)."
     )
 

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -41,6 +41,7 @@ class Subject:
     contexts: ContextsConfig
     env: EnvConfig
     folder: Path
+    source: str | Path
 
 
 def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -61,10 +62,12 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         seeds,
         subject.env,
         num_workers=config.num_workers,
+        executor=config.executor,
         out_dir=out,
         name=subject.name,
         uncommanded=config.uncommanded,
         cache=config.cache,
+        source=subject.source,
     )
     print_summary(summarise(table))
     print(f"Results: {out}", flush=True)
@@ -82,26 +85,38 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     if config.policy is not None:
         name = config.policy.rpartition(":")[2]
         policy = as_candidate(config.policy, config.env, name).policy
-        return Subject(name, policy, config.contexts, config.env, Path.cwd())
-    path = checkpoint.find(Path(config.run or ""))
+        return Subject(name, policy, config.contexts, config.env, Path.cwd(), config.policy)
+    path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, _ = runs.load_algorithm(path)
     env = merge_env(trained.env, config.env, given)
-    if observation_names(env) != observation_names(trained.env):
+    there, given_names = observation_names(trained.env), observation_names(env)
+    if there != given_names:
+        changed = [f"+{name}" for name in given_names if name not in there]
+        changed += [f"-{name}" for name in there if name not in given_names]
         raise IzooError(
-            f"the run {folder} was trained on other observations than the env options describe; "
-            "leave env.observed and env.neighbours out."
+            f"the run {folder} was trained on other observations than the env options describe "
+            f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
         )
     own = not any(name.split(".")[0] == "contexts" for name in given)
     contexts = trained.contexts if own else config.contexts
-    name = folder.name if path == checkpoint.listed(folder)[-1] else f"{folder.name}-{path.stem}"
-    return Subject(name, algorithm.policy.eval(), contexts, env, folder)
+    name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
+    return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
 
 
 def merge_env(trained: EnvConfig, chosen: EnvConfig, given: frozenset[str]) -> EnvConfig:
-    """Return the run's environment with the ``env`` options that were given."""
-    names = {name.split(".")[1] for name in given if name.startswith("env.")}
-    return dataclasses.replace(trained, **{name: getattr(chosen, name) for name in names})
+    """Return the run's environment with the ``env`` options that were given, those of its groups one by one."""
+    merged: Any = trained
+    for path in sorted(name.split(".")[1:] for name in given if name.startswith("env.")):
+        merged = _with_option(merged, chosen, path)
+    return merged
+
+
+def _with_option(base: Any, chosen: Any, path: list[str]) -> Any:
+    """Return the dataclass ``base`` with the option at ``path`` taken from ``chosen``."""
+    name, *rest = path
+    value = getattr(chosen, name)
+    return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
 
 
 def choose_contexts(source: ContextSource, count: int | None, seed: int) -> list[Context]:

@@ -26,32 +26,32 @@ def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context,
     that rows depend on neither the worker nor the order.
 
     Args:
-        env: emits the ``metrics`` group.
+        env: its frames hold the metrics, whether it emits them or not.
         policy: reads ``("agents", "observation")`` and ``("agents", "mask")``, writes ``("agents", "action")``.
         name: the policy's name in the rows.
     """
     torch_seed = (int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK
     with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         torch.manual_seed(torch_seed)
-        final = play(env, policy, env.reset(context=context, seed=seed))
-    return _rows(env, final, name, context, seed)
+        play(env, policy, env.reset(context=context, seed=seed))
+    return _rows(env, name, context, seed)
 
 
-def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> TensorDictBase:
-    """Step from a reset to the end of the episode; return the last frame."""
+def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> None:
+    """Step from a reset to the end of the episode."""
     while True:
         result = policy(tensordict)
         if result is None or ("agents", "action") not in result.keys(include_nested=True):
             raise IzooError("the policy wrote no ('agents', 'action'); it must return the TensorDict with that key.")
-        following = env.step(result).get("next")
-        if following.get("done").any():
-            return following
+        if env.step_lean(result).get("done").any():
+            return
         tensordict = step_mdp(result, exclude_action=True)
 
 
-def _rows(env: EcoDrivingEnv, final: TensorDictBase, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
+def _rows(env: EcoDrivingEnv, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
     road = env.simulator.road
-    approach, episode = final.get(("metrics", "approach")), final.get(("metrics", "episode"))
+    metrics = env.reader.metrics()
+    approach, episode = metrics.get("approach"), metrics.get("episode")
     sums = {metric: approach.get(metric).tolist() for metric in APPROACH_METRICS}
     whole = {
         column: float(episode.get(metric)) for column, metric in zip(EPISODE_COLUMNS, EPISODE_METRICS, strict=True)

@@ -94,7 +94,7 @@ class ResultFolder:
             self.done = {tuple(row[column] for column in EPISODE_KEY) for row in self._rows}  # type: ignore[misc]
         elif (path / CSV_FILE).exists():
             raise IzooError(f"{path} holds an {CSV_FILE} without its {MANIFEST_FILE}; choose another folder.")
-        if self._rows:
+        if self._rows or (path / CSV_FILE).exists():
             write_csv(make_table(self._rows), path / CSV_FILE)
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         content = {"format": FORMAT, "settings": self.settings, "policies": {**policies, policy: fingerprint}}
@@ -127,11 +127,16 @@ def _read_manifest(path: Path) -> dict[str, Any] | None:
 
 def _compare(stored: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
     """Raise :class:`IzooError` naming the settings in which a folder differs from what is asked for."""
+    changes = differences(stored, wanted)
+    if changes:
+        raise IzooError(f"{path} holds an evaluation with other settings ({changes}); choose another folder.")
+
+
+def differences(stored: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """Return in which of their (nested) settings two mappings differ, as ``name old -> new, ...``; empty: in none."""
     old, new = _flat(stored), _flat(wanted)
     differing = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
-    if differing:
-        changes = ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in differing)
-        raise IzooError(f"{path} holds an evaluation with other settings ({changes}); choose another folder.")
+    return ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in differing)
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -143,4 +148,4 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _short(value: Any) -> str:
     text = str(value)
-    return text if len(text) <= 16 else f"{text[:8]}..."
+    return text if len(text) <= 40 else f"{text[:12]}..."

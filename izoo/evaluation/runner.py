@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,14 +12,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_choice, check_range
 from izoo.evaluation import cache as caching
 from izoo.evaluation.episode import Policy
 from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate, as_candidate
+from izoo.evaluation.remote import play_on_ray
+from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
 from izoo.evaluation.workers import Rows, Task, play_all
 
+EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
+"""What plays episodes, by the option ``executor``."""
 Key = tuple[str, str, int]
 """Policy name, content hash of the context it is evaluated in, seed."""
 
@@ -35,6 +40,8 @@ def evaluate_policy(
     name: str | None = None,
     uncommanded: bool = True,
     cache: Path | str | None = None,
+    source: str | Path | None = None,
+    executor: str = "processes",
 ) -> pd.DataFrame:
     """Play a policy and its baselines in every context with every seed.
 
@@ -51,6 +58,10 @@ def evaluate_policy(
         uncommanded: also play the CVs that nobody commands, which separates what the policy did from what the CV's
             vehicle parameters did.
         cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.cache.default_folder`.
+        source: what a policy that is given as an object can be made from again, so that a report can replay it: a
+            driver's name, ``module:function``, or the path of a checkpoint.
+        executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
+            cluster.
 
     Returns:
         The content of ``evaluation.csv``: one row per (policy, context, seed, approach), including what earlier
@@ -60,8 +71,9 @@ def evaluate_policy(
         IzooError: bad input, or a folder written with other settings.
         EpisodeFailed: an episode raised or lost its process; finished ones are kept in ``out_dir``.
     """
-    config = dataclasses.replace(env_config or EnvConfig(), emit=("metrics",))
+    config = dataclasses.replace(env_config or EnvConfig(), emit=())
     check_range("num_workers", num_workers, 0, 1024)
+    check_choice("executor", executor, EXECUTORS)
     if not contexts or not seeds:
         raise IzooError("an evaluation needs one or more contexts and one or more seeds.")
     candidate = as_candidate(policy, config, name)
@@ -72,8 +84,18 @@ def evaluate_policy(
     with folder.open(candidate.name, candidate.fingerprint):
         unique = list({context.content_hash: context for context in contexts}.values())
         wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
+        if out_dir is not None:
+            add_sources(Path(out_dir), unique, candidate.name, policy if isinstance(policy, str) else source)
         todo = [entry for entry in wanted if _key(*entry) not in folder.done]
-        _play(todo, candidates, config, num_workers, folder, cached, progress)
+        _play(
+            todo,
+            candidates,
+            config,
+            functools.partial(EXECUTORS[executor], num_workers=num_workers),
+            folder,
+            cached,
+            progress,
+        )
     return folder.table
 
 
@@ -85,7 +107,7 @@ def _play(
     entries: Sequence[tuple[str, Context, int]],
     candidates: dict[str, Candidate],
     config: EnvConfig,
-    num_workers: int,
+    play: Callable[..., Iterator[tuple[Task, Rows]]],
     folder: ResultFolder,
     cached: caching.EpisodeCache,
     progress: bool,
@@ -110,7 +132,7 @@ def _play(
     policies = {name: candidates[name].pack() for name in {task.policy for task in tasks}}
     with _progress_bar(progress and bool(tasks)) as bar:
         row = bar.add_task("episodes", total=len(tasks))
-        for task, rows in play_all(tasks, policies, config, num_workers):
+        for task, rows in play(tasks, policies, config):
             if task.name in POLICY_FREE:
                 cached.put(task.name, task.context, task.seed, rows)
             for name, context, seed in waiting[_key(task.name, task.context, task.seed)]:

@@ -49,6 +49,10 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
                 if entries:
                     more = ", ..." if len(entries) > 3 else ""
                     console.print(f"  {what}: {len(entries)} ({', '.join(entries[:3])}{more})", highlight=False)
+    for name, scores in summary["scores"].items():
+        if scores["nan_share"]:
+            share = f"{100.0 * scores['nan_share']:.3g} %"
+            console.print(f"{name}: {share} of its commands were NaN; SUMO drove those vehicles.", highlight=False)
     console.print(
         f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
         f"{n['episodes']} episodes; brackets: 95 % bootstrap intervals over intersections.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import os
@@ -130,10 +131,13 @@ def read_csv(path: Path) -> pd.DataFrame:
     """Read an evaluation table.
 
     Raises:
-        IzooError: the file cannot be read or lacks columns.
+        IzooError: the file cannot be read, lacks columns, or is cut short.
     """
     try:
-        raw = pd.read_csv(path, float_precision="round_trip", dtype=dict.fromkeys((*_TEXT, *_WHOLE), str))
+        text = path.read_text()
+        if not text.endswith("\n"):
+            raise ValueError("it is cut short")  # pandas would fill the rest of the last row
+        raw = pd.read_csv(io.StringIO(text), float_precision="round_trip", dtype=dict.fromkeys((*_TEXT, *_WHOLE), str))
     except (OSError, ValueError) as error:
         raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; remove it and evaluate again.") from error
     missing = [column for column in COLUMNS if column not in raw]

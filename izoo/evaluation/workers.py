@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
+import os
 import signal
+import socket
+import subprocess
+import tempfile
 import traceback
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +19,7 @@ import cloudpickle
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.worker import kill_process, start_process
 from izoo.errors import IzooError
 
 ATTEMPTS = 2
@@ -66,8 +70,12 @@ def play_all(
         yield from _play_here(tasks, policies, config)
         return
     queue = deque((task, 1) for task in tasks)
-    workers = [_Worker(policies, config) for _ in range(min(num_workers, len(tasks)))]
+    setup = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
+    workers: list[_Worker] = []
     try:
+        cloudpickle.dump((dict(policies), config), setup)
+        setup.flush()
+        workers.extend(_Worker(setup.fileno()) for _ in range(min(num_workers, len(tasks))))
         while queue or any(worker.current for worker in workers):
             for worker in workers:
                 if worker.current is None and queue:
@@ -80,24 +88,30 @@ def play_all(
                 if rows is not None:
                     yield task, rows
                 elif attempt < ATTEMPTS:
-                    workers[workers.index(worker)] = _Worker(policies, config)
+                    worker.close()
+                    workers[workers.index(worker)] = _Worker(setup.fileno())
                     queue.appendleft((task, attempt + 1))
                 else:
                     raise EpisodeFailed(f"{task}: the worker process died {ATTEMPTS} times ({worker.exit_text()}).")
     finally:
         for worker in workers:
             worker.close()
+        setup.close()
 
 
 class _Worker:
-    """The parent's side of a worker process; it starts at once and is idle until :meth:`begin`."""
+    """The parent's side of a worker process; it starts at once and is idle until :meth:`begin`.
 
-    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, child = context.Pipe()
-        self.process = context.Process(target=worker_main, args=(child, dict(policies), config), daemon=True)
-        self.process.start()
+    Args:
+        setup: descriptor of a file with the pickled policies and settings of the environment.
+    """
+
+    def __init__(self, setup: int) -> None:
+        ours, child = socket.socketpair()
+        call = f"from izoo.evaluation.workers import worker_main; worker_main({child.fileno()}, {setup})"
+        self.process = start_process(call, child.fileno(), setup)
         child.close()
+        self.connection = Connection(ours.detach())
         self.current: tuple[Task, int] | None = None
 
     def begin(self, task: Task, attempt: int) -> None:
@@ -113,7 +127,8 @@ class _Worker:
         try:
             kind, content = self.connection.recv()
         except (EOFError, OSError):
-            self.process.join(5.0)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(5.0)
             return None
         if kind == "refused":
             raise IzooError(f"{task}: {content}")
@@ -123,7 +138,7 @@ class _Worker:
 
     def exit_text(self) -> str:
         """How the process ended."""
-        code = self.process.exitcode
+        code = self.process.poll()
         if code is not None and code < 0:
             return f"signal {signal.Signals(-code).name}"
         return f"exit code {code}"
@@ -133,19 +148,24 @@ class _Worker:
         with contextlib.suppress(OSError):
             self.connection.send_bytes(b"")
         self.connection.close()
-        self.process.join(2.0)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+        try:
+            self.process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            kill_process(self.process)
 
 
-def worker_main(connection: Connection, policies: dict[str, bytes], config: EnvConfig) -> None:
-    """Play the episodes that the parent sends until it sends nothing or is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when workers end
+def worker_main(descriptor: int, setup: int) -> None:
+    """Play the episodes that the parent sends until it sends nothing or is gone.
+
+    Args:
+        descriptor: of the socket to the parent.
+        setup: as for :class:`_Worker`; several processes read it, each from its start.
+    """
     import torch
 
     torch.set_num_threads(1)
-    player = _Player(policies, config)
+    connection = Connection(descriptor)
+    player = Player(*cloudpickle.loads(os.pread(setup, os.fstat(setup).st_size, 0)))
     with contextlib.suppress(EOFError, OSError):
         while message := connection.recv_bytes():
             try:
@@ -159,7 +179,7 @@ def worker_main(connection: Connection, policies: dict[str, bytes], config: EnvC
 
 
 def _play_here(tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig) -> Iterator[tuple[Task, Rows]]:
-    player = _Player(policies, config)
+    player = Player(policies, config)
     try:
         for task in tasks:
             try:
@@ -173,7 +193,7 @@ def _play_here(tasks: Sequence[Task], policies: Mapping[str, bytes], config: Env
         player.close()
 
 
-class _Player:
+class Player:
     """An environment and the policies, unpacked when first needed."""
 
     def __init__(self, policies: Mapping[str, bytes], config: EnvConfig) -> None:

@@ -58,6 +58,7 @@ SCORES: dict[str, Score] = {
     "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
     "collisions": Score("collisions", ("collisions_cv", "collisions_hdv"), None, "", "lower"),
     "deferred_share": Score("share of commands left to SUMO", ("deferred_steps",), "agent_steps", "", "neither"),
+    "nan_share": Score("share of commands that were NaN", ("nan_actions",), "agent_steps", "", "lower"),
     "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
 }
 """Every score by name, the headline first (spec 10). ``emission_g_per_vehicle_step`` rewards slowness: not primary."""

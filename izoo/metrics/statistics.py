@@ -128,8 +128,9 @@ def stratified_bootstrap(
         return Estimate(math.nan, math.nan, math.nan, 0, 0, confidence)
     runs, tasks = x.shape
     draws = np.empty(resamples)
-    for r in range(resamples):
-        draws[r] = statistic(np.take_along_axis(x, generator.integers(runs, size=(runs, tasks)), axis=0).reshape(-1))
+    for part in _chunks(resamples, x.size):
+        chosen = generator.integers(runs, size=(part.stop - part.start, runs, tasks))
+        draws[part] = statistic(x[chosen, np.arange(tasks)].reshape(len(chosen), -1))
     return _percentiles(float(statistic(x.reshape(-1))), draws, x.size, runs, confidence)
 
 

@@ -1,90 +1,85 @@
-"""Plots of a report, as SVG text to be put into a page."""
+"""Figures of a report as plotly.js specifications; the page adds size and colours of its theme."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-import pandas as pd
-from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
-BINS, LIMIT_PCT = 150, 100.0
-"""The published histogram: benefit clipped to +-100 %, 150 bins (spec 11)."""
-FEATURES = {
-    "volume_over_capacity": "volume over capacity",
-    "green_share": "green share",
-    "lane_length_m": "approach length (m)",
-    "speed_limit_mps": "speed limit (m/s)",
-    "lane_count": "lanes",
-    "flow_vph_per_lane": "inflow (veh/h per lane)",
-}
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
+from izoo.evaluation.policies import UNCOMMANDED
+from izoo.reporting.collect import Material
+from izoo.reporting.curves import learning_curves, pareto
+from izoo.reporting.drawing import PALETTE, Figure, axis, colours, error_bars, escaped, in_percent, in_words
+from izoo.reporting.histograms import beside_published, histograms
+from izoo.reporting.scores import THRESHOLDS, Scored, profile
 
 
-def histogram(benefit: ArrayLike, title: str) -> str:
-    """Return the histogram over approaches; bars far above the others are cut and their count printed.
-
-    Args:
-        benefit: ``[N]`` as fractions.
-        title: such as ``train -> test``.
-    """
-    percent = np.clip(100.0 * np.asarray(benefit, dtype=float), -LIMIT_PCT, LIMIT_PCT)
-    counts, edges = np.histogram(percent, bins=BINS, range=(-LIMIT_PCT, LIMIT_PCT))
-    cut = cut_height(counts)
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": f"histogram {title}"}):
-        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
-        axes = figure.subplots()
-        axes.bar(edges[:-1], np.minimum(counts, cut), width=np.diff(edges), align="edge", color="#2b6cb0")
-        for left, right, count in zip(edges[:-1], edges[1:], counts, strict=True):
-            if count > cut:
-                axes.text((left + right) / 2, cut, str(count), ha="center", va="bottom", fontsize=9)
-        axes.axvline(0.0, color="#444", linewidth=0.8)
-        axes.set(xlim=(-LIMIT_PCT, LIMIT_PCT), ylim=(0.0, 1.12 * cut), title=f"{title} (n = {percent.size})")
-        axes.set(xlabel="emission benefit per approach (%)", ylabel="approaches")
-        return _svg(figure)
-
-
-def cut_height(counts: np.ndarray) -> float:
-    """Height at which bars are cut: that of the tallest, unless it is over three times the second tallest."""
-    tallest = np.sort(counts)[::-1]
-    if tallest[0] > 3 * max(int(tallest[1]), 1):
-        return float(max(2 * tallest[1], 1))
-    return float(max(tallest[0], 1))
-
-
-def scatter(table: pd.DataFrame, features: Sequence[str], gate: str = "exact") -> str:
-    """Return the benefit against each feature of the approaches; gated ones hollow."""
-    columns = 3
-    rows = -(-len(features) // columns)
-    gated = table[f"gated_{gate}"].to_numpy(bool)
-    percent = 100.0 * table["benefit_ungated"].clip(-LIMIT_PCT / 100.0, LIMIT_PCT / 100.0).to_numpy(float)
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": "scatter"}):
-        figure = Figure(figsize=(9.0, 2.6 * rows), layout="constrained")
-        axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True, squeeze=False)).reshape(-1)
-        for ax, name in zip(axes, features, strict=False):
-            x = table[name].to_numpy(float)
-            ax.scatter(x[~gated], percent[~gated], s=14, color="#2b6cb0", label="throughput kept")
-            ax.scatter(x[gated], percent[gated], s=14, facecolors="none", edgecolors="#c05621", label="gated to 0")
-            ax.axhline(0.0, color="#444", linewidth=0.8)
-            ax.set_xlabel(FEATURES.get(name, name))
-        for ax in axes[len(features) :]:
-            ax.set_visible(False)
-        axes[0].set_ylabel("benefit without gate (%)")
-        axes[0].legend(fontsize=8, frameon=False)
-        return _svg(figure)
+def forest(scored: Sequence[Scored]) -> Figure:
+    """Mean and interquartile mean of the benefit under both gates, with intervals."""
+    data, names = [], [escaped(s.name) for s in scored][::-1]
+    for gate, symbol in (("exact", "circle"), ("tested", "diamond-open")):
+        for statistic, label, shift in (("mean", "mean", 0.12), ("iqm", "interquartile mean", -0.12)):
+            estimates = [s.summary["all"][gate][statistic] for s in scored][::-1]
+            x = [in_percent(e["value"]) for e in estimates]
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": f"{label}, {gate} gate",
+                    "x": x,
+                    "y": [k + shift + (0.03 if gate == "tested" else -0.03) for k in range(len(names))],
+                    "error_x": error_bars(estimates),
+                    "text": [f"{name}: n = {e['n']}" for name, e in zip(names, estimates, strict=True)],
+                    "hovertemplate": "%{text}<br>%{x:.2f} %<extra>%{fullData.name}</extra>",
+                    "marker": {"symbol": symbol, "size": 9, "color": PALETTE[0] if statistic == "mean" else PALETTE[1]},
+                    "visible": True if gate == "exact" else "legendonly",
+                }
+            )
+    ticks = {"tickvals": list(range(len(names))), "ticktext": names, "range": [-0.6, len(names) - 0.4]}
+    layout = {
+        "xaxis": axis("emission benefit (%)", zeroline=True),
+        "yaxis": {**ticks, "automargin": True, "zeroline": False},
+    }
+    words = [f"{s.name} {in_words(s.summary['all']['exact']['mean'])}" for s in scored]
+    caption = "Benefit over approaches with 95 % intervals. The tested gate can be switched on in the legend."
+    alt = f"Mean benefit, exact gate: {'; '.join(words)}."
+    return Figure("forest", "Benefit", caption, alt, data, layout, max(360, 150 + 52 * len(names)))
 
 
-def _svg(figure: Figure) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    content = text.getvalue()
-    return content[content.index("<svg") :]
+def profiles(scored: Sequence[Scored]) -> Figure:
+    """Performance profiles: the share of approaches above each benefit."""
+    data, tint = [], colours(scored)
+    for s in scored:
+        share = profile(s)
+        if share.size:
+            dash = "dot" if s.entry.policy == UNCOMMANDED else "solid"
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "name": f"{escaped(s.name)} (n = {s.matrix('benefit_exact').size})",
+                    "x": np.round(100.0 * THRESHOLDS, 3).tolist(),
+                    "y": np.round(100.0 * share, 3).tolist(),
+                    "line": {"color": tint[s.name], "dash": dash, "shape": "hv"},
+                    "hovertemplate": "%{y:.1f} % of approaches above %{x:.1f} %<extra></extra>",
+                }
+            )
+    layout = {
+        "xaxis": axis("emission benefit, exact gate (%)", zeroline=True),
+        "yaxis": axis("approaches above it (%)", range=[0, 101]),
+    }
+    caption = "Higher is better, and a curve above another everywhere is better everywhere."
+    alt = "Share of approaches above each benefit, a line per policy."
+    return Figure("profiles", "Performance profiles", caption, alt, data, layout, 360)
+
+
+def figures(material: Material, scored: Sequence[Scored]) -> dict[str, list[Figure]]:
+    """Return the figures of a report by section."""
+    found: dict[str, list[Figure]] = {"summary": [], "histograms": [], "published": [], "curves": []}
+    if scored:
+        found["summary"] = [forest(scored), profiles(scored)]
+        found["histograms"] = histograms(scored, material.title)
+        found["published"] = [beside_published(scored)]
+    found["tradeoffs"] = [] if material.tradeoffs is None else [pareto(material.tradeoffs)]
+    found["curves"] = learning_curves(material.curves, colours(scored))
+    return found

@@ -1,143 +1,297 @@
-"""One self-contained HTML page from an evaluation's folder: figures, aggregates, and a sortable table of approaches."""
+"""A results folder as one HTML page that opens from disk and asks for nothing else."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterable
+import base64
+import dataclasses
+import gzip
+import json
+import math
+from collections.abc import Callable, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from plotly.offline import get_plotlyjs
 
+from izoo import __version__
 from izoo.errors import IzooError
-from izoo.evaluation import approach_table, summarise
-from izoo.evaluation.policies import HUMAN
-from izoo.evaluation.show import comparison_rows, score_rows
-from izoo.evaluation.table import CSV_FILE, FEATURES, read_csv, write_text
-from izoo.reporting import figures
-from izoo.reporting.assets import SCRIPT, STYLE
+from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.evaluation.show import percent, score_rows
+from izoo.evaluation.summary import summarise
+from izoo.evaluation.table import write_text
+from izoo.reporting import drawing, figures, histograms
+from izoo.reporting.collect import Material, collect
 from izoo.reporting.published import PUBLISHED
+from izoo.reporting.replay import Player, scenes
+from izoo.reporting.rows import COLUMNS, FEATURES, approach_rows
+from izoo.reporting.scores import Scored, improvement, score
 
 PAGE_FILE = "report.html"
-APPROACH_COLUMNS = {
-    "context": "context",
-    "approach": "approach",
-    "benefit_exact": "benefit, exact gate (%)",
-    "benefit_tested": "benefit, tested gate (%)",
-    "benefit_ungated": "without gate (%)",
-    "low": "low (%)",
-    "high": "high (%)",
-    "throughput_benefit": "throughput (%)",
-    "emission_policy_g": "g per vehicle",
-    "emission_baseline_g": "baseline g per vehicle",
-    "throughput_policy": "crossed",
-    "throughput_baseline": "baseline crossed",
-    "unfinished_policy": "unfinished",
-    "unfinished_baseline": "baseline unfinished",
-    "saturated": "saturated",
-    "seeds": "seeds",
-    "left_out": "left out",
-}
-_PERCENT = ("benefit_exact", "benefit_tested", "benefit_ungated", "low", "high", "throughput_benefit")
+TEMPLATES = "templates"
+SCRIPTS = ("common.js", "charts.js", "table.js", "replay.js")
+REPLAY_POLICIES = 6
+REPLAY_BYTES = 4_000_000
+"""Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
+SUMMARY_COLUMNS = (
+    ("benefit, mean", "exact", "mean"),
+    ("interquartile mean", "exact", "iqm"),
+    ("approaches with benefit", "exact", "share_positive"),
+    ("gated to 0", "exact", "share_gated"),
+    ("tested gate: mean", "tested", "mean"),
+    ("tested gate: IQM", "tested", "iqm"),
+    ("no gate: mean", "ungated", "mean"),
+    ("throughput, mean change", "throughput", "mean"),
+    ("kept throughput", "throughput", "share_kept"),
+)
+"""Columns of the summary: label, block and statistic of :func:`izoo.evaluation.summary.compare`."""
+Note = Callable[[str], None]
 
 
-def write_report(results: Path, out: Path | None = None, title: str | None = None) -> Path:
-    """Write the page of an evaluation.
+def write_report(
+    results: Path,
+    out: Path | None = None,
+    title: str | None = None,
+    *,
+    replay: bool = True,
+    imports: bool = False,
+    partial: bool = False,
+    note: Note = lambda _: None,
+) -> Path:
+    """Write the page of a results folder.
 
     Args:
-        results: folder with an ``evaluation.csv``.
+        results: an evaluation, a training run, a benchmark, or a trade-off sweep.
         out: the page; ``None``: ``report.html`` in that folder.
-        title: of the page; ``None``: the folder's name.
+        title: of the page; ``None``: what the folder says.
+        replay: show the best and the worst approach of every policy; they are played again once, and then kept.
+        imports: policies written ``module:function`` may be imported for that.
+        partial: accept a benchmark that is not finished.
+        note: is told what takes time, and what is left out.
 
     Returns:
         the page's path.
 
     Raises:
-        IzooError: there is no evaluation in the folder.
+        IzooError: the folder holds no whole results, or the page cannot be written.
     """
-    if not (results / CSV_FILE).is_file():
-        raise IzooError(f"{results} has no {CSV_FILE}; give a folder that python -m izoo.evaluate has written.")
+    material = collect(results, partial)
+    if title is not None:
+        material = dataclasses.replace(material, title=title)
     path = out or results / PAGE_FILE
-    text = render(read_csv(results / CSV_FILE), title or results.resolve().name)
+    if path.is_dir():
+        raise IzooError(f"{path} is a folder; name a file: out={path / PAGE_FILE}.")
+    text = render(material, replay=replay, imports=imports, note=note)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
     except OSError as error:
-        raise IzooError(f"cannot write {path}: {error.strerror}; choose another place with --out.") from error
+        raise IzooError(f"cannot write {path}: {error.strerror}; choose another place with out=FILE.") from error
     return path
 
 
-def render(table: pd.DataFrame, title: str) -> str:
-    """Return the page of an evaluation table."""
-    summary = summarise(table)
-    n = summary["n"]
-    intro = f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
-    intro += f"{n['episodes']} episodes. Brackets are 95 % bootstrap intervals over intersections."
-    header, lines = score_rows(summary)
-    body = [f"<h1>{html.escape(title)}</h1><p>{intro}</p>", "<h2>Scores</h2>", _table(header, lines)]
-    for name, policy in summary["policies"].items():
-        baseline = policy["headline"]
-        body.append(f"<h2>{html.escape(name)}</h2>")
-        body += [_comparison(name, other, block) for other, block in policy["against"].items()]
-        body.append(_approaches(table, name, baseline, title))
-    body += ["<h2>Published figures</h2>", _published()]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{STYLE}</style></head>"
-        f"<body><main>{''.join(body)}</main><script>{SCRIPT}</script></body></html>\n"
+def render(material: Material, *, replay: bool = True, imports: bool = False, note: Note = lambda _: None) -> str:
+    """Return the page of collected results."""
+    scored = []
+    for entry in material.entries:
+        note(f"Scoring {entry.name}: {len(entry.runs)} run(s).")
+        scored.append(score(entry))
+    played, lost = _replays(scored, imports, note) if replay else ([], [])
+    drawn = figures.figures(material, scored)
+    content = {
+        "figures": {figure.name: dataclasses.asdict(figure) for part in drawn.values() for figure in part},
+        "rows": approach_rows(scored),
+        "columns": [dataclasses.asdict(column) for column in COLUMNS],
+        "features": FEATURES,
+        "colours": drawing.colours(scored),
+        "scenes": [scene for scene, _ in played],
+    }
+    environment = Environment(
+        loader=PackageLoader("izoo.reporting", TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html").render(
+        title=material.title,
+        version=__version__,
+        material=material,
+        intro=_intro(material, scored),
+        summary=[row for s in scored for row in _summary_rows(s)],
+        summary_columns=[label for label, _, _ in SUMMARY_COLUMNS],
+        scores=_scores(scored),
+        improvement=_improvement(scored),
+        saturated=_named(scored, "saturated"),
+        left_out=_named(scored, "left_out"),
+        figures=drawn,
+        published=PUBLISHED,
+        ours=[_beside(s) for s in scored],
+        tradeoffs=_tradeoff_table(material.tradeoffs),
+        lost=lost,
+        style=_asset("style.css"),
+        script="\n".join(_asset(name) for name in SCRIPTS),
+        plotly=_pack(get_plotlyjs().encode()),
+        content=_pack(_json(content)),
+        replays=[base64.b64encode(packed).decode() for _, packed in played],
     )
 
 
-def _comparison(name: str, baseline: str, block: dict[str, Any]) -> str:
-    header, lines = comparison_rows(block)
-    notes = ""
-    for key, words in (("saturated", "saturated"), ("left_out", "left out")):
-        named = ", ".join(block[key][:5]) + (" ..." if len(block[key]) > 5 else "")
-        notes += f"<p>{len(block[key])} {words}: {html.escape(named)}</p>" if block[key] else ""
-    return f"<h3>{html.escape(name)} against {html.escape(baseline)}</h3>{_table(header, lines)}{notes}"
+def _replays(scored: Sequence[Scored], imports: bool, note: Note) -> tuple[list[tuple[dict[str, Any], bytes]], list]:
+    """Replays of the best policies, in the page's order, and why others are missing."""
+    played: list[tuple[dict[str, Any], bytes]] = []
+    lost: list[tuple[str, str]] = []
+    able = [s for s in scored if s.entry.policy != UNCOMMANDED] or list(scored)
+    ranked = sorted(able, key=lambda s: -(s.summary["all"]["exact"]["mean"]["value"] or 0.0))
+    if ranked[REPLAY_POLICIES:]:
+        names = ", ".join(s.name for s in ranked[REPLAY_POLICIES:])
+        lost.append((names, f"only the {REPLAY_POLICIES} policies with the highest mean benefit are replayed."))
+    with Player(imports) as player:
+        for s in (s for s in able if s.name in {kept.name for kept in ranked[:REPLAY_POLICIES]}):
+            for scene in scenes(s):
+                try:
+                    packed = player.replay(scene, note)
+                except (IzooError, OSError) as error:
+                    text = str(error).replace(str(scene.run.folder), scene.run.folder.name)
+                    lost.append((s.name, text))
+                    note(f"No replay of {s.name}: {text}")
+                    break
+                if sum(len(other) for _, other in played) + len(packed) > REPLAY_BYTES:
+                    lost.append((s.name, f"the {scene.which} approach would make the page too large."))
+                    continue
+                described = dataclasses.asdict(dataclasses.replace(scene, run=None))  # type: ignore[arg-type]
+                described |= {"name": s.name, "seed": str(scene.seed), "runs": len(s.tables)}
+                played.append((described, packed))
+    return played, lost
 
 
-def _approaches(table: pd.DataFrame, name: str, baseline: str, title: str) -> str:
-    """Histogram, scatter plots and the sortable table of one policy."""
-    result = approach_table(table, name, baseline)
-    described = table[table["policy"] == name].drop_duplicates(["context_hash", "approach"])
-    extra = [column for column in FEATURES if column not in result]
-    result = result.merge(described[["context_hash", "approach", *extra]], on=["context_hash", "approach"])
-    counted = result[result["left_out"] == ""]
+def _intro(material: Material, scored: Sequence[Scored]) -> str:
+    if not scored:
+        return "No evaluation yet: learning curves only. Evaluate the run with python -m izoo.evaluate run=RUN."
+    tables = [run.table for s in scored for run in s.entry.runs]
+    pairs = pd.concat([t[["context_hash", "approach", "intersection", "seed", "policy"]] for t in tables])
+    approaches = len(pairs[["context_hash", "approach"]].drop_duplicates())
+    seeds = int(tables[0]["seed"].nunique())
+    text = f"{approaches} approaches on {pairs['intersection'].nunique()} intersections, {seeds} paired seeds each. "
+    runs = max(len(s.tables) for s in scored)
+    second = f"; the second pair, in italics, is over the training seeds (up to {runs})" if runs > 1 else ""
+    return text + f"Brackets are 95 % bootstrap intervals over intersections{second}."
+
+
+def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
+    """Lines of the summary table: all approaches, those without saturation, and the best of several seeds."""
+    runs = len(scored.tables)
+    variants = [("", scored.summary["all"])]
+    if scored.summary["saturated"]:
+        variants.append(("without saturated", scored.summary["unsaturated"]))
+    if scored.best_summary is not None:
+        variants.append((f"best of {runs} seeds (the paper's form)", scored.best_summary["all"]))
+    rows = []
+    for variant, block in variants:
+        count = block["exact"]["mean"]["n"]
+        best = variant.startswith("best")
+        rows.append(
+            {
+                "name": scored.name,
+                "variant": variant,
+                "runs": 1 if best else runs,
+                "n": count if best else count // runs,
+                "cells": [_cell(block[part][statistic]) for _, part, statistic in SUMMARY_COLUMNS],
+                "over": _cell(scored.over_uncommanded) if scored.over_uncommanded and not variant else None,
+                "quiet": scored.entry.policy == UNCOMMANDED or bool(variant),
+            }
+        )
+    return rows
+
+
+def _cell(estimate: dict[str, Any]) -> dict[str, str]:
+    value, _, interval = percent(estimate).partition(" [")
+    low, high = estimate.get("over_seeds", (None, None))
+    seeds = "" if low is None or high is None else f"[{100.0 * low + 0.0:.1f}, {100.0 * high + 0.0:.1f}]"
+    return {"value": value, "interval": f"[{interval}" if interval else "", "seeds": seeds}
+
+
+def _scores(scored: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
+    """Every measured quantity per policy; of several training seeds the mean over them."""
     parts = []
-    if len(counted):
-        parts.append(f"<figure>{figures.histogram(counted['benefit_exact'], f'{name}: {title}')}</figure>")
-        parts.append(f"<figure>{figures.scatter(counted, tuple(figures.FEATURES))}</figure>")
-    shown = result[list(APPROACH_COLUMNS)].copy()
-    shown[list(_PERCENT)] *= 100.0
-    lines = [[_cell(value) for value in row] for row in shown.itertuples(index=False)]
-    label = f"Approaches, against {baseline}" if baseline != HUMAN else "Approaches, against human driving"
-    parts.append(f"<h3>{label}</h3>{_table(APPROACH_COLUMNS.values(), lines, sortable=True)}")
-    return "".join(parts)
+    for s in scored:
+        table = pd.concat([run.table[run.table["policy"] == s.entry.policy] for run in s.entry.runs])
+        parts.append(table.assign(policy=s.name))
+    if not parts:
+        return [], []
+    first = scored[0].entry.runs[0].table
+    human = first[first["policy"] == HUMAN]
+    header, lines = score_rows({"scores": _pooled([human, *parts])})
+    return header, lines
 
 
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if pd.isna(value) else f"{value + 0.0:.2f}"
-    if isinstance(value, bool):
-        return "yes" if value else ""
-    return str(value)
+def _pooled(parts: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for part in parts:
+        name = str(part["policy"].iloc[0])
+        human = part.assign(policy=HUMAN)
+        found[name] = summarise(human)["scores"][HUMAN]
+    return found
 
 
-def _published() -> str:
-    header = ("protocol", "algorithm", "benefit, ratio of sums", "throughput benefit", "throughput kept")
-    lines = [
-        [p.protocol, p.algorithm, *(f"{100 * v:.2f} %" for v in (p.benefit, p.throughput_benefit, p.throughput_kept))]
-        for p in PUBLISHED
-    ]
-    note = "<p>From arXiv 2410.15221, adoption 1/3. Only the ratio of sums above compares with them.</p>"
-    return _table(header, lines) + note
+def _improvement(scored: Sequence[Scored]) -> list[dict[str, Any]]:
+    """Rows of the matrix of probabilities of improvement; ``None`` on the diagonal and where nothing is common."""
+    rows = []
+    for x in scored:
+        cells: list[dict[str, Any] | None] = []
+        for y in scored:
+            estimate = None if x is y else improvement(x, y)
+            cells.append(None if estimate is None else {**estimate.to_dict(), "shade": round(estimate.value, 3)})
+        rows.append({"name": x.name, "cells": cells})
+    return rows if len(scored) > 1 else []
 
 
-def _table(header: Iterable[str], lines: Iterable[Iterable[str]], sortable: bool = False) -> str:
-    tag = '<button type="button">{}</button>' if sortable else "{}"
-    head = "".join(f"<th>{tag.format(html.escape(word))}</th>" for word in header)
-    rows = "".join(f"<tr>{''.join(f'<td>{html.escape(word)}</td>' for word in line)}</tr>" for line in lines)
-    kind = ' class="sortable"' if sortable else ""
-    return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+def _named(scored: Sequence[Scored], key: str) -> list[str]:
+    return list(dict.fromkeys(name for s in scored for name in s.summary[key]))
+
+
+def _beside(scored: Scored) -> dict[str, Any]:
+    block = scored.summary["all"]
+    values = scored.matrix("benefit_exact").to_numpy().ravel()
+    return {
+        "name": scored.name,
+        "n": values.size,
+        "at_zero": histograms.zero_count(values),
+        "benefit": _cell(block["exact"]["ratio_of_sums"]),
+        "throughput": _cell(block["throughput"]["ratio_of_sums"]),
+        "kept": _cell(block["throughput"]["share_kept"]),
+    }
+
+
+def _tradeoff_table(table: pd.DataFrame | None) -> dict[str, Any]:
+    if table is None:
+        return {"header": [], "lines": []}
+
+    def word(value: Any) -> str:
+        return "" if pd.isna(value) else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+    lines = [[word(value) for value in row] for row in table.itertuples(index=False)]
+    return {"header": [name.replace("_", " ") for name in table.columns], "lines": lines}
+
+
+def _asset(name: str) -> str:
+    return (resources.files("izoo.reporting") / TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _pack(content: bytes) -> str:
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()
+
+
+def _json(content: Any) -> bytes:
+    """JSON without NaN, which JSON does not have."""
+    return json.dumps(_plain(content), separators=(",", ":"), allow_nan=False).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,21 +11,29 @@ class Published:
 
     Attributes:
         protocol, algorithm: what was trained and tested.
-        benefit: emission benefit, ratio of sums.
+        at_zero: approaches in the histogram's bar at 0.
+        approaches: all approaches of the histogram.
+        benefit: emission benefit, ratio of sums; ``None`` where none was published.
         throughput_benefit: relative change of throughput.
         throughput_kept: share of approaches whose throughput did not fall.
     """
 
     protocol: str
     algorithm: str
-    benefit: float
-    throughput_benefit: float
-    throughput_kept: float
+    at_zero: int
+    approaches: int
+    benefit: float | None = None
+    throughput_benefit: float | None = None
+    throughput_kept: float | None = None
 
 
 PUBLISHED = (
-    Published("Salt Lake City", "DDPG", -0.0185, 0.0648, 0.802),
-    Published("Salt Lake City", "PPO", -0.0959, 0.0154, 0.129),
-    Published("Atlanta", "DDPG", -0.0129, 0.0445, 0.629),
-    Published("Atlanta", "PPO", -0.1486, 0.0269, 0.266),
+    Published("Salt Lake City", "DDPG", 248, 1048, -0.0185, 0.0648, 0.802),
+    Published("Salt Lake City", "PPO", 913, 1048, -0.0959, 0.0154, 0.129),
+    Published("Atlanta", "DDPG", 858, 2152, -0.0129, 0.0445, 0.629),
+    Published("Atlanta", "PPO", 1581, 2152, -0.1486, 0.0269, 0.266),
+    Published("Salt Lake City -> Atlanta", "DDPG", 945, 2152),
+    Published("Salt Lake City -> Atlanta", "PPO", 1791, 2152),
+    Published("Systematicity", "DDPG", 40, 128),
+    Published("Systematicity", "PPO", 119, 128),
 )

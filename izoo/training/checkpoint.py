@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,10 @@ import torch
 
 from izoo.errors import IzooError
 
-FORMAT = "izoo-checkpoint-1"
+FORMAT = "izoo-checkpoint-2"
 _NAME = re.compile(r"step-(\d+)\.pt")
+_CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
+BEST = "best.pt"
 
 
 def folder_of(run_dir: Path) -> Path:
@@ -71,27 +73,84 @@ def load(path: Path) -> dict[str, Any]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise IzooError(f"there is no checkpoint {path}.") from None
-    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError, ValueError, KeyError) as error:
+    except Exception as error:  # what torch raises for damaged bytes depends on the bytes
         raise IzooError(f"{path} is cut short or not a checkpoint.{_previous(path)}") from error
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise IzooError(f"{path} is not a checkpoint of this version of izoo ({FORMAT}).{_previous(path)}")
     return state
 
 
-def find(where: Path) -> Path:
-    """Return the checkpoint that ``where`` names: a checkpoint file, or a run folder's newest.
+def find(where: Path, which: str = "last") -> Path:
+    """Return the checkpoint that ``where`` names: a checkpoint file, or one of a run folder.
+
+    Args:
+        where: the file or the folder.
+        which: of a folder: ``last``, ``best`` (by validation), or the number of frames.
 
     Raises:
         IzooError: nothing is there.
     """
     if where.is_file():
+        if where.parent.name != folder_of(where).name:
+            raise IzooError(
+                f"{where} is a file that does not lie among a run's checkpoints; give the folder of a training run."
+            )
         return where
     if not where.is_dir():
         raise IzooError(f"{where} does not exist; give the folder of a training run.")
     found = listed(where)
-    if not found:
+    best = best_of(where)
+    if not found and best is None:
         raise IzooError(f"{where} holds no checkpoint; give the folder of a training run that has saved at least one.")
-    return found[-1]
+    if which == "last" and found:
+        return found[-1]
+    if which in ("last", "best"):
+        if best is None:
+            raise IzooError(
+                f"{where} has no best checkpoint: the run has validated none (validation.every_batches). "
+                "Choose checkpoint=last."
+            )
+        return best
+    held = {frames_of(path): path for path in found}
+    if not which.isdigit() or int(which) not in held:
+        frames = ", ".join(str(frames) for frames in held)
+        raise IzooError(
+            f"checkpoint is {which!r}; {where} has last{', best' if best else ''}, and by frames: {frames}."
+        )
+    return held[int(which)]
+
+
+def best_of(run_dir: Path) -> Path | None:
+    """Return a run's best checkpoint, if it has validated any."""
+    path = folder_of(run_dir) / BEST
+    return path if path.is_file() else None
+
+
+def make_candidate(path: Path) -> Path:
+    """Keep a checkpoint for validation, however many later ones are saved meanwhile; it takes no room of its own."""
+    candidate = path.with_name(path.name.replace("step-", "candidate-"))
+    candidate.unlink(missing_ok=True)
+    try:
+        os.link(path, candidate)
+    except OSError:  # a file system without links
+        shutil.copyfile(path, candidate)
+    return candidate
+
+
+def make_best(candidate: Path) -> None:
+    """Make a candidate the best checkpoint of its run."""
+    candidate.replace(candidate.with_name(BEST))
+
+
+def candidates(run_dir: Path) -> list[Path]:
+    """Return the checkpoints whose validation has not ended, oldest first."""
+    return sorted(path for path in folder_of(run_dir).glob("candidate-*.pt") if _CANDIDATE.fullmatch(path.name))
+
+
+def frames_of(path: Path) -> int:
+    """Return the environment steps that a checkpoint was saved after."""
+    named = _NAME.fullmatch(path.name) or _CANDIDATE.fullmatch(path.name)
+    return int(named[1]) if named else int(load(path)["frames"])
 
 
 def run_of(checkpoint: Path) -> Path:

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.collectors import BaseCollector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
+from izoo import cluster
 from izoo.conf.options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.interrupt import workers_ignore_interrupts
+from izoo.training.past import EpisodePast
+from izoo.training.rollouts import RolloutCollector
 
 
 @dataclass(frozen=True)
@@ -38,21 +41,29 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
+        pasts: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`).
     """
 
-    def __init__(self, config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        policy: TensorDictModuleBase,
+        schedule: Schedule,
+        pasts: Sequence[EpisodePast] = (),
+    ) -> None:
+        frames = frames_per_batch(config)
         with workers_ignore_interrupts():
-            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, frames_per_batch(config))
+            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
-        """Return the next batch ``[N, T]``."""
-        batch = next(self._batches)
+        """Return the next batch ``[N, T]``, which is valid until the one after it."""
+        batch = next(self._batches).exclude("collector")
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if isinstance(self._collector, MultiSyncCollector):
+        if not isinstance(self._collector, RolloutCollector):
             self._collector.update_policy_weights_(policy)
 
     def close(self) -> None:
@@ -60,26 +71,53 @@ class BatchSource:
         self._collector.shutdown()
 
 
+def check_collector(config: TrainConfig) -> None:
+    """Raise :class:`IzooError` where the collector that ``config`` names cannot be had here."""
+    if config.collector.name == "ray":
+        cluster.connect()
+
+
+def num_envs(config: TrainConfig) -> int:
+    """Return how many environments a batch comes from."""
+    return 1 if config.collector.name == "single" else config.num_workers
+
+
 def frames_per_batch(config: TrainConfig) -> int:
     """Return the steps of a batch over all workers: ``algo.frames_per_batch``, as a multiple of their number."""
-    workers = 1 if config.collector.name == "single" else config.num_workers
+    workers = num_envs(config)
     return -(-config.algo.frames_per_batch // workers) * workers
 
 
-def _single(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> Collector:
-    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed), policy, frames)
+def _single(
+    config: TrainConfig,
+    policy: TensorDictModuleBase,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    frames: int,
+) -> RolloutCollector:
+    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed, pasts=pasts), policy, frames)
 
 
-def _parallel(config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int) -> Collector:
-    env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
+def _parallel(
+    config: TrainConfig,
+    policy: TensorDictModuleBase,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    frames: int,
+) -> RolloutCollector:
+    env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed, pasts=pasts)
     return _collector(env, policy, frames)
 
 
 def _multisync(
-    config: TrainConfig, policy: TensorDictModuleBase, schedule: Schedule, frames: int
+    config: TrainConfig,
+    policy: TensorDictModuleBase,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    frames: int,
 ) -> MultiSyncCollector:
     makers = [
-        functools.partial(_worker_env, config, schedule, worker, config.num_workers)
+        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
         for worker in range(config.num_workers)
     ]
     return MultiSyncCollector(
@@ -91,29 +129,68 @@ def _multisync(
         trust_policy=True,
         auto_register_policy_transforms=False,
         cat_results="stack",
+        collector_class=RolloutCollector,
     )
 
 
-def _worker_env(config: TrainConfig, schedule: Schedule, worker: int, num_workers: int) -> EnvBase:
-    torch.manual_seed(config.seed * 65_537 + worker)
-    return TrainingEnv(schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers)
+def _ray(
+    config: TrainConfig,
+    policy: TensorDictModuleBase,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    frames: int,
+) -> BaseCollector:
+    cluster.connect()
+    from torchrl.collectors.distributed import RayCollector
+
+    makers = [
+        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
+        for worker in range(config.num_workers)
+    ]
+    collector = RayCollector(
+        makers,
+        policy,
+        frames_per_batch=frames,
+        total_frames=2**62,
+        exploration_type=ExplorationType.RANDOM,
+        trust_policy=True,
+        collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
+        remote_configs=cluster.WORKER_RESOURCES,
+        sync=True,
+    )
+    collector.update_policy_weights_(policy)
+    return collector
 
 
-def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
-    return Collector(
+def _worker_env(
+    config: TrainConfig, schedule: Schedule, pasts: Sequence[EpisodePast], worker: int, num_workers: int
+) -> EnvBase:
+    # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
+    done = sum(past.episode * config.env.control_steps + past.steps for past in pasts)
+    torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
+    return TrainingEnv(
+        schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, pasts=pasts
+    )
+
+
+def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> RolloutCollector:
+    return RolloutCollector(
         env,
         policy,
         frames_per_batch=frames,
         total_frames=-1,
         exploration_type=ExplorationType.RANDOM,
+        return_same_td=True,
         track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,
     )
 
 
-_BUILDERS: dict[str, Callable[[TrainConfig, TensorDictModuleBase, Schedule, int], Collector | MultiSyncCollector]] = {
+_Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[EpisodePast], int], BaseCollector]
+_BUILDERS: dict[str, _Builder] = {
     "single": _single,
     "parallel": _parallel,
     "multisync": _multisync,
+    "ray": _ray,
 }

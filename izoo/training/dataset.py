@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
+from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
@@ -25,6 +26,7 @@ from izoo.errors import IzooError, unknown_choice
 from izoo.training import runs
 from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts
 from izoo.training.progress import ProgressBar
+from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
 FORMAT = "izoo-dataset-1"
@@ -111,13 +113,24 @@ def load(folder: Path | str) -> TensorDictBase:
 
     Returns:
         Steps ``[frames]``, in the order of collection: worker after worker within a time step. One shard stays
-        memory-mapped, nothing is read; several are put together in memory (:func:`load_shards` does not).
+        memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer` does not do.
 
     Raises:
         IzooError: the folder is not a finished data set of izoo, or a shard is missing.
     """
     shards = load_shards(folder)
     return shards[0] if len(shards) == 1 else torch.cat(shards)
+
+
+def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
+    """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
+
+    Args:
+        folder: what ``out=`` named.
+        options: of :class:`torchrl.data.TensorDictReplayBuffer`, such as ``batch_size``, ``sampler`` or ``transform``.
+    """
+    storage = ShardStorage(load_shards(folder))
+    return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options)
 
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:

@@ -1,11 +1,11 @@
-"""Environments as the training loop needs them: an episode's metrics travel as one leaf.
+"""Environments as the training loop needs them: an episode's metrics travel as one leaf, :data:`TOTALS`.
 
 Metrics matter once per episode, but every leaf of a step costs time in each of TorchRL's passes over it.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -14,41 +14,79 @@ from torch import Tensor
 from torchrl.data import Unbounded
 
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
+from izoo.envs.layout import TOTALS
 from izoo.envs.parallel import SumoParallelEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
-
-TOTALS = "totals"
-"""Key of the leaf ``[*B, E + P * M]``: the episode's metrics, then those of each approach."""
+from izoo.training import past
 
 
-class _Totals(EcoDrivingBase):
-    """Adds :data:`TOTALS` to what an environment emits."""
+class _Training(EcoDrivingBase):
+    """Adds :data:`TOTALS` to what an environment emits, and lives through episodes in progress again.
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    Args:
+        pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+    """
+
+    leaves = (TOTALS,)
+
+    def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
-        width = sum(math.prod(part.shape[len(self.batch_size) :]) for part in self._parts())
-        self.observation_spec[TOTALS] = Unbounded((*self.batch_size, width))
+        self._pasts = tuple(pasts)
+        self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
 
-    def _parts(self) -> tuple[Tensor, Tensor]:
-        tensors = self.reader.tensors
-        return tensors["episode_metrics"], tensors["approach_metrics"].flatten(len(self.batch_size))
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        pasts, self._pasts = self._pasts, ()
+        return self._relive(pasts) if pasts else super()._reset(tensordict, **options)
 
-    def _add_totals(self, frame: TensorDictBase) -> TensorDictBase:
-        return frame.set(TOTALS, torch.cat(self._parts(), dim=-1))
+    def _relive(self, pasts: Sequence[past.EpisodePast]) -> TensorDictBase:
+        """Play episodes up to where they stood; all get there at the same time.
 
-    def _next_frame(self) -> TensorDict:
-        return self._add_totals(super()._next_frame())
+        Before the shorter ones begin, their environments play a part of the same episode that is then forgotten.
+        """
+        slots = self.config.num_agents
+        scripts = [entry.unroll(slots) for entry in pasts]
+        names = next((list(script.commands) for script in scripts if script.commands), ["action"])
+        episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
+        longest = max(len(script) for script in scripts)
+        request = TensorDict({"context": TensorDict({"episode": episodes}, self.batch_size)}, self.batch_size)
+        frame = super()._reset(request)
+        for step in range(longest):
+            starting = torch.tensor([len(script) == longest - step for script in scripts])
+            if step > 0 and starting.any():
+                frame = super()._reset(request.clone().set("_reset", starting.view(*self.batch_size, 1)))
+            masks = frame.get(("agents", "mask")).view(-1, slots)
+            waits = [longest - len(script) for script in scripts]
+            rows = [
+                script.at(step - wait, mask) if step >= wait else past.idle(names, slots)
+                for script, wait, mask in zip(scripts, waits, masks, strict=True)
+            ]
+            frame = self._step(past.with_commands(frame, rows)).exclude(("agents", "reward"))
+            if frame.get("done").any():
+                raise RuntimeError("a simulation was lost while its episode was played again; resume the run once more")
+        # A script without steps belongs to an episode that was about to begin.
+        unbegun = torch.tensor([len(script) == 0 for script in scripts])
+        if longest > 0 and unbegun.any():
+            frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
+        self._count_on([script.episode for script in scripts])
+        return frame
 
-    def _first_frame(self) -> TensorDict:
-        return self._add_totals(super()._first_frame())
+    def _count_on(self, episodes: Sequence[int]) -> None:
+        """Let the next episode of each environment follow the one given."""
+        raise NotImplementedError
 
 
-class TrainingEnv(_Totals, EcoDrivingEnv):
-    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS`."""
+class TrainingEnv(_Training, EcoDrivingEnv):
+    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and pasts."""
+
+    def _count_on(self, episodes: Sequence[int]) -> None:
+        self._episode = episodes[0] + self._stride
 
 
-class TrainingParallelEnv(_Totals, SumoParallelEnv):
-    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS`."""
+class TrainingParallelEnv(_Training, SumoParallelEnv):
+    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
+
+    def _count_on(self, episodes: Sequence[int]) -> None:
+        self._next_episode[:] = [episode + self.num_workers for episode in episodes]
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

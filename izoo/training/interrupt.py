@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from types import FrameType
 
 
@@ -45,12 +46,13 @@ def graceful_interrupt() -> Iterator[Interrupt]:
 
 @contextlib.contextmanager
 def workers_ignore_interrupts() -> Iterator[None]:
-    """Start processes inside the block that a terminal's Ctrl-C does not reach: they end when this process says so."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Start processes inside the block that a terminal's Ctrl-C does not reach: they end when this process says so.
+
+    Processes inherit that SIGINT is blocked. This process gets one that was sent meanwhile when the block ends.
+    """
+    resource_tracker.ensure_running()  # it unblocks SIGINT when it starts, which it would do at the first process
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -37,14 +37,20 @@ class MetricsTable:
 
     def __init__(self, path: Path, last_frames: int = 0) -> None:
         self.path = path
-        self.rows: list[dict[str, str]] = []
-        if path.exists():
-            with path.open(newline="") as file:
-                rows = [row for row in csv.DictReader(file) if row.get("frames", "").isdigit()]
-            self.rows = [row for row in rows if int(row["frames"]) <= last_frames]
+        self.rows = [row for row in _read_rows(path) if int(row["frames"]) <= last_frames]
         self.columns: list[str] = list(self.rows[0]) if self.rows else []
         if self.rows:
             self._rewrite()
+        else:
+            path.unlink(missing_ok=True)
+
+    @classmethod
+    def read(cls, path: Path) -> MetricsTable:
+        """Return the table as it lies there, of a run that may be running; no file gives an empty one."""
+        table = cls.__new__(cls)
+        table.path, table.rows = path, _read_rows(path)
+        table.columns = list(table.rows[0]) if table.rows else []
+        return table
 
     def append(self, row: Mapping[str, float]) -> None:
         """Add a row; the file is complete after every call."""
@@ -72,6 +78,14 @@ class MetricsTable:
             writer.writeheader()
             writer.writerows(self.rows)
         partial.replace(self.path)
+
+
+def _read_rows(path: Path) -> list[dict[str, str]]:
+    """Read the rows that were written whole."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if (row.get("frames") or "").isdigit() and None not in row.values()]
 
 
 def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import functools
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from tensordict.nn import TensorDictModuleBase
@@ -17,26 +20,29 @@ from izoo.algos.ddpg import DDPG
 from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
-from izoo.algos.residual import Build
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
+from izoo.envs.layout import observation_names
 from izoo.errors import IzooError
+from izoo.evaluation.table import write_text
 from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 
-ALGORITHMS: dict[str, Build] = {
+ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "ppo": PPO,
     "ddpg": DDPG,
     "mappo": MAPPO,
     "gcrl": GCRL,
 }
-"""What builds an algorithm from its options, the length of an observation, and the bounds of the acceleration."""
+"""What builds an algorithm from its options, the length of an observation, the bounds of the acceleration, and the
+device that it learns on."""
 
 
-def make_algorithm(config: TrainConfig, features: int) -> Algorithm:
-    """Build the algorithm that a run's options name, for observations of length ``features``."""
-    return config.action.algorithm(ALGORITHMS[config.algo.name], config.algo, features, config.env)
+def make_algorithm(config: TrainConfig, features: int, device: torch.device | str = "cpu") -> Algorithm:
+    """Build the algorithm that a run's options name, for observations of length ``features``, on ``device``."""
+    build = functools.partial(ALGORITHMS[config.algo.name], device=device)
+    return config.action.algorithm(build, config.algo, features, config.env)
 
 
 def create(config: TrainConfig) -> Path:
@@ -66,7 +72,7 @@ def ensure_empty(folder: Path, option: str, instead: str = "remove its content")
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
     """Write the resolved options as ``config.yaml``."""
-    (run_dir / CONFIG_FILE).write_text(OmegaConf.to_yaml(OmegaConf.create(to_mapping(config))))
+    write_text(run_dir / CONFIG_FILE, OmegaConf.to_yaml(OmegaConf.create(to_mapping(config))))
 
 
 def read_config(run_dir: Path) -> TrainConfig:
@@ -97,6 +103,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     path = checkpoint.find(Path(where).expanduser().absolute())
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
+    check_layout(state["features"], config, path)
     algorithm = make_algorithm(config, state["features"])
     try:
         algorithm.load_state_dict(state["algorithm"])
@@ -105,6 +112,16 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
             f"{path} does not fit the options in {CONFIG_FILE} beside it: {str(error).splitlines()[0]}"
         ) from error
     return algorithm, config, state
+
+
+def check_layout(features: int, config: TrainConfig, path: Path) -> None:
+    """Raise :class:`IzooError` where a checkpoint observes ``features`` numbers, and its run's options say not."""
+    expected = len(observation_names(config.env))
+    if features != expected:
+        raise IzooError(
+            f"{path} was trained on an observation of {features} numbers per vehicle, and the options in {CONFIG_FILE} "
+            f"describe one of {expected}: env.observed or env.neighbours were changed; restore them or train again."
+        )
 
 
 def load_policy(where: Path | str) -> TensorDictModuleBase:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import sys
 import time
@@ -18,13 +19,28 @@ from izoo.contexts.source import ContextSource, RandomSchedule, Schedule, episod
 from izoo.envs.layout import observation_names
 from izoo.errors import IzooError
 from izoo.training import checkpoint, plots, records, runs
-from izoo.training.collectors import BatchSource, ShiftedSchedule
+from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
 from izoo.training.interrupt import graceful_interrupt
+from izoo.training.learner import Learner, learner_device
+from izoo.training.past import Pasts
 from izoo.training.progress import ProgressBar
+from izoo.training.validation import Validator
 
-CHANGEABLE = ("total_frames", "num_workers", "collector", "logger", "evaluation", "checkpoint", "resume")
+CHANGEABLE = (
+    "total_frames",
+    "num_workers",
+    "device",
+    "collector",
+    "logger",
+    "validation",
+    "evaluation",
+    "checkpoint",
+    "resume",
+)
 """Options that may differ when a run is resumed; the others are part of what the run is."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""What a disk says that is full or has become read only."""
 MAX_LEARNER_THREADS = 8
 EVALUATION_STREAM = 7919
 """Separates the draws of evaluation contexts from those of training episodes."""
@@ -40,6 +56,8 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     source = None
     if config.resume is None:
         # Contexts are read before the folder is made, so that bad input leaves nothing behind.
+        learner_device(config.device)
+        check_collector(config)
         source = config.contexts.build()
         run_dir, state = runs.create(config), None
     else:
@@ -47,24 +65,37 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     session = Session(config, run_dir, source or config.contexts.build())
     if state is not None:
         session.restore(state)
-    session.run()
+    try:
+        session.run()
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        kept = checkpoint.listed(run_dir)
+        raise IzooError(
+            f"cannot write to {run_dir}: {error.strerror}. The last good checkpoint is {kept[-1] if kept else 'none'}; "
+            f"make room, then go on: resume={run_dir}."
+        ) from error
     return run_dir
 
 
-def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainConfig, dict[str, Any]]:
+def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainConfig, dict[str, Any] | None]:
+    """Return the folder, the options and the state of the run to go on with; no state: it had not saved any yet."""
     for name in sorted(given):
         if name.split(".")[0] not in CHANGEABLE:
             raise IzooError(
                 f"a resumed run keeps its own options, so {name} cannot be given with resume; "
                 f"only these can: {', '.join(CHANGEABLE)}."
             )
-    path = checkpoint.find(Path(config.resume or ""))
-    run_dir = checkpoint.run_of(path)
+    where = Path(config.resume or "")
+    begun = (where / runs.CONFIG_FILE).is_file() and not checkpoint.listed(where)
+    path = None if begun else checkpoint.find(where)
+    run_dir = where if path is None else checkpoint.run_of(path)
     stored = runs.read_config(run_dir)
     changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
     config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
+    state = None if path is None else checkpoint.load(path)
     runs.write_config(run_dir, config)
-    return run_dir, config, checkpoint.load(path)
+    return run_dir, config, state
 
 
 class Session:
@@ -80,53 +111,100 @@ class Session:
         torch.manual_seed(config.seed)
         self.config, self.run_dir, self.source = config, run_dir, source
         self.features = len(observation_names(config.env))
-        self.algorithm = runs.make_algorithm(config, self.features)
+        self.learner = Learner(config, self.features, learner_device(config.device))
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
+        self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
+        self._state: dict[str, Any] | None = None
         self._saved_at = -1
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint."""
-        if state["features"] != self.features:
-            raise IzooError("the checkpoint was trained with another observation than the options of its run describe.")
-        self.algorithm.load_state_dict(state["algorithm"])
+        """Go on from a checkpoint: with the weights and draws that it holds, and in the middle of its episodes.
+
+        With another number of environments than before, the episodes in progress are left out.
+        """
+        runs.check_layout(state["features"], self.config, self.run_dir)
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
-        self.seconds = state["seconds"]
-        self._saved_at = self.frames
-        torch.set_rng_state(state["torch_rng"])
+        self.seconds, self.first_episode = state["seconds"], state["first_episode"]
+        self._state, self._saved_at = state, self.frames
+        pasts = Pasts.from_state(state["pasts"])
+        if len(pasts.pasts) == len(self.pasts.pasts):
+            self.pasts = pasts
+        else:
+            self.first_episode += pasts.next_episode
         print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
 
     def run(self) -> None:
         """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate."""
         self.table = records.MetricsTable(self.run_dir / runs.METRICS_FILE, self.frames)
+        self.validator = Validator(self.config, self.run_dir, self.frames)
         sinks = records.make_sinks(self.config.logger, self.run_dir)
         print(f"Run folder: {self.run_dir}", flush=True)
         with graceful_interrupt() as interrupt:
             try:
                 if self.frames < self.config.total_frames:
                     self._learn(interrupt, sinks)
+                else:
+                    self._load(None)
                 self._save()
+                self._validate_last(interrupt, sinks)
                 self._plot()
             finally:
+                self.validator.close()
                 records.close_all(sinks)
             self._evaluate()
         print(f"Run folder: {self.run_dir}", flush=True)
 
     def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
         config = self.config
-        batches = BatchSource(config, self.algorithm.policy, self._schedule())
+        going_on = self.pasts.pasts if self._state is not None else ()
+        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
         try:
+            self._load(batches)
             with ProgressBar(config.total_frames, self.frames) as bar:
                 while self.frames < config.total_frames and not interrupt.requested:
-                    row = self._batch(batches)
+                    row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
                     records.log_all(sinks, row)
                     bar.update(self.frames, row)
                     if self.batches % config.checkpoint.every_batches == 0:
                         self._save()
                         self._plot()
+                    if self.validator.due(self.batches):
+                        self._validate()
         finally:
             batches.close()
+
+    def _validate(self) -> None:
+        """Let the present weights be validated, if they could be saved."""
+        self._save()
+        if self._saved_at == self.frames:
+            try:
+                self.validator.submit(checkpoint.find(self.run_dir))
+            except OSError as error:
+                print(f"Could not begin a validation: {error}; training goes on.", file=sys.stderr, flush=True)
+
+    def _validate_last(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+        """Validate the last weights, unless the run is to stop, or was too short for any validation."""
+        every = self.config.validation.every_batches
+        if interrupt.requested or every == 0 or self.batches < every:
+            return
+        if float(self.frames) not in self.validator.table.series("frames")[1]:
+            self._validate()
+        if self.validator.busy:
+            print("Validating the last weights. Ctrl-C leaves that out.", flush=True)
+        row = self.validator.wait(interrupt)
+        if row:
+            records.log_all(sinks, {"frames": self.frames, **row})
+
+    def _load(self, batches: BatchSource | None) -> None:
+        """Load what the checkpoint holds of the learner; only now, since making a collector tries the policy out."""
+        if self._state is None:
+            return
+        self.learner.load_state_dict(self._state)
+        if batches is not None:
+            batches.synchronise(self.learner.policy)
+        self._state = None
 
     def _batch(self, batches: BatchSource) -> dict[str, float]:
         """Collect one batch, learn from it, and return its row of the table."""
@@ -136,9 +214,10 @@ class Session:
         collected = time.perf_counter()
         torch.set_num_threads(min(os.cpu_count() or 1, MAX_LEARNER_THREADS))
         stats = episode_stats(batch)
-        learned = self.algorithm.update(batch, self.frames / self.config.total_frames)
+        self.pasts.add(batch)
+        learned = self.learner.update(batch, self.frames / self.config.total_frames)
         torch.set_num_threads(1)
-        batches.synchronise(self.algorithm.policy)
+        batches.synchronise(self.learner.policy)
         seconds = time.perf_counter() - start
         self.frames += batch.numel()
         self.batches += 1
@@ -156,23 +235,21 @@ class Session:
         }
 
     def _schedule(self) -> Schedule:
-        """Return the training episodes that have not been begun yet."""
+        """Return the training episodes; other numbers of environments have played those that are left out."""
         schedule: Schedule = RandomSchedule(self.source, self.config.seed)
-        if self.frames == 0:
-            return schedule
-        begun = self.frames // self.config.env.control_steps + self.config.num_workers
-        return ShiftedSchedule(schedule, begun)
+        return ShiftedSchedule(schedule, self.first_episode) if self.first_episode else schedule
 
     def _save(self) -> None:
         if self._saved_at == self.frames or self.batches == 0:
             return
         state = {
-            "algorithm": self.algorithm.state_dict(),
+            **self.learner.state_dict(),
             "features": self.features,
             "batches": self.batches,
             "episodes": self.episodes,
             "seconds": self.seconds,
-            "torch_rng": torch.get_rng_state(),
+            "first_episode": self.first_episode,
+            "pasts": self.pasts.state_dict(),
         }
         try:
             checkpoint.save(self.run_dir, self.frames, state, self.config.checkpoint.keep)
@@ -188,7 +265,7 @@ class Session:
     def _plot(self) -> None:
         if self.table.rows:
             title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
-            plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title)
+            plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
 
     def _evaluate(self) -> None:
         """Print the brief comparison with human driving and store it in the run folder."""
@@ -203,7 +280,7 @@ class Session:
         seeds = [episode_seed(self.config.seed + EVALUATION_STREAM, number) for number in range(options.seeds)]
         print(f"Comparing with human driving: {len(unique)} contexts, {len(seeds)} seeds each.", flush=True)
         table = evaluate_policy(
-            self.algorithm.policy,
+            self.learner.policy,
             unique,
             seeds,
             self.config.env,

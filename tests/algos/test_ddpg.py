@@ -11,7 +11,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
-from izoo.algos.ddpg import ACTION_VALUE, DDPG, DDPGConfig
+from izoo.algos.ddpg import ACTION_VALUE, DDPG
+from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.replay import (
     ERROR,
     NEXT_OBSERVATION,
@@ -199,7 +200,42 @@ def test_evaluation_is_deterministic_and_starts_mild() -> None:
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         one, other = ddpg.policy(batch.clone())[base.ACTION], ddpg.policy(batch.clone())[base.ACTION]
     torch.testing.assert_close(one, other, atol=0.0, rtol=0.0)
-    assert float((one - 0.5).abs().max()) < 0.3
+    mask = batch[base.MASK]
+    assert float((one[mask] - 0.5).abs().max()) < 0.3
+    assert not one[~mask].any()
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu", "silu"])
+@pytest.mark.parametrize("hidden", [(128, 128), (9,), (5, 16, 3)])
+def test_compiled_actor_equals_the_modules(activation: str, hidden: tuple[int, ...]) -> None:
+    ddpg, batch = make_ddpg(hidden=hidden, activation=activation), make_batch()
+    observation, mask = batch[base.OBSERVATION], batch[base.MASK]
+    observation[~mask] = float("nan")
+    with torch.no_grad():
+        for parameter in ddpg.policy.parameters():
+            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7)))
+        compiled = ddpg.policy.mean(observation, mask)
+        by_modules = ddpg.actor.module(observation)
+        for place in mask.nonzero().tolist():
+            alone = torch.zeros_like(mask)
+            alone[tuple(place)] = True
+            assert torch.equal(ddpg.policy.mean(observation, alone)[alone], compiled[alone])
+    torch.testing.assert_close(compiled[mask], by_modules[mask], atol=2e-5, rtol=2e-5)
+    with_gradient = ddpg.policy.mean(observation, mask)
+    assert with_gradient.requires_grad
+    torch.testing.assert_close(with_gradient.detach(), compiled, atol=2e-5, rtol=2e-5)
+    assert compiled.shape == (*mask.shape, 1) and not compiled[~mask].any()
+
+
+def test_a_restored_noise_is_the_policys_own() -> None:
+    ddpg, batch = make_ddpg(), make_batch()
+    explore(ddpg, batch)
+    state = ddpg.state_dict()
+    before = state["noise"].clone()
+    ddpg.load_state_dict(state)
+    explore(ddpg, batch)
+    torch.testing.assert_close(state["noise"], before, atol=0.0, rtol=0.0)
+    assert not torch.equal(ddpg.policy.noise, before)
 
 
 def test_noise_decays_and_randomness_ends() -> None:
@@ -281,7 +317,8 @@ def test_update_improves_a_bandit() -> None:
         batch[NEXT_REWARD] = -(((batch[base.ACTION] - 1.0) / 3) ** 2)
         ddpg.update(batch, 0.0)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        action = ddpg.policy(make_batch())[base.ACTION]
+        batch = ddpg.policy(make_batch())
+    action = batch[base.ACTION][batch[base.MASK]]
     assert float((action - 1.0).abs().mean()) < 0.5
 
 

@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.gcrl import STOP_LINE_DISTANCE, Convolution, GCRLConfig, GraphNetwork, neighbourhood
+from izoo.algos import base, gcrl
+from izoo.algos.gaussian import SamplingPolicy
+from izoo.algos.gcrl import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
+from izoo.algos.ppo_config import GCRLConfig
+from izoo.algos.sets import places
 from izoo.conf.compose import compose_config
 from izoo.conf.options import TrainConfig
 from izoo.envs.config import EnvConfig
@@ -18,10 +21,17 @@ from izoo.envs.layout import DISTANCE_SCALE_M, observation_names
 from izoo.errors import IzooError
 from izoo.training import runs
 from izoo.training.records import MetricsTable
-from tests.algos.frames import FEATURES
+from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
 EVERYONE = torch.ones(6, dtype=torch.bool)
+
+
+def neighbourhood(
+    position_m: torch.Tensor, mask: torch.Tensor, count: int | None, range_m: float | None
+) -> torch.Tensor:
+    others = mask.unsqueeze(-1) & mask.unsqueeze(-2) & ~torch.eye(len(mask), dtype=torch.bool)
+    return gcrl.neighbourhood(position_m, others, gcrl.reach_m(position_m, others, count, range_m))
 
 
 def sets(attended: torch.Tensor) -> list[set[int]]:
@@ -71,7 +81,8 @@ def test_a_convolution_equals_a_hand_computation() -> None:
     encoding = torch.randn(4, 6)
     attended = torch.tensor([[1, 1, 0, 0], [1, 1, 1, 0], [0, 0, 1, 0], [1, 0, 1, 1]], dtype=torch.bool)
     with torch.no_grad():
-        found = convolution(encoding, attended)
+        unattended = torch.zeros(1, 4, 4).masked_fill(~attended, -math.inf)
+        found = convolution(encoding, Bins(torch.zeros(4, dtype=torch.long), torch.arange(4)), unattended)
         query, key, value = convolution.project(encoding).split(6, dim=-1)
         for i in range(4):
             mixed = []
@@ -109,6 +120,85 @@ def test_a_lonely_vehicle_is_as_if_alone() -> None:
         together = network(observation, EVERYONE[:3])
         apart = torch.cat([network(observation[k : k + 1], EVERYONE[:1]) for k in range(3)])
     torch.testing.assert_close(together, apart)
+
+
+CROWD = torch.Generator().manual_seed(6)
+CROWDED = torch.rand(12, 9, generator=CROWD) < torch.rand(12, 1, generator=CROWD)
+"""Twelve frames of nine slots, from nearly empty to nearly full."""
+
+
+def make_crowd() -> torch.Tensor:
+    """Observations of :data:`CROWDED`, some of them equally far away; what is not a number stands in empty slots."""
+    observation = torch.randn(12, 9, FEATURES, generator=torch.Generator().manual_seed(2))
+    steps = torch.randint(0, 12, (12, 9), generator=torch.Generator().manual_seed(3))
+    observation[..., STOP_LINE_DISTANCE] = steps * -20.0 / DISTANCE_SCALE_M
+    return observation.masked_fill(~CROWDED.unsqueeze(-1), float("nan"))
+
+
+@pytest.mark.parametrize("bin_rows", [1, 4, 1000])
+def test_frames_in_bins_are_as_if_alone(bin_rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gcrl, "BIN_ROWS", bin_rows)
+    network, observation = make_network(neighbours=2), make_crowd()
+    frame, column = places(CROWDED)
+    bins = Bins(frame, column)
+    assert torch.equal(bins.unpack(bins.pack(frame)), frame)
+    assert sorted(bins.slot.tolist()) == bins.slot.unique().tolist(), "a slot for each"
+    with torch.no_grad():
+        together = network(observation, CROWDED)
+        for number in CROWDED.any(-1).nonzero()[:, 0].tolist():
+            members = observation[number][CROWDED[number]]
+            alone = network(members, torch.ones(len(members), dtype=torch.bool))
+            torch.testing.assert_close(together[number][CROWDED[number]], alone)
+        shuffled = torch.randperm(len(frame), generator=torch.Generator().manual_seed(1))
+        rows = network.rows(observation[CROWDED][shuffled], frame[shuffled], column[shuffled])
+    torch.testing.assert_close(rows, together[CROWDED][shuffled])
+
+
+def test_rows_remember_their_reach() -> None:
+    torch.manual_seed(2)
+    algorithm = GCRL(GCRLConfig(hidden=(8, 8), heads=2, neighbours=1, minibatch_rows=5), FEATURES, LOW, HIGH)
+    batch = act(algorithm, make_frames())
+    observation, mask = batch[base.OBSERVATION], batch[base.MASK]
+    position_m = (observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M).masked_fill(~mask, 0.0)
+    others = mask.unsqueeze(-1) & mask.unsqueeze(-2) & ~torch.eye(4, dtype=torch.bool)
+    rows = algorithm.advantages(batch)
+    assert torch.equal(rows[gcrl.REACH], gcrl.reach_m(position_m, others, 1, 100.0)[mask])
+    for part in algorithm._minibatches(rows):
+        network, places_of = algorithm.critic.module.network, [part[key] for key in gcrl.ROW[:3]]
+        torch.testing.assert_close(network.rows(*places_of, part[gcrl.REACH]), network.rows(*places_of))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"neighbours": 1, "range_m": None, "activation": "relu", "hidden": (8,)},
+        {"neighbours": 3, "range_m": 40.0, "activation": "silu", "hidden": (7, 5, 12), "heads": 3, "layers": 1},
+        {"neighbours": None, "range_m": None},
+        {"neighbours": None, "range_m": 60.0},
+        {"neighbours": 0},
+    ],
+)
+def test_compiled_policy_equals_the_modules(changes: dict[str, object]) -> None:
+    """For whoever is there, in any slot, whatever stands in the empty ones and whoever is in other frames."""
+    torch.manual_seed(5)
+    config = GCRLConfig(**{"hidden": (16, 16), **changes})  # type: ignore[arg-type]
+    policy, observation = GCRL(config, FEATURES, LOW, HIGH).policy, make_crowd()
+    noise = torch.randn(12, 9, generator=torch.Generator().manual_seed(8))
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(0.2 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(9)))
+        compiled = policy.sample(observation, CROWDED, noise)
+        by_modules = SamplingPolicy.sample(policy, observation, CROWDED, noise)
+        order = torch.tensor([3, 8, 0, 5, 1, 2, 7, 6, 4])
+        turned = policy.sample(observation[:, order], CROWDED[:, order], noise[:, order])
+        for frame in range(12):
+            alone = policy.sample(observation[frame], CROWDED[frame], noise[frame])
+            assert torch.equal(alone, compiled[:, frame])
+    torch.testing.assert_close(compiled, by_modules, atol=2e-5, rtol=2e-5)
+    torch.testing.assert_close(turned, compiled[..., order], atol=2e-5, rtol=2e-5)
+    assert (compiled[:, ~CROWDED] == torch.tensor([[0.0], [1.0], [0.0], [0.0]])).all()
+    assert policy.sample(observation, CROWDED, noise).requires_grad, "with gradients, the modules act"
 
 
 def test_gradients_do_not_reach_empty_slots() -> None:

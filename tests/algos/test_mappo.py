@@ -10,8 +10,8 @@ import torch
 
 from izoo import train
 from izoo.algos import base
-from izoo.algos.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
-from izoo.algos.ppo import PPOConfig
+from izoo.algos.mappo import COUNT_SCALE, MAPPO, SetCritic
+from izoo.algos.ppo_config import MAPPOConfig, PPOConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError

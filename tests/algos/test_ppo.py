@@ -11,7 +11,9 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
-from izoo.algos.ppo import PPO, PPOConfig, PPOLoss
+from izoo.algos.gaussian import SamplingPolicy
+from izoo.algos.ppo import PPO, PPOLoss
+from izoo.algos.ppo_config import PPOConfig
 from izoo.errors import IzooError
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
@@ -115,20 +117,52 @@ def test_losses_equal_a_hand_computation() -> None:
 
 def test_fast_policy_is_the_actors_distribution() -> None:
     ppo, batch = make_ppo(), make_batch()
-    acted = act(ppo, batch.clone())
+    acted, mask = act(ppo, batch.clone()), batch[base.MASK]
     distribution = ppo.actor.get_dist(batch.clone())
     action = acted[base.ACTION]
     assert float(action.min()) > LOW and float(action.max()) < HIGH
-    torch.testing.assert_close(acted[base.LOG_PROB], distribution.log_prob(action), atol=1e-4, rtol=1e-4)
+    log_prob = distribution.log_prob(action)
+    torch.testing.assert_close(acted[base.LOG_PROB][mask], log_prob[mask], atol=1e-4, rtol=1e-4)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         fast, slow = ppo.policy(batch.clone())[base.ACTION], ppo.actor(batch.clone())[base.ACTION]
-    torch.testing.assert_close(fast, slow)
+    torch.testing.assert_close(fast[mask], slow[mask])
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu", "silu"])
+@pytest.mark.parametrize("hidden", [(128, 128), (9,), (5, 16, 3)])
+def test_compiled_policy_equals_the_modules(activation: str, hidden: tuple[int, ...]) -> None:
+    ppo, batch = make_ppo(hidden=hidden, activation=activation), make_batch()
+    observation, mask = batch[base.OBSERVATION], batch[base.MASK]
+    with torch.no_grad():
+        for parameter in ppo.policy.parameters():
+            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7)))
+        noise = torch.randn(mask.shape, generator=torch.Generator().manual_seed(8))
+        compiled = ppo.policy.sample(observation, mask, noise)
+        by_modules = SamplingPolicy.sample(ppo.policy, observation, mask, noise)
+    with torch.enable_grad():
+        assert ppo.policy.sample(observation, mask, noise).requires_grad
+    torch.testing.assert_close(compiled[:, mask], by_modules[:, mask], atol=2e-5, rtol=2e-5)
+    assert (compiled[:, ~mask] == torch.tensor([[0.0], [1.0], [0.0], [0.0]])).all()
+
+
+def test_compiled_policy_does_not_depend_on_who_else_is_there() -> None:
+    ppo, batch = make_ppo(hidden=(128, 128)), make_batch()
+    observation, mask = batch[base.OBSERVATION], batch[base.MASK]
+    noise = torch.randn(mask.shape, generator=torch.Generator().manual_seed(8))
+    with torch.no_grad():
+        together = ppo.policy.sample(observation, mask, noise)
+        for place in mask.nonzero().tolist():
+            alone = torch.zeros_like(mask)
+            alone[tuple(place)] = True
+            result = ppo.policy.sample(observation, alone, noise)
+            assert torch.equal(result[:, alone], together[:, alone])
 
 
 def test_untrained_policy_is_mild() -> None:
     ppo = make_ppo(initial_accel_mps2=0.5)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        action = ppo.policy(make_batch())[base.ACTION]
+        batch = make_batch()
+        action = ppo.policy(batch)[base.ACTION][batch[base.MASK]]
     assert float((action - 0.5).abs().max()) < 0.2
 
 

@@ -13,7 +13,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
 from izoo.algos import base
-from izoo.algos.residual import RESIDUAL, DirectAction, NominalDriver, Residual, ResidualAction, ResidualPolicy
+from izoo.algos.action import DirectAction, ResidualAction
+from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolicy
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.compose import compose_config
 from izoo.conf.options import TrainConfig
@@ -83,7 +84,7 @@ def act(algorithm: base.Algorithm, batch: TensorDict, kind: ExplorationType = Ex
 
 
 def test_nominal_is_glide_where_glide_commands() -> None:
-    # Red for 30 s more, 100 m ahead: 2 s of start lag make it 32 s, so glide asks for its floor speed of 5 m/s.
+    # Red for 30 s more, 100 m ahead: 2 s of start lag make it 32 s, so glide asks for its floor speed of 4 m/s.
     red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
     driver = NominalDriver(ENV)
     observation, mask = observe(**red).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)

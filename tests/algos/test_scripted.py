@@ -6,6 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from izoo.algos import DRIVER_NAMES
 from izoo.algos.scripted import (
     DRIVERS,
     ConstantSpeed,
@@ -42,9 +43,14 @@ def observation(**values: float) -> torch.Tensor:
         "context_green_s": 30.0 / feature("green_s").scale,
         "context_red_s": 30.0 / feature("red_s").scale,
         "context_speed_limit_mps": 15.0 / feature("speed_limit_mps").scale,
+        "context_lane_count": 1.0 / feature("lane_count").scale,
     }
     scale = {"speed": SPEED_SCALE_MPS, "stop_line_distance": DISTANCE_SCALE_M, "leader_distance": DISTANCE_SCALE_M}
-    scale |= {"leader_speed": SPEED_SCALE_MPS, "signal_time_left": TIME_SCALE_S}
+    scale |= {
+        "context_lane_count": feature("lane_count").scale,
+        "leader_speed": SPEED_SCALE_MPS,
+        "signal_time_left": TIME_SCALE_S,
+    }
     base |= {name: value / scale.get(name, 1.0) for name, value in values.items()}
     row = torch.zeros(len(NAMES))
     for name, value in base.items():
@@ -93,6 +99,10 @@ def test_constant_speed_reaches_its_speed_in_one_step_within_the_bounds() -> Non
     step = ConstantSpeed(CONFIG, 10.0)(as_step(observation(speed=9.5), observation(speed=0.0), observation(speed=15.0)))
     assert step["agents", "action"].squeeze(-1).tolist() == pytest.approx([1.0, 2.6, -4.5], abs=1e-5)
     assert not step["agents", "defer"].any()
+
+
+def test_the_names_of_drivers_are_those_of_the_table() -> None:
+    assert tuple(DRIVERS) == DRIVER_NAMES
 
 
 @pytest.mark.parametrize("name", DRIVERS)
@@ -151,14 +161,19 @@ def test_glide_waits_for_the_queue_and_skips_a_green_that_it_uses_up() -> None:
         {"stop_line_distance": 30.0, "location_approaching": 0.0, "location_leaving": 1.0},  # already past
         {"leader_present": 1.0, "leader_distance": 10.0, "leader_speed": 15.0},  # following closely
         {"stop_line_distance": -320.0, "signal_time_left": 19.0},  # would be early by less than two seconds
+        {"context_lane_count": 2.0},  # cannot know which lane others choose
     ],
 )
 def test_glide_leaves_alone_whoever_need_not_slow(values: dict[str, float]) -> None:
     assert advise(observation(**values))[1].tolist() == [True]
 
 
+def test_glide_drives_on_wider_approaches_when_told_to() -> None:
+    assert advise(observation(context_lane_count=2.0), settings=GlideConfig(max_lanes=2))[1].tolist() == [False]
+
+
 def test_glide_never_advises_below_its_floor() -> None:
-    row = observation(speed=5.0, signal_time_left=60.0, signal_second_green=120.0 / TIME_SCALE_S)
+    row = observation(speed=4.0, signal_time_left=60.0, signal_second_green=120.0 / TIME_SCALE_S)
     accel, idle = advise(row)
     assert not idle.any()
     assert accel.tolist() == pytest.approx([0.0], abs=1e-5)

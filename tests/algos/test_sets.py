@@ -12,8 +12,9 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
-from izoo.algos.gcrl import GCRL, GCRLConfig
-from izoo.algos.mappo import MAPPO, MAPPOConfig
+from izoo.algos.gcrl import GCRL
+from izoo.algos.mappo import MAPPO
+from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig
 from izoo.algos.sets import COLUMN, FRAME, SetPPO, places
 from tests.algos.frames import FEATURES, HIGH, LOW, act, alone, hand_advantages, make_frames
 
@@ -193,6 +194,17 @@ def test_policy_without_a_batch_dimension(kind: str) -> None:
     algorithm, batch = make(kind), make_frames()
     acted = act(algorithm, batch[0, 0])
     assert acted[base.ACTION].shape == (4, 1)
+
+
+def test_a_copied_policy_acts_by_its_own_weights(kind: str) -> None:
+    algorithm, batch = make(kind), make_frames()
+    mask, before = batch[base.MASK], act(algorithm, batch)[base.LOC]
+    other = copy.deepcopy(algorithm.policy)
+    with torch.no_grad():
+        for parameter in algorithm.policy.parameters():
+            parameter.zero_()
+        assert torch.equal(other(batch.clone())[base.LOC], before)
+    assert not act(algorithm, batch)[base.LOC][mask].any()
 
 
 def test_state_restores_the_very_next_update(kind: str) -> None:

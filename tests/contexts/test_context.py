@@ -10,8 +10,10 @@ import torch
 
 from izoo.contexts import catalogue
 from izoo.contexts.procedural import procedural_context
+from izoo.contexts.source import as_schedule
 from izoo.envs.config import EnvConfig
 from izoo.envs.specs import context_spec, observation_spec
+from izoo.errors import IzooError
 
 
 def test_to_tensordict_holds_the_observed_features_of_the_episode():
@@ -37,3 +39,11 @@ def test_its_keys_and_shapes_are_those_of_an_environment():
 def test_contexts_do_without_torch():
     code = "import sys, izoo.contexts.catalogue as c; c.get(5).content_hash; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("contexts", "kind"), [("salt_lake_city", "a str;"), (["atlanta"], "a list of str;"), (3, "an? int;")]
+)
+def test_what_is_no_context_is_refused_by_its_type(contexts: object, kind: str) -> None:
+    with pytest.raises(IzooError, match=f"contexts is {kind}.*give a Context"):
+        as_schedule(contexts, seed=0)  # type: ignore[arg-type]

@@ -268,6 +268,27 @@ def test_step_before_reset(make: Make, parallel: bool) -> None:
     assert env.reset()["agents", "mask"].shape[-1] == 64
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("action", None, r"'action'\) is missing; give accelerations in m/s\^2"),
+        ("action", torch.zeros(64), r"float32 of shape \[64\].*shape \[64, 1\]"),
+        ("action", torch.zeros(64, 1, dtype=torch.long), "int64.*float tensor"),
+        ("defer", torch.zeros(64, 2, dtype=torch.bool), r"'defer'\) is of shape \[64, 2\]; give flags of shape \[64\]"),
+        ("lane_change", None, r"'lane_change'\) is missing; with lane_change=True"),
+        ("lane_change", torch.zeros(64, 1, dtype=torch.long), r"shape \[64, 1\].*shape \[64\]: 0 right"),
+        ("lane_change", torch.ones(64), "float32"),
+        ("lane_change", torch.full((64,), 3), r"values \[3\]"),
+    ],
+)
+def test_bad_actions_are_refused(make: Make, key: str, value: torch.Tensor | None, message: str) -> None:
+    env = make(config=short(lane_change=True))
+    action = env.reset().update(env.full_action_spec.zero())
+    agents = dict(action["agents"].exclude(key).items()) | ({} if value is None else {key: value})
+    with pytest.raises(IzooError, match=message):
+        env._step(TensorDict({"agents": TensorDict(agents, [64])}, []))
+
+
 def test_two_in_one_process(make: Make) -> None:
     one, two = make(), make()
     one.reset()

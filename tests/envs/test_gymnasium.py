@@ -219,6 +219,49 @@ def test_bad_actions_are_refused(
     env.step(forward(env))
 
 
+@pytest.mark.filterwarnings("ignore:.*Box:UserWarning", "ignore:.*symmetric:UserWarning")
+@pytest.mark.parametrize("name", IDS)
+def test_lane_changes(name: str) -> None:
+    """Gymnasium's own check of the dictionary of actions, and what it refuses."""
+    env = make(name, config=short(lane_change=True), in_process=True)
+    shape = env.action_space["acceleration"].shape
+    good = {"acceleration": np.zeros(shape, np.float32), "lane_change": np.ones(shape, np.int64)}
+    if name == EGO:
+        good["lane_change"] = np.int64(1)
+    try:
+        check_env(env, skip_render_check=True)
+        env.reset(seed=0)
+        for bad, message in (
+            (good["acceleration"], r"is a ndarray; .*dictionary of 'acceleration'.*'lane_change'"),
+            ({"acceleration": good["acceleration"]}, r"has the keys \['acceleration'\]"),
+            (good | {"defer": 1}, "'defer'"),
+            (good | {"lane_change": good["lane_change"] * 3}, r"values \[3\].*0 right, 1 keep, 2 left"),
+            (good | {"lane_change": good["lane_change"] * 0.5}, r"float64.*whole numbers"),
+            (good | {"lane_change": np.ones(3, np.int64)}, r"shape \[3\]"),
+            (
+                good | {"acceleration": np.zeros(3, np.float32)},
+                r"'acceleration' of the action is float32 of shape \[3\]",
+            ),
+        ):
+            with pytest.raises(IzooError, match=message):
+                env.step(bad)
+        env.step(good)
+    finally:
+        env.close()
+
+
+def test_vector_with_lane_changes() -> None:
+    envs = gymnasium.make_vec(JOINT, 2, contexts=crossing(), config=short(lane_change=True))
+    try:
+        envs.reset(seed=0)
+        action = envs.action_space.sample()
+        assert action["lane_change"].shape == (2, 64)
+        observation, *_ = envs.step(action)
+        assert observation in envs.observation_space
+    finally:
+        envs.close()
+
+
 @pytest.mark.parametrize("name", IDS)
 def test_step_before_reset_is_refused(name: str) -> None:
     env = make(name)
@@ -265,8 +308,6 @@ def test_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         gymnasium.make(JOINT, horizon=3)
     with pytest.raises(IzooError, match="rgb_array, human"):
         izoo.envs.gymnasium.EcoDrivingJoint(render_mode="ansi")
-    with pytest.raises(IzooError, match="lane_change=True"):
-        make(JOINT, config=short(lane_change=True))
     with pytest.raises(IzooError, match=r"EnvConfig"):
         make(JOINT, config={"horizon_s": 3})
     with pytest.raises(IzooError, match="others is a str"):

@@ -47,6 +47,21 @@ def test_api(env: EcoDrivingParallel) -> None:
     parallel_api_test(env, 200)
 
 
+@pytest.mark.filterwarnings("ignore:unknown reset option", "ignore:No agents present")
+def test_api_with_lane_changes() -> None:
+    env = parallel_env(crossing(), short(lane_change=True), in_process=True)
+    try:
+        parallel_api_test(env, 100)
+        env.reset(seed=1)
+        agent = env.agents[0]
+        actions = {other: env.action_space(other).sample() for other in env.agents}
+        with pytest.raises(IzooError, match=rf"the action of {agent} is a ndarray.*'lane_change'"):
+            env.step(actions | {agent: np.zeros(1, np.float32)})
+        env.step(actions)
+    finally:
+        env.close()
+
+
 def test_seeds() -> None:
     """Two environments side by side in one process."""
     parallel_seed_test(functools.partial(parallel_env, crossing(), short(horizon_s=25.0)))

@@ -239,6 +239,8 @@ def test_close_leaves_nothing() -> None:
     assert not shared_segments(pids) and len(folders_of(pids)) == 2
     env.close()
     env.close()
+    with pytest.raises(IzooError, match="is closed; make another one"):
+        env.reset()
     assert not wait_until_gone(pids)
     assert not folders_of(pids)
     del env

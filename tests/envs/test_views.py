@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
 from typing import Any
 
 import gymnasium
@@ -12,10 +12,10 @@ import torch
 
 import izoo.envs
 from izoo.contexts.source import RoundRobinSchedule
-from izoo.envs import EcoDrivingEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.host import Host
 from izoo.envs.layout import LANE_POSITION, NUMBER, REGION_LANE, SPEED
-from tests.envs.worlds import crossing, episode, short, steer, steering
+from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 
 SEED = 9
 CONFIG = short(horizon_s=80.0)
@@ -23,11 +23,24 @@ Positions = dict[float, dict[int, tuple[int, float, float]]]
 """Per time, of every vehicle: lane, position on it, speed."""
 
 
+CHANGING = dataclasses.replace(CONFIG, lane_change=True)
+
+
 @pytest.fixture(scope="module")
-def expected() -> Iterator[dict[str, Any]]:
-    env = EcoDrivingEnv(RoundRobinSchedule([crossing()], SEED), config=CONFIG)
+def expected() -> dict[str, Any]:
+    return played(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def expected_with_lanes() -> dict[str, Any]:
+    return played(CHANGING)
+
+
+def played(config: EnvConfig) -> dict[str, Any]:
+    """Play the episode in the TorchRL environment."""
+    env = EcoDrivingEnv(RoundRobinSchedule([crossing()], SEED), config=config)
     try:
-        frames = episode(env)
+        frames = episode(env, steer_and_change if config.lane_change else steer)
     finally:
         env.close()
     following = frames["next"]
@@ -37,7 +50,7 @@ def expected() -> Iterator[dict[str, Any]]:
         names = ("vehicle_number", "region_lane", "lane_position_m", "speed_mps")
         columns = [vehicles[name][present].tolist() for name in names]
         positions[5.5 + 0.5 * t] = {number: state for number, *state in zip(*columns, strict=True)}  # type: ignore[misc]
-    yield {"frames": frames, "positions": positions}
+    return {"frames": frames, "positions": positions}
 
 
 def positions_now(host: Host) -> dict[int, list[float]]:
@@ -102,6 +115,72 @@ def test_ego(expected: dict[str, Any]) -> None:
             while not ended:
                 observation, _, terminated, truncated, step = env.step(accelerations(observation))
                 assert positions_now(env.host) == expected["positions"][step["time_s"]]
+                ended, compared = terminated or truncated, compared + 1
+            observation, info = env.reset()
+        assert compared > 60
+    finally:
+        env.close()
+
+
+# -- with lane changes -------------------------------------------------------------------------------------------------
+
+
+def both(observation: np.ndarray) -> dict[str, Any]:
+    """The action of one vehicle ``[F]``, or of all ``[A, F]``."""
+    lanes = choose_lanes(torch.from_numpy(observation)).numpy()
+    acceleration = accelerations(observation)
+    if observation.ndim == 1:
+        return {"acceleration": acceleration, "lane_change": np.int64(lanes)}
+    return {"acceleration": acceleration.squeeze(-1), "lane_change": lanes}
+
+
+def test_lane_changes_matter(expected: dict[str, Any], expected_with_lanes: dict[str, Any]) -> None:
+    times = list(expected["positions"])
+    differ = [expected["positions"][time] != expected_with_lanes["positions"][time] for time in times]
+    assert sum(differ) > len(times) / 2
+
+
+def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
+    env = izoo.envs.gymnasium.EcoDrivingJoint(crossing(), CHANGING, in_process=True)
+    try:
+        observation, _ = env.reset(seed=SEED)
+        truncated = False
+        while not truncated:
+            action = both(observation["observation"])
+            assert action in env.action_space
+            observation, _, _, truncated, info = env.step(action)
+            assert positions_now(env.host) == expected_with_lanes["positions"][info["time_s"]]
+    finally:
+        env.close()
+
+
+def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
+    pytest.importorskip("pettingzoo")
+    from izoo.envs.pettingzoo import parallel_env
+
+    env = parallel_env(crossing(), CHANGING, SEED, in_process=True)
+    try:
+        observations, _ = env.reset()
+        while env.agents:
+            actions = {agent: both(observations[agent]) for agent in env.agents}
+            assert all(action in env.action_space(agent) for agent, action in actions.items())
+            observations, *_ = env.step(actions)
+            assert positions_now(env.host) == expected_with_lanes["positions"][env.host.time_s]
+        assert env.host.steps == CHANGING.control_steps
+    finally:
+        env.close()
+
+
+def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
+    env = izoo.envs.gymnasium.EcoDrivingEgo(crossing(), CHANGING, others=steer_and_change, in_process=True)
+    try:
+        observation, info = env.reset(seed=SEED)
+        compared = 0
+        while info["episode"] == 0:
+            ended = False
+            while not ended:
+                observation, _, terminated, truncated, step = env.step(both(observation))
+                assert positions_now(env.host) == expected_with_lanes["positions"][step["time_s"]]
                 ended, compared = terminated or truncated, compared + 1
             observation, info = env.reset()
         assert compared > 60

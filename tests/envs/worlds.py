@@ -56,6 +56,17 @@ def steering(observation: torch.Tensor) -> torch.Tensor:
     return action.clamp(-4.5, 2.6).unsqueeze(-1)
 
 
+def choose_lanes(observation: torch.Tensor) -> torch.Tensor:
+    """A fixed function from observations ``[*B, A, F]`` to lane changes ``[*B, A]``, each of the three now and then."""
+    return (torch.round(observation[..., 1] * 250.0).long() // 7) % 3
+
+
+def steer_and_change(tensordict: TensorDictBase) -> TensorDictBase:
+    """Command acceleration and lane of every CV with fixed functions of what it observes."""
+    tensordict["agents", "lane_change"] = choose_lanes(tensordict["agents", "observation"])
+    return steer(tensordict)
+
+
 def steer(tensordict: TensorDictBase) -> TensorDictBase:
     """Command every CV with a fixed function of what it observes."""
     return set_action(tensordict, steering(tensordict["agents", "observation"]))

@@ -12,7 +12,7 @@ import yaml
 import izoo.conf
 from izoo.conf.contexts import PcgContexts
 from izoo.contexts.source import ContextList
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluate import main
 from izoo.evaluation.command import choose_contexts, merge_env, resolve
@@ -71,6 +71,9 @@ def test_a_run_keeps_its_environment_but_for_what_is_given() -> None:
     assert merge_env(trained, chosen, frozenset()) == trained
     merged = merge_env(trained, chosen, frozenset({"env.horizon_s", "contexts"}))
     assert merged == EnvConfig(num_agents=7, step_s=1.0, horizon_s=300.0)
+    paid = EnvConfig(reward=RewardConfig(eta=0.5, beta=-1.0))
+    merged = merge_env(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}))
+    assert merged.reward == RewardConfig(eta=0.5, beta=-1.0, alpha=-1.0), "one option of a group leaves the others"
 
 
 def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
+from rich.console import Console
 
 from izoo.algos.scripted import UncommandedDriver
 from izoo.contexts.context import Context
 from izoo.errors import IzooError
-from izoo.evaluation import approach_table, evaluate_policy, summarise
+from izoo.evaluation import approach_table, evaluate_policy, print_summary, summarise
 from izoo.evaluation.cache import EpisodeCache, baseline_context
+from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.table import COLUMNS, read_csv
 from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
@@ -55,6 +60,34 @@ def test_rows_do_not_depend_on_the_workers(table: pd.DataFrame, contexts: list[C
     assert_frame_equal(read_csv(tmp_path / "evaluation.csv"), other, check_exact=True)
     assert json.loads((tmp_path / "summary.json").read_text()) == summarise(other)
     assert not (tmp_path / "evaluation.partial.jsonl").exists()
+
+
+SCRIPT = """
+import torch
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EnvConfig
+from izoo.evaluation import evaluate_policy
+
+print("begins")
+
+class Steady(torch.nn.Module):
+    def forward(self, tensordict):
+        return tensordict.set(("agents", "action"), torch.ones(*tensordict["agents", "mask"].shape, 1))
+
+config = EnvConfig(horizon_s=10.0, warmup_s=5.0)
+table = evaluate_policy(Steady(), [procedural_context(adoption=1.0)], [1, 2], config, num_workers=2, cache="cache")
+print("rows", len(table))
+"""
+
+
+def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
+    """Workers do not run the user's script again, and classes that it defines reach them."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("begins") == 1
+    assert "rows 6" in done.stdout
+    assert "Traceback" not in done.stderr
 
 
 def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cache: Path) -> None:
@@ -105,6 +138,12 @@ def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts
     assert (chosen["nan_actions"] == chosen["agent_steps"]).all()
     assert (chosen["nan_actions"] > 0).any()
     assert (chosen["emission_g"].to_numpy() == reference["emission_g"].to_numpy()).all()
+    summary = summarise(lost)
+    assert summary["scores"]["policy"]["nan_share"] == 1.0
+    console = Console(file=io.StringIO(), width=200)
+    print_summary(summary, console)
+    assert "policy: 100 % of its commands were NaN; SUMO drove those vehicles." in console.file.getvalue()
+    assert "uncommanded: " not in console.file.getvalue()
 
 
 def test_an_interrupted_evaluation_goes_on_where_it_stopped(
@@ -209,3 +248,19 @@ def test_policies_that_cannot_be_used_are_refused(policy, name: str | None, mess
 def test_nothing_to_evaluate_is_refused(easy: Context) -> None:
     with pytest.raises(IzooError, match="one or more"):
         evaluate_policy("human", [easy], [], SHORT)
+
+
+def test_rows_of_other_weights_are_forgotten_before_anything_is_played(table: pd.DataFrame, tmp_path: Path) -> None:
+    rows = table[table["policy"] == "policy"].to_dict("records")
+
+    def opened(fingerprint: str, new: list[dict]) -> set[tuple[str, str, int]]:  # type: ignore[type-arg]
+        folder = ResultFolder(tmp_path, {"env": {}})
+        with folder.open("policy", fingerprint):
+            found = set(folder.done)
+            folder.add(new)
+        return found
+
+    assert opened("old", rows) == set()
+    assert len(opened("old", [])) == len(rows)
+    assert opened("new", []) == set()
+    assert opened("new", []) == set(), "the first weights' rows came back as those of the second"

@@ -67,6 +67,10 @@ def test_unreadable_tables_are_refused(contexts: list[Context], tmp_path: Path) 
     make_table(rows(contexts)).drop(columns="crossed").to_csv(tmp_path / "old.csv", index=False)
     with pytest.raises(IzooError, match=r"lacks the column\(s\) crossed"):
         read_csv(tmp_path / "old.csv")
+    write_csv(make_table(rows(contexts)), tmp_path / "whole.csv")
+    (tmp_path / "cut.csv").write_bytes((tmp_path / "whole.csv").read_bytes()[:-20])
+    with pytest.raises(IzooError, match="cut short"):
+        read_csv(tmp_path / "cut.csv")
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:

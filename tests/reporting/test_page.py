@@ -1,67 +1,211 @@
-"""The page of a real, small evaluation: whole, self-contained, and honest about what it lacks."""
+"""The page of real results: whole, self-contained, and honest about what it lacks."""
 
 from __future__ import annotations
 
+import base64
+import gzip
+import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from izoo.evaluation import evaluate_policy
-from izoo.report import main
-from izoo.reporting.figures import cut_height, histogram
-from tests.evaluation.conftest import SHORT, contexts
+from izoo.report import main, parse
+from izoo.reporting.collect import collect
+from tests.reporting.folders import METRICS, benchmark, rename_policy
 
-__all__ = ["contexts"]
+VOID = {"meta", "link", "input"}
+HOSTILE = "<script>alert(1)</script>"
 
 
 class Balance(HTMLParser):
-    """Raises where tags do not nest."""
+    """Raises where tags do not nest; counts the elements."""
 
     def __init__(self) -> None:
         super().__init__()
         self.open: list[str] = []
+        self.count: dict[str, int] = {}
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        if tag not in {"meta"}:
+        self.count[tag] = self.count.get(tag, 0) + 1
+        if tag not in VOID:
             self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: object) -> None:
-        """Nothing stays open."""
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
 
 
-def test_page_of_an_evaluation(contexts, tmp_path: Path) -> None:
-    folder = tmp_path / "a <folder> & more"
-    evaluate_policy("glide", contexts, [1, 2], SHORT, 0, folder, False, cache=tmp_path / "cache")
-    assert main([str(folder)]) == 0
-    text = (folder / "report.html").read_text()
+def content_of(page: Path) -> dict:
+    """What the page's scripts draw."""
+    packed = re.search(r'id="content-pack">([^<]*)<', page.read_text())
+    assert packed is not None
+    return json.loads(gzip.decompress(base64.b64decode(packed[1])))
+
+
+def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
+    text = page.read_text()
     parser = Balance()
     parser.feed(text)
     assert parser.open == []
-    assert "<h1>a &lt;folder&gt; &amp; more</h1>" in text
-    assert not re.search(r"""(src|href)=["'](?!#)""", text)
-    assert text.count("<svg") == 4
-    assert text.count("glide against human") == 1
+    assert parser.count["script"] == 5  # the library, the content, two replays, and the program
+    assert not re.search(r"""<[^>]*\s(src|href)=["'](?!#|data:)""", text)
+    assert page.stat().st_size < 3_000_000
+    content = content_of(page)
+    assert content["rows"]["policy"] == ["glide"] * 2 + ["uncommanded"] * 2
+    assert [scene["which"] for scene in content["scenes"]] == ["best", "worst"]
+    assert {"forest", "profiles", "histogram-0", "histogram-1", "published"} == set(content["figures"])
+    assert all(figure["alt"] for figure in content["figures"].values())
     assert "-1.85 %" in text
-    first = (folder / "report.html").read_bytes()
+    assert "248 of 1048" in text
+
+
+def test_the_same_results_give_the_same_page(page: Path, evaluation: Path, tmp_path: Path, capsys) -> None:
+    again = tmp_path / "new" / "page.html"
+    assert main([str(evaluation), f"out={again}"]) == 0
+    assert again.read_bytes() == page.read_bytes()
+    assert "Replaying" not in capsys.readouterr().out  # they lie in the folder
+
+
+def test_names_from_files_stay_text(evaluation: Path, tmp_path: Path) -> None:
+    folder = rename_policy(evaluation, tmp_path / "results", "glide", HOSTILE)
+    assert main([str(folder), f"title={HOSTILE}", "replay=false"]) == 0
+    text = (folder / "report.html").read_text()
+    assert HOSTILE not in text
+    assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;</h1>" in text
+    figures = json.dumps(content_of(folder / "report.html")["figures"]["forest"]["data"])
+    assert "<script" not in figures
+
+
+def test_page_of_a_benchmark(evaluation: Path, tmp_path: Path) -> None:
+    folder = benchmark(evaluation, tmp_path / "results")
     assert main([str(folder)]) == 0
-    assert (folder / "report.html").read_bytes() == first
+    text = (folder / "report.html").read_text()
+    assert "<h1>here -&gt; there</h1>" in text
+    assert "best of 2 seeds (the paper&#39;s form)" in text
+    # Weights that are not there cannot be replayed, which is said; scripted drivers can.
+    assert "holds no checkpoint" in text
+    content = content_of(folder / "report.html")
+    assert {scene["name"] for scene in content["scenes"]} == {"glide"}
+    assert {"curve-validation-0", "curve-return", "histogram-0-best"} <= set(content["figures"])
+    rows = content["rows"]
+    runs = dict(zip(rows["policy"], rows["runs"], strict=True))
+    assert runs == {"ppo": 2, "glide": 1, "uncommanded": 1}
+    ours = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "ppo"]
+    glide = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "glide"]
+    # One run emits as glide does, the other nine tenths of it; the mean of both is shown.
+    assert ours == pytest.approx([1.0 - 0.95 * (1.0 - b) for b in glide], abs=1e-5)
 
 
-def test_a_folder_without_an_evaluation_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_of_a_run_without_evaluation(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.yaml").write_text("seed: 0\n")
+    (run / "metrics.csv").write_text(METRICS)
+    assert main([str(run)]) == 0
+    text = (run / "report.html").read_text()
+    assert "No evaluation yet" in text
+    assert 'data-figure="curve-return"' in text
+
+
+def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(evaluation, tmp_path / "run"))
+    (run / "config.yaml").write_text("seed: 0\n")
+    (run / "metrics.csv").write_text(METRICS)
+    material = collect(run)
+    assert {entry.name for entry in material.entries} == {"glide", "uncommanded"}
+    assert [curve.name for curve in material.curves] == ["run"]
+    shutil.copytree(evaluation, run / "evaluations" / "other")
+    names = {entry.name for entry in collect(run).entries}
+    assert names >= {"glide on training contexts", "glide on other"}
+
+
+def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
+    header = "point,train_seed,kind,emission_g_per_vehicle,travel_time_s_per_vehicle,throughput_kept"
+    (tmp_path / "tradeoffs.csv").write_text(f"{header}\nhuman,,human,100,40,True\n")
     assert main([str(tmp_path)]) == 2
-    assert "has no evaluation.csv" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert "lacks the column(s) on_front" in capsys.readouterr().err
+    (tmp_path / "tradeoffs.csv").write_text(f"{header},on_front\nhuman,,human,100,40,True,True\n")
+    assert main([str(tmp_path)]) == 0
+    assert 'data-figure="pareto"' in (tmp_path / "report.html").read_text()
+    assert "pareto" in content_of(tmp_path / "report.html")["figures"]
 
 
-def test_tall_bars_are_cut_and_their_count_printed() -> None:
-    assert cut_height(np.array([5, 40, 6])) == 12
-    assert cut_height(np.array([5, 8, 6])) == 8
-    text = histogram(np.concatenate([np.zeros(40), np.full(6, 0.2), [7.0]]), "a -> b")
-    assert ">40<" in text
-    assert "(n = 47)" in text
+@pytest.mark.parametrize(
+    ("break_it", "message"),
+    [
+        (lambda folder: shutil.rmtree(folder), "is no folder"),
+        (lambda folder: [path.unlink() for path in folder.iterdir() if path.is_file()], "holds no results"),
+        (lambda folder: (folder / "evaluation.csv").unlink(), "has no evaluation.csv"),
+        (lambda folder: (folder / "evaluation.json").unlink(), "has no evaluation.json"),
+        (lambda folder: (folder / "evaluation.json").write_text("{"), "is damaged"),
+        (lambda folder: _rename_key(folder / "evaluation.json", "policies"), "is damaged"),
+        (lambda folder: (folder / "evaluation.csv").write_text("policy\nhuman\n"), "lacks the column"),
+        (lambda folder: (folder / "evaluation.partial.jsonl").write_text("[]\n"), "interrupted"),
+        (lambda folder: (folder / "results.json").write_text('{"format": "other"}'), "another version"),
+        (lambda folder: _drop_rows(folder, "human"), "no rows of human driving"),
+    ],
+)
+def test_half_written_and_foreign_folders_are_refused(
+    evaluation: Path, tmp_path: Path, capsys, break_it, message: str
+) -> None:
+    folder = tmp_path / "results"
+    shutil.copytree(evaluation, folder)
+    (folder / "report.html").unlink(missing_ok=True)
+    break_it(folder)
+    before = sorted(tmp_path.rglob("*"))
+    assert main([str(folder)]) == 2
+    assert message in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def _rename_key(path: Path, key: str) -> None:
+    path.write_text(path.read_text().replace(f'"{key}"', '"other"'))
+
+
+def _drop_rows(folder: Path, policy: str) -> None:
+    lines = (folder / "evaluation.csv").read_text().splitlines()
+    (folder / "evaluation.csv").write_text("\n".join(line for line in lines if not line.startswith(policy)) + "\n")
+
+
+def test_an_unfinished_benchmark_is_refused_unless_asked_for(evaluation: Path, tmp_path: Path, capsys) -> None:
+    folder = benchmark(evaluation, tmp_path / "results", status="training")
+    assert main([str(folder)]) == 2
+    assert "ppo seed 1 (training)" in capsys.readouterr().err
+    assert not (folder / "report.html").exists()
+    assert main([str(folder), "partial=true", "replay=false"]) == 0
+    assert "Unfinished: ppo seed 1 (training)" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize("place", ["../{name}", "{absolute}"])
+def test_an_index_does_not_lead_out_of_its_folder(evaluation: Path, tmp_path: Path, capsys, place: str) -> None:
+    folder = benchmark(evaluation, tmp_path / "results")
+    outside = shutil.copytree(evaluation, tmp_path / "outside")
+    before = sorted(outside.rglob("*"))
+    index = folder / "results.json"
+    named = place.format(name="outside", absolute=outside)
+    index.write_text(index.read_text().replace("evaluation/glide/seed0", named))
+    assert main([str(folder)]) == 2
+    assert "outside of the folder" in capsys.readouterr().err
+    assert sorted(outside.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "give one folder"),
+        (["a", "b"], "give one folder"),
+        (["a", "repaly=true"], "repaly"),
+        (["a", "replay=perhaps"], "perhaps"),
+        (["a", "--out"], "--out"),
+    ],
+)
+def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None:
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_options() -> None:
+    options = parse(["results", "out=a=b.html", "title=one -> two", "replay=false", "imports=true"])
+    assert (str(options.out), options.title, options.replay, options.imports) == ("a=b.html", "one -> two", False, True)

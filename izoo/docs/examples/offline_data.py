@@ -1,4 +1,4 @@
-"""Offline data: store what a driver experiences, then sample agent-steps from a replay buffer.
+"""Offline data: store what a driver experiences in shards, then sample agent-steps from them without loading them.
 
 The same data from the shell: ``python -m izoo.collect policy=glide frames=20000 out=DIR``.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer
 
 from izoo import collect
 
@@ -35,17 +35,23 @@ def main(frames: int = 20_000, updates: int = 1000, horizon_s: float = 500.0, ou
     with tempfile.TemporaryDirectory() as folder:
         data = out or Path(folder) / "data"
         options = [f"frames={frames}", f"out={data}", f"env.horizon_s={horizon_s}", "env.emit=[]", "contexts=pcg_easy"]
-        if collect.main(["policy=random", *options]) != 0:
+        if collect.main(["policy=random", f"shard_frames={frames // 2}", *options]) != 0:
             raise SystemExit(1)
-        rows = transitions(collect.load(data))
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(len(rows)), batch_size=256)
-    buffer.extend(rows)
-    print(f"{frames} steps hold {len(rows)} agent-steps")
-    network = nn.Sequential(nn.Linear(rows["observation"].shape[-1], 64), nn.Tanh(), nn.Linear(64, 1))
+        buffer = collect.replay_buffer(data, batch_size=64)
+        print(f"{len(buffer)} steps lie in {len(buffer.storage.shards)} shards")
+        return clone(buffer, updates)
+
+
+def clone(buffer: TensorDictReplayBuffer, updates: int) -> list[float]:
+    """Fit a network to the driver's actions; return the losses."""
+    network = nn.Sequential(nn.LazyLinear(64), nn.Tanh(), nn.Linear(64, 1))
+    network(transitions(buffer[:1])["observation"])
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-    losses = []
-    for _ in range(updates):
-        batch = buffer.sample()
+    losses: list[float] = []
+    while len(losses) < updates:
+        batch = transitions(buffer.sample())
+        if len(batch) == 0:  # steps without controlled vehicles
+            continue
         loss = nn.functional.mse_loss(network(batch["observation"]), batch["action"])
         optimiser.zero_grad()
         loss.backward()

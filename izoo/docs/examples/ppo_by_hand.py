@@ -75,6 +75,7 @@ def main(
 ) -> list[float]:
     """Train; return the mean reward per CV and step of every batch."""
     torch.manual_seed(0)
+    torch.set_num_threads(1)  # networks this small gain nothing from threads, which take cores from the simulators
     config = EnvConfig(horizon_s=horizon_s, emit=())  # nothing but what is learnt from: less to copy
     contexts = ProceduralSource({"inflow_vph_per_lane": [250.0, 400.0], "adoption": 0.5})
     env = SumoParallelEnv(num_workers, contexts, config=config, seed=0)

@@ -1,0 +1,171 @@
+"""Fully connected policies compiled for one step: a few dozen agents per call, on one core.
+
+Computes what the torch modules do, which at this size spend most of their time on their way to the arithmetic. Each
+agent is computed alone, so what one of them does depends on no other's presence, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from numba import njit
+from torch import Tensor, nn
+
+from izoo.algos.base import ACTIVATIONS
+from izoo.emissions import kernel
+from izoo.emissions.kernel import fast_tanh
+from izoo.envs.stale import forget_stale_kernels
+
+forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
+
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+
+
+class Arrays:
+    """The linear layers of a network as arrays that share their memory, in the order in which they are applied.
+
+    Args:
+        network: of linear layers with one kind of activation.
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        self.linears = [module for module in network.modules() if isinstance(module, nn.Linear)]
+        places = {kind: place for place, kind in enumerate(ACTIVATIONS.values())}
+        self.activation = next(places[type(module)] for module in network.modules() if type(module) in places)
+
+    def layers(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now."""
+        parameters = [layer._parameters for layer in self.linears]
+        return (
+            tuple(own["weight"].detach().numpy() for own in parameters),  # type: ignore[union-attr]
+            tuple(own["bias"].detach().numpy() for own in parameters),  # type: ignore[union-attr]
+        )
+
+
+def compilable(observation: Tensor) -> bool:
+    """Return whether the compiled policies can act on ``observation`` here: float32 on the CPU, without gradients."""
+    return not torch.is_grad_enabled() and observation.device.type == "cpu" and observation.dtype == torch.float32
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def linear(x, weight, bias):  # type: ignore[no-untyped-def]
+    """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums run in an order that ``n`` does not change.
+
+    Sums run along the inputs, eight or more at a time, so one agent alone is as fast per agent as many; four outputs at
+    a time share what is read of the agent.
+    """
+    n, inputs = x.shape
+    outputs = bias.shape[0]
+    y = np.empty((n, outputs), np.float32)
+    whole = outputs - outputs % 4
+    for o in range(0, whole, 4):
+        w0, w1, w2, w3 = weight[o], weight[o + 1], weight[o + 2], weight[o + 3]
+        for j in range(n):
+            own = x[j]
+            s0, s1, s2, s3 = _ZERO, _ZERO, _ZERO, _ZERO
+            for i in range(inputs):
+                s0 += w0[i] * own[i]
+                s1 += w1[i] * own[i]
+                s2 += w2[i] * own[i]
+                s3 += w3[i] * own[i]
+            y[j, o], y[j, o + 1] = s0 + bias[o], s1 + bias[o + 1]
+            y[j, o + 2], y[j, o + 3] = s2 + bias[o + 2], s3 + bias[o + 3]
+    for o in range(whole, outputs):
+        w = weight[o]
+        for j in range(n):
+            own = x[j]
+            s = _ZERO
+            for i in range(inputs):
+                s += w[i] * own[i]
+            y[j, o] = s + bias[o]
+    return y
+
+
+@njit(cache=True, error_model="numpy")
+def activate(values, activation):  # type: ignore[no-untyped-def]
+    """Apply the activation at this place of :data:`izoo.algos.base.ACTIVATIONS` to ``values [m]`` in place."""
+    if activation == 0:
+        for k in range(values.shape[0]):
+            values[k] = fast_tanh(values[k])
+    elif activation == 1:
+        for k in range(values.shape[0]):
+            values[k] = max(values[k], _ZERO)
+    else:
+        for k in range(values.shape[0]):
+            values[k] = values[k] / (_ONE + np.exp(-values[k]))
+
+
+@njit(cache=True)
+def _softplus(x):  # type: ignore[no-untyped-def]
+    return x + math.log1p(math.exp(-x)) if x > 0.0 else math.log1p(math.exp(x))
+
+
+@njit(cache=True, error_model="numpy")
+def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
+    """Return ``[n, O]``: a fully connected network on ``x [n, I]``, with activations between its layers."""
+    for layer in range(len(weights)):
+        x = linear(x, weights[layer], biases[layer])
+        if layer < len(weights) - 1:
+            activate(x.reshape(-1), activation)
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
+    """Draw for the agents ``rows [r]``; empty slots get median 0, spread 1, action 0 and log-probability 0.
+
+    Args:
+        parameters: ``[r, 2]`` a network's outputs.
+        rows: ``[r]`` their places among the ``n`` slots.
+        spread: ``(offset, summand, floor)``: the spread is ``max(softplus(output + offset) + summand, floor)``.
+        bounds: ``(low, high)`` of the action.
+        noise: ``[n]`` standard normal numbers.
+        out: ``[4, n]`` outputs: median and spread before the tanh, action, log-probability.
+    """
+    offset, summand, floor = spread
+    middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
+    constant = -0.5 * math.log(2.0 * math.pi) - 2.0 * math.log(2.0) - math.log(half)
+    out[0] = 0.0
+    out[1] = 1.0
+    out[2:] = 0.0
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        scale = max(_softplus(parameters[j, 1] + offset) + summand, floor)
+        raw = parameters[j, 0] + scale * noise[r]
+        out[0, r] = parameters[j, 0]
+        out[1, r] = scale
+        out[2, r] = middle + half * math.tanh(raw)
+        # log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)), which does not lose precision far from 0.
+        out[3, r] = constant - 0.5 * noise[r] * noise[r] - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
+
+
+@njit(cache=True, error_model="numpy")
+def act(observation, mask, weights, biases, activation, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
+    """Act for every agent by a fully connected network; what empty slots hold does not matter.
+
+    Args:
+        observation: ``[n, F]``.
+        mask: ``[M, A]``, ``n`` in all, uint8: the slot holds an agent.
+        weights, biases: tuples of the layers' ``[O, I]`` and ``[O]``; the last layer has two outputs.
+        activation: place in :data:`izoo.algos.base.ACTIVATIONS`.
+        spread, bounds, noise, out: see :func:`sample`.
+    """
+    rows = np.flatnonzero(mask)
+    sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, noise, out)
+
+
+@njit(cache=True, error_model="numpy")
+def act_squashed(observation, mask, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
+    """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0.
+
+    The other arguments are those of :func:`act`.
+    """
+    rows = np.flatnonzero(mask)
+    raw = layers(observation[rows], weights, biases, activation)
+    middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
+    out[:] = 0.0
+    for j in range(rows.shape[0]):
+        out[rows[j]] = middle + half * math.tanh(raw[j, 0])

@@ -1,0 +1,204 @@
+"""Hyper-parameters of PPO and of what is built on it: MAPPO and graph RL.
+
+They are apart from the algorithms so that commands answer before PyTorch is loaded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from izoo.errors import IzooError, check_choice, check_range
+
+ACTIVATIONS = ("tanh", "relu", "silu")
+"""Names of the activations that networks may have."""
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
+
+    Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which
+    the paper used; "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs.
+
+    Attributes:
+        name: the algorithm.
+        frames_per_batch: environment steps, over all workers, between two updates (RLlib collects whole episodes on
+            ten workers here: 10 x 1,950; ours: 3,900, two episodes).
+        rows_per_epoch: agent-steps drawn at random, without replacement, for each epoch; ``null`` uses all (RLlib).
+            The agents of one step are paid alike and see much the same, so a part of them carries most of the
+            information (ours).
+        epochs: passes over the batch (RLlib 30; ours 4).
+        minibatch_rows: agent-steps per gradient step (RLlib 128; ours 1,024, for speed).
+        lr: Adam's learning rate (RLlib 5e-5; Schulman 3e-4; ours 5e-4, annealed).
+        anneal_lr: lower the learning rate linearly to 0 over the run (Schulman, Andrychowicz; RLlib does not).
+        gamma: discount per step of 0.5 s (RLlib 0.99: a horizon of 50 s; ours the same).
+        gae_lambda: trace decay of generalised advantage estimation (RLlib 1.0; Schulman 0.95, which is ours).
+        clip_epsilon: bound on the change of the probability ratio (RLlib 0.3; Schulman 0.2, which is ours).
+        value_coeff: weight of the value loss (RLlib 1.0; ours 0.5). The networks are separate, so with Adam it matters
+            for gradient clipping alone.
+        value_loss: ``l2`` (RLlib) or ``smooth_l1`` (ours: bounded gradients).
+        value_error_clip: squared value errors above this give no gradient (RLlib 10); ``null`` for none (ours).
+        entropy_coeff: weight of the entropy bonus (RLlib 0; ours the same).
+        kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
+        kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
+            0.01).
+        max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
+        reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
+            are of order 1 and the value function learns within a few batches).
+        hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
+        activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
+        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
+            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5).
+        initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
+    """
+
+    name: Literal["ppo"] = "ppo"
+    frames_per_batch: int = 3900
+    rows_per_epoch: int | None = 32768
+    epochs: int = 4
+    minibatch_rows: int = 1024
+    lr: float = 5e-4
+    anneal_lr: bool = True
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip_epsilon: float = 0.2
+    value_coeff: float = 0.5
+    value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
+    value_error_clip: float | None = None
+    entropy_coeff: float = 0.0
+    kl_coeff: float = 0.0
+    kl_target: float = 0.01
+    max_grad_norm: float | None = 0.5
+    reward_scale: float = 0.1
+    hidden: tuple[int, ...] = (128, 128)
+    activation: Literal["tanh", "relu", "silu"] = "tanh"
+    initial_accel_mps2: float = 0.5
+    initial_spread: float = 0.35
+
+    def __post_init__(self) -> None:
+        for name in ("frames_per_batch", "epochs", "minibatch_rows"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
+        if self.rows_per_epoch is not None:
+            check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
+        for name in ("gamma", "gae_lambda"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
+        for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
+            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_choice("algo.activation", self.activation, ACTIVATIONS)
+        if not self.hidden or min(self.hidden) < 1:
+            raise IzooError(
+                f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128]."
+            )
+
+    @classmethod
+    def paper(cls) -> PPOConfig:
+        """Return the preset ``paper``: RLlib 2.11's defaults, as the paper used them.
+
+        RLlib samples a normal distribution and clips it to the action range, where this squashes it with a tanh.
+        """
+        return cls(
+            frames_per_batch=19500,
+            rows_per_epoch=None,
+            epochs=30,
+            minibatch_rows=128,
+            lr=5e-5,
+            anneal_lr=False,
+            gae_lambda=1.0,
+            clip_epsilon=0.3,
+            value_coeff=1.0,
+            value_loss="l2",
+            value_error_clip=10.0,
+            kl_coeff=0.2,
+            max_grad_norm=None,
+            reward_scale=1.0,
+            hidden=(256, 256),
+            initial_accel_mps2=-0.95,
+            initial_spread=1.0,
+        )
+
+
+@dataclass(frozen=True)
+class MAPPOConfig(PPOConfig):
+    """Hyper-parameters of MAPPO: those of PPO, and of the critic over the set.
+
+    The paper names MAPPO but trains it with the defaults of RLlib 2.11, which has no such algorithm; the example it
+    ships (``rllib/examples/centralized_critic.py``) is PPO with another critic, for two agents. So the preset ``paper``
+    is PPO's, with the set critic as here.
+
+    Attributes:
+        name: the algorithm.
+        critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
+            output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
+        critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
+    """
+
+    name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
+    critic_queries: int = 4
+    critic_embedding: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range("algo.critic_queries", self.critic_queries, 1, 64)
+        check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
+
+    @classmethod
+    def paper(cls) -> MAPPOConfig:
+        """Return the preset ``paper``: RLlib 2.11's defaults of PPO, and the critic as here."""
+        return cls(**vars(PPOConfig.paper()) | {"name": "mappo"})
+
+
+@dataclass(frozen=True)
+class GCRLConfig(PPOConfig):
+    """Hyper-parameters of graph RL: those of PPO, and of the graph network.
+
+    Sources: "DGN" is arXiv 1810.09202, appendix; "released" is the IntersectionZoo code's ``ppo_gat_training.py``,
+    whose settings the preset ``paper`` takes. (There the nodes of a graph are the rows of a minibatch, whatever step or
+    episode they stem from, and actor and critic share the network; here nodes are the vehicles of one step, and actor
+    and critic share nothing.)
+
+    Attributes:
+        name: the algorithm.
+        neighbours: how many of the nearest vehicles are neighbours, ties included; ``null``: all (DGN 3; released: all;
+            ours 4).
+        range_m: vehicles farther away than this are no neighbours; ``null``: any distance (DGN and released: none; ours
+            100, the order of the distances over which one driver's speed reaches those behind).
+        layers: convolutions (DGN 2; released 2; ours 2).
+        heads: attention heads per convolution (DGN 8; released 4; ours 4).
+        hidden: widths of the encoder's layers; the last is also that of every convolution, shared among its heads (DGN
+            512, 128; released 64, where each head is that wide; ours 128, 128).
+    """
+
+    name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
+    neighbours: int | None = 4
+    range_m: float | None = 100.0
+    layers: int = 2
+    heads: int = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.neighbours is not None:
+            check_range("algo.neighbours", self.neighbours, 0, 4096)
+        if self.range_m is not None:
+            check_range("algo.range_m", self.range_m, 0.0, 1e6, "m")
+        for name in ("layers", "heads"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 4096)
+        if self.hidden[-1] % self.heads:
+            raise IzooError(
+                f"the last of algo.hidden={list(self.hidden)} must be a multiple of algo.heads={self.heads}: the heads "
+                "share it."
+            )
+
+    @classmethod
+    def paper(cls) -> GCRLConfig:
+        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none."""
+        return replace(
+            cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
+            epochs=10,
+            minibatch_rows=32,
+            max_grad_norm=4.0,
+            hidden=(64,),
+            activation="relu",
+            neighbours=None,
+            range_m=None,
+        )

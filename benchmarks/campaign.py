@@ -1,0 +1,298 @@
+"""A benchmark as a list of jobs over one results folder: what is done is skipped, what was begun goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from izoo.algos.scripted import Glide, GlideConfig
+from izoo.benchmarks.claim import check_run, check_settings, claimed, versions
+from izoo.benchmarks.options import Entry, GeneralizationConfig
+from izoo.benchmarks.outcome import sum_up, write_submissions
+from izoo.benchmarks.pace import Pace, duration
+from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
+from izoo.conf.build import to_mapping
+from izoo.conf.options import TrainConfig
+from izoo.errors import IzooError
+from izoo.evaluation import evaluate_policy
+from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
+from izoo.reporting.results import (
+    EVALUATION_FOLDER,
+    TRAIN_FOLDER,
+    EntryRecord,
+    Results,
+    RunRecord,
+    read_results,
+    with_run,
+    write_results,
+)
+from izoo.training import checkpoint, runs
+from izoo.training.session import train
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training run or one evaluation."""
+
+    kind: Literal["train", "evaluate"]
+    entry: Entry
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.entry.name}" + (f", seed {self.seed}" if self.entry.kind == "trained" else "")
+
+
+class Campaign:
+    """A benchmark and its folder.
+
+    Args:
+        config: resolved options.
+        folder: the results folder.
+
+    Raises:
+        IzooError: the options name something that cannot be used.
+    """
+
+    def __init__(self, config: GeneralizationConfig, folder: Path) -> None:
+        self.config, self.folder = config, folder
+        self.entries = config.entries()
+        self.plan: Plan = make_plan(config)
+        self.env = evaluation_env(config)
+        # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
+        self.runs: dict[tuple[str, int], TrainConfig] = {
+            (entry.name, seed): train_config(
+                config, self.plan, entry, seed, folder / TRAIN_FOLDER / _place(entry, seed)
+            )
+            for entry in self.entries
+            if entry.kind == "trained"
+            for seed in range(config.seeds or 0)
+        }
+        self.versions = versions()
+        self.pace = Pace()
+        self.results = self._index()
+
+    def jobs(self) -> list[Job]:
+        """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""
+        jobs = [Job("evaluate", entry, 0) for entry in self.entries if entry.kind == "scripted"]
+        for seed in range(self.config.seeds or 0):
+            for entry in self.entries:
+                if entry.kind == "trained":
+                    jobs += [Job("train", entry, seed), Job("evaluate", entry, seed)]
+        return jobs
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[None]:
+        """Claim the folder, check it against the options, and write the options into it.
+
+        Raises:
+            IzooError: the folder holds something else or another benchmark, or is in use.
+        """
+        with claimed(self.folder):
+            check_settings(self.folder, to_mapping(self.config), self.versions)
+            write_results(self.folder, self.results)
+            yield
+
+    def run(self, submit: bool = True) -> Results:
+        """Do what is not done, and return the index of the folder.
+
+        Args:
+            submit: also write a leaderboard file per entry.
+
+        Raises:
+            IzooError: something in the folder does not belong to this benchmark.
+            KeyboardInterrupt: Ctrl-C; what was begun goes on at the next start.
+        """
+        jobs = self.jobs()
+        for job in jobs:
+            self._refresh(job)
+        todo = [job for job in jobs if not self._is_done(job)]
+        print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
+        if todo and self.results.aggregates:
+            self._set_aggregates(
+                {}
+            )  # those of a smaller benchmark must not outlive a start that ends before the summing up
+        for number, job in enumerate(todo):
+            left = self.pace.left([(self._pace_key(other), self._work(other)) for other in todo[number:]])
+            done = len(jobs) - len(todo) + number
+            print(f"\n[{done + 1}/{len(jobs)}] {job}; {duration(left)} left", flush=True)
+            begin = time.monotonic()
+            work = self._work(job)
+            if job.kind == "train":
+                self._record(job, "training")
+                self._train(job)
+            else:
+                self._evaluate(job)
+            self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
+            self._refresh(job)
+        if todo or not self.results.aggregates:
+            print("\nSumming up.", flush=True)
+            aggregates = sum_up(self.folder, self.results)
+            if submit:
+                write_submissions(self.folder, self.results, self.plan, self.env)
+            self._set_aggregates(aggregates)  # last: with them the benchmark counts as ended
+        return self.results
+
+    def _set_aggregates(self, aggregates: dict[str, Any]) -> None:
+        self.results = dataclasses.replace(self.results, aggregates=aggregates)
+        write_results(self.folder, self.results)
+
+    def _train(self, job: Job) -> None:
+        """Begin a run or go on with it."""
+        wanted = self.runs[job.entry.name, job.seed]
+        run_dir = self._run_dir(job.entry, job.seed)
+        if _frames(run_dir) == 0:
+            shutil.rmtree(run_dir, ignore_errors=True)  # it ended before its first checkpoint
+            # An evaluation of weights that are gone must not pass for one of those that are trained now.
+            shutil.rmtree(self._evaluation_dir(job), ignore_errors=True)
+            train(wanted)
+        else:
+            resumed = dataclasses.replace(wanted, resume=str(run_dir))
+            train(resumed, frozenset({"resume", "total_frames", "num_workers", "collector"}))
+        if not self._is_trained(job):
+            raise KeyboardInterrupt
+
+    def _evaluate(self, job: Job) -> None:
+        policy: Any = job.entry.policy
+        if job.entry.kind == "trained":
+            policy = runs.load_policy(self._selected(self._run_dir(job.entry, job.seed)))
+        elif job.entry.floor_mps is not None:
+            policy = Glide(self.env, GlideConfig(floor_mps=job.entry.floor_mps))
+        print(f"Evaluating in {len(self.plan.test)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
+        evaluate_policy(
+            policy,
+            self.plan.test,
+            self.plan.seeds,
+            self.env,
+            num_workers=self.config.num_workers or 0,
+            out_dir=self._evaluation_dir(job),
+            name=job.entry.name,
+            cache=self.config.cache,
+        )
+
+    def _selected(self, run_dir: Path) -> Path:
+        """Return the checkpoint that is tested."""
+        best = checkpoint.best_of(run_dir) if self.config.select == "best" else None
+        if self.config.select == "best" and best is None:
+            print("The run was too short to be validated: its last weights are tested.", flush=True)
+        return best or checkpoint.find(run_dir)
+
+    def _is_done(self, job: Job) -> bool:
+        status = self._run_record(job).status
+        return status == "done" or (job.kind == "train" and status == "trained")
+
+    def _refresh(self, job: Job) -> None:
+        """Bring the record of a job's run up to what is on the disk."""
+        status = "waiting" if job.entry.kind == "trained" else "trained"
+        frames, seconds = 0, 0.0
+        if job.entry.kind == "trained":
+            wanted = self.runs[job.entry.name, job.seed]
+            run_dir = self._run_dir(job.entry, job.seed)
+            frames = _frames(run_dir)
+            if frames > 0:
+                check_run(run_dir, wanted)
+                seconds = _seconds(run_dir)
+                self.pace.add(self._pace_key(Job("train", job.entry, job.seed)), frames, seconds)
+                status = "trained" if self._is_trained(job) else "training"
+        if status == "trained" and self._is_evaluated(job):
+            status = "done"
+        self._record(
+            job, "waiting" if status == "trained" and job.entry.kind == "scripted" else status, frames, seconds
+        )
+
+    def _is_trained(self, job: Job) -> bool:
+        """Whether a run has all its frames and, where validation chooses the weights, no validation is owed."""
+        run_dir = self._run_dir(job.entry, job.seed)
+        owed = self.config.select == "best" and bool(checkpoint.candidates(run_dir))
+        return _frames(run_dir) >= self.runs[job.entry.name, job.seed].total_frames and not owed
+
+    def _is_evaluated(self, job: Job) -> bool:
+        """Whether the evaluation of a run holds every episode of the plan."""
+        folder = self._evaluation_dir(job)
+        whole = all((folder / name).is_file() for name in (CSV_FILE, MANIFEST_FILE, SUMMARY_FILE))
+        if not whole or (folder / JOURNAL_FILE).exists():
+            return False
+        table: pd.DataFrame = read_csv(folder / CSV_FILE)
+        there = set(table[list(EPISODE_KEY)].itertuples(index=False, name=None))
+        names = {HUMAN, UNCOMMANDED, job.entry.name}
+        return all((n, c.content_hash, s) in there for n in names for c in self.plan.test for s in self.plan.seeds)
+
+    def _run_dir(self, entry: Entry, seed: int) -> Path:
+        return self.folder / TRAIN_FOLDER / _place(entry, seed)
+
+    def _evaluation_dir(self, job: Job) -> Path:
+        return self.folder / EVALUATION_FOLDER / _place(job.entry, job.seed)
+
+    def _run_record(self, job: Job) -> RunRecord:
+        return next(run for run in self.results.entry(job.entry.name).runs if run.seed == job.seed)
+
+    def _record(self, job: Job, status: str, frames: int | None = None, seconds: float | None = None) -> None:
+        old = self._run_record(job)
+        new = dataclasses.replace(
+            old,
+            status=status,
+            frames=old.frames if frames is None else frames,
+            seconds=old.seconds if seconds is None else seconds,
+        )
+        if new != old:
+            self.results = with_run(self.results, job.entry.name, new)
+            write_results(self.folder, self.results)
+
+    def _index(self) -> Results:
+        records = []
+        for entry in self.entries:
+            seeds = range(self.config.seeds or 0) if entry.kind == "trained" else range(1)
+            made = [
+                RunRecord(
+                    seed=seed,
+                    status="waiting",
+                    evaluation=f"{EVALUATION_FOLDER}/{_place(entry, seed)}",
+                    run=f"{TRAIN_FOLDER}/{_place(entry, seed)}" if entry.kind == "trained" else None,
+                )
+                for seed in seeds
+            ]
+            records.append(EntryRecord(entry.name, entry.kind, entry.algo, entry.action, tuple(made)))
+        contexts = {
+            "train": self.plan.train_text,
+            "test": self.plan.test_text,
+            "test_count": len(self.plan.test),
+            "eval_seeds": len(self.plan.seeds),
+        }
+        settings = to_mapping(self.config)
+        aggregates: dict = {}
+        with contextlib.suppress(IzooError):  # a damaged index is made anew
+            aggregates = read_results(self.folder).aggregates
+        title, protocol, scale = self.plan.title, self.config.protocol, self.config.scale
+        return Results(title, protocol, scale, settings, self.versions, contexts, tuple(records), False, aggregates)
+
+    def _pace_key(self, job: Job) -> tuple[str, str]:
+        return job.kind, job.entry.algo or job.entry.name
+
+    def _work(self, job: Job) -> float:
+        """Environment steps of what is left of a job."""
+        if job.kind == "train":
+            return max(self.config.total_frames - self._run_record(job).frames, 0)
+        return float(len(self.plan.test) * len(self.plan.seeds) * self.env.control_steps)
+
+
+def _place(entry: Entry, seed: int) -> str:
+    return f"{entry.name}/seed{seed}"
+
+
+def _frames(run_dir: Path) -> int:
+    """Frames of a run's newest checkpoint, 0 where there is none."""
+    found = checkpoint.listed(run_dir)
+    return int(found[-1].stem.rpartition("-")[2]) if found else 0
+
+
+def _seconds(run_dir: Path) -> float:
+    path = run_dir / runs.METRICS_FILE
+    return float(pd.read_csv(path)["seconds"].max()) if path.is_file() else 0.0

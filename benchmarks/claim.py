@@ -1,0 +1,114 @@
+"""The folder of a benchmark: one process works in it, under the options and versions that it was begun with."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import importlib.metadata
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+import izoo
+from izoo.benchmarks.options import SWEPT
+from izoo.conf.build import to_mapping
+from izoo.conf.options import TrainConfig
+from izoo.errors import IzooError
+from izoo.evaluation.cache import code_digest
+from izoo.evaluation.folder import differences
+from izoo.evaluation.table import write_text
+from izoo.reporting.results import SETTINGS_FILE
+from izoo.training import runs
+from izoo.training.session import CHANGEABLE
+
+LOCK_FILE = ".lock"
+MAY_DIFFER = ("out", "num_workers", "cache")
+"""Options that change no number, so that a benchmark may go on with others."""
+MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
+"""Options that may be given more of than before; what is there stays."""
+NOT_THE_RUN = (*CHANGEABLE, "run_dir")
+"""Options of a training run in which a run that is there may differ from the one that is wanted."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that decide the numbers; ``code`` is a digest of the simulator's own files."""
+    packages = {"sumo": "libsumo", "torch": "torch", "torchrl": "torchrl", "neuralmoves": "neuralmoves"}
+    found = {name: importlib.metadata.version(package) for name, package in packages.items()}
+    return {"izoo": izoo.__version__, "python": platform.python_version(), **found, "code": code_digest()}
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Make ``folder`` and keep other processes out of it.
+
+    Raises:
+        IzooError: it cannot be made, or another process works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK_FILE).open("w")
+    except OSError as error:
+        raise IzooError(f"cannot use out={folder}: {error.strerror}; choose another folder.") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise IzooError(f"another process works in {folder}; wait for it or choose another out.") from None
+        yield
+
+
+def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, str]) -> None:
+    """Compare a folder's settings with the options and the versions ``now``; an empty folder gets them.
+
+    Raises:
+        IzooError: it holds something else, or a benchmark with other settings, which the message names.
+    """
+    wanted = {**_kept(options, MAY_DIFFER), "versions": dict(now)}
+    path = folder / SETTINGS_FILE
+    if path.exists():
+        stored = _read_settings(path)
+        grown = {name: wanted[name] for name in MAY_GROW if _grew(stored.get(name), wanted.get(name))}
+        differing = differences({**stored, **grown}, wanted)
+        if differing:
+            raise IzooError(f"{folder} holds a benchmark with other settings ({differing}); give those or another out.")
+    elif any(entry.name != LOCK_FILE for entry in folder.iterdir()):
+        raise IzooError(f"{folder} is not empty and has no {SETTINGS_FILE}; choose another out.")
+    write_text(path, OmegaConf.to_yaml(OmegaConf.create(wanted)))
+
+
+def check_run(run_dir: Path, wanted: TrainConfig) -> None:
+    """Raise :class:`IzooError` where a run that is there is not the one that is wanted."""
+    stored = runs.read_config(run_dir)
+    differing = differences(_kept(to_mapping(stored), NOT_THE_RUN), _kept(to_mapping(wanted), NOT_THE_RUN))
+    if differing:
+        raise IzooError(
+            f"the run {run_dir} has other options than the protocol ({differing}); remove that folder to train it "
+            "again, or choose another out."
+        )
+
+
+def _kept(values: Mapping[str, Any], without: tuple[str, ...]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in without}
+
+
+def _grew(old: Any, new: Any) -> bool:
+    """Whether a list or a number contains the one before."""
+    if isinstance(new, list):
+        return isinstance(old, list) and set(old) <= set(new)
+    return isinstance(old, int) and isinstance(new, int) and old <= new
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    try:
+        stored: Any = OmegaConf.to_container(OmegaConf.load(path))
+    except (OSError, YAMLError, OmegaConfBaseException) as error:
+        raise IzooError(f"{path} is damaged: {str(error).splitlines()[0]}; choose another out.") from error
+    if not isinstance(stored, dict):
+        raise IzooError(f"{path} is damaged: it is no mapping; choose another out.")
+    return json.loads(json.dumps(stored))

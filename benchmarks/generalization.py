@@ -1,0 +1,65 @@
+"""Which algorithm generalises? ``python -m izoo.benchmarks.generalization protocol=NAME scale=smoke|small|paper``.
+
+Trains every algorithm with every seed, evaluates it paired with human driving on contexts that it has not seen, and
+leaves one folder (:mod:`izoo.reporting.results`). An interrupted benchmark goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from izoo import cli
+
+if TYPE_CHECKING:
+    from izoo.benchmarks.options import GeneralizationConfig
+
+
+def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Run a benchmark, or the rest of one, and return its folder."""
+    from rich.console import Console
+
+    from izoo.benchmarks.campaign import Campaign
+    from izoo.benchmarks.outcome import outcome_table
+
+    config = config.resolved()
+    folder = Path(config.out) if config.out else Path.cwd() / "results" / f"{config.protocol}-{config.scale}"
+    print(f"Protocol {config.protocol}, scale {config.scale}: reading contexts.", flush=True)
+    campaign = Campaign(config, folder)
+    print(f"{campaign.plan.title}: train on {campaign.plan.train_text}; test on {campaign.plan.test_text}.", flush=True)
+    with campaign.open():
+        results = campaign.run()
+    Console().print(outcome_table(results))
+    print(f"Results: {folder}", flush=True)
+    return folder
+
+
+def _config() -> type:
+    from izoo.benchmarks.options import GeneralizationConfig
+
+    return GeneralizationConfig
+
+
+COMMAND = cli.Command(
+    name="benchmarks.generalization",
+    summary="Train and test algorithms as the paper's protocols say, and collect the results in one folder.",
+    examples=(
+        "izoo.benchmarks.generalization",
+        "izoo.benchmarks.generalization protocol=productivity scale=small train=salt_lake_city test=atlanta",
+        "izoo.benchmarks.generalization protocol=systematicity algos=[ppo,ppo_residual,glide] episodes=200",
+        "izoo.benchmarks.generalization train=DATASET scale=small out=results/measured",
+    ),
+    config=_config,
+    work=lambda: run,
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    return cli.run(COMMAND, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

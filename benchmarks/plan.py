@@ -1,0 +1,154 @@
+"""From the options of the generalization benchmark to contexts, seeds, and the options of its training runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from izoo.benchmarks.options import Entry, GeneralizationConfig, is_folder
+from izoo.conf.cities import CityContexts, Split
+from izoo.conf.compose import compose_config
+from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.folders import DatasetContexts
+from izoo.conf.options import TrainConfig
+from izoo.contexts import protocols
+from izoo.contexts.cities import CITIES, city_name
+from izoo.contexts.context import Context
+from izoo.contexts.source import episode_seed
+from izoo.contexts.weather import WEATHER_PUBLISHED
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
+
+EVALUATION_SEED = 241015221
+"""Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a benchmark trains on and tests on.
+
+    Attributes:
+        title: ``train -> test``.
+        train: contexts of the training runs, as options of ``izoo.train``.
+        train_text, test_text: the same in words.
+        test: the test contexts.
+        seeds: episode seeds of the evaluation.
+        test_count: contexts of the whole test set, before ``test_limit``.
+    """
+
+    title: str
+    train: ContextsConfig
+    train_text: str
+    test: list[Context]
+    test_text: str
+    seeds: list[int]
+    test_count: int
+
+
+def make_plan(config: GeneralizationConfig) -> Plan:
+    """Return the plan of resolved options.
+
+    Raises:
+        IzooError: a city, folder or set of contexts cannot be used.
+    """
+    seeds = evaluation_seeds(config.eval_seeds or 0)
+    if config.protocol == "systematicity":
+        train: ContextsConfig = PcgContexts(preset="systematicity_train")
+        contexts: Sequence[Context] = protocols.systematicity(config.test_set).test
+        title = f"systematicity ({config.test_set})"
+        texts = ["procedural contexts outside the test box", f"the test box, {config.test_set}"]
+    else:
+        places = (config.train or "", config.test or config.train or "")
+        roles: tuple[Split, Split] = ("train", "test") if config.form == "split" else ("all", "all")
+        chosen = [place_contexts(place, role, config) for place, role in zip(places, roles, strict=True)]
+        train, contexts = chosen[0], cast(Sequence[Context], chosen[1].build())
+        names = [place_name(place) for place in places]
+        title = " -> ".join(names)
+        texts = [f"{name}, {role} intersections" for name, role in zip(names, roles, strict=True)]
+    limited = limit_contexts(contexts, config.test_limit or 0)
+    if len(limited) < len(contexts):
+        texts[1] += f", {len(limited)} drawn of {len(contexts)} contexts"
+    return Plan(title, train, texts[0], limited, texts[1], seeds, len(contexts))
+
+
+def place_name(place: str) -> str:
+    """Return the name of a city, or of a folder."""
+    return Path(place).name if is_folder(place) else city_name(place)
+
+
+def evaluation_seeds(count: int) -> list[int]:
+    """Return the episode seeds of the evaluation: published, so that everyone's episodes pair up."""
+    return [episode_seed(EVALUATION_SEED, number) for number in range(count)]
+
+
+def published_test_set(protocol: Mapping[str, Any]) -> set[str] | None:
+    """Return the content hashes of a protocol's whole test set, or ``None`` where it lies in a folder of the user's.
+
+    Args:
+        protocol: the options of :class:`GeneralizationConfig` that decide it, places by name.
+    """
+    names = ("protocol", "train", "test", "form", "weather", "test_set")
+    places = [protocol[name] for name in ("train", "test") if protocol[name] is not None]
+    if any(place not in CITIES for place in places):
+        return None
+    config = GeneralizationConfig(**{name: protocol[name] for name in names}, scale="paper").resolved()
+    return {context.content_hash for context in make_plan(config).test}
+
+
+def place_contexts(place: str, split: Split, config: GeneralizationConfig) -> CityContexts | DatasetContexts:
+    """Return the contexts of a built-in city or a dataset folder, one approach at a time (spec 11)."""
+    if is_folder(place):
+        if not Path(place).is_dir():
+            raise IzooError(f"{place} is no folder; give a city or a folder of the published dataset.")
+        return DatasetContexts(path=place, split=split, weather=config.weather or "published")
+    city = city_name(place)
+    published = config.weather or ("published" if city in WEATHER_PUBLISHED else "county")
+    return CityContexts(city=city, split=split, weather=published, **_city_common())
+
+
+def _city_common() -> dict[str, Any]:
+    return dict(protocols.COMMON)
+
+
+def limit_contexts(contexts: Sequence[Context], limit: int) -> list[Context]:
+    """Return at most ``limit`` contexts (0: all) in their order; a larger limit contains every smaller one."""
+    if limit == 0 or limit >= len(contexts):
+        return [contexts[k] for k in range(len(contexts))]
+    chosen = np.random.default_rng(EVALUATION_SEED).permutation(len(contexts))[:limit]
+    return [contexts[int(k)] for k in np.sort(chosen)]
+
+
+def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: int, run_dir: Path) -> TrainConfig:
+    """Return the options of one training run.
+
+    Raises:
+        IzooError: ``train_options`` holds something that this algorithm does not have.
+    """
+    workers = config.train_workers or 1
+    words = [
+        f"algo={entry.algo}",
+        f"action={entry.action}",
+        f"seed={seed}",
+        f"num_workers={workers}",
+        f"collector={'single' if workers == 1 else 'parallel'}",
+        f"total_frames={config.total_frames}",
+        f"env.horizon_s={config.train_episode().horizon_s}",
+        f"env.warmup_s={config.train_episode().warmup_s}",
+        "evaluation.contexts=0",
+        *(() if config.select == "best" else ("validation.every_batches=0",)),
+        *config.train_options,
+        *entry.options,
+    ]
+    composed = compose_config("train", TrainConfig, words)
+    return dataclasses.replace(composed, contexts=plan.train, run_dir=str(run_dir))
+
+
+def evaluation_env(config: GeneralizationConfig) -> EnvConfig:
+    """Return the environment of the evaluation: that of the training runs, without what is one entry's alone."""
+    words = [f"env.horizon_s={config.horizon_s}", *(o for o in config.train_options if o.startswith("env."))]
+    return compose_config("train", TrainConfig, words).env

@@ -1,0 +1,80 @@
+"""What vehicles are told in a step, and the form in which the views that are no TorchRL environments take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.errors import IzooError
+
+KEEP_LANE, LANE_CHANGES = 1, 3
+
+
+class Commands(NamedTuple):
+    """What the CVs are told for one step.
+
+    Attributes:
+        action: ``[A]`` accelerations in m/s^2; NaN leaves a CV to SUMO and is counted.
+        defer: ``[A]`` bool, CVs to leave to SUMO.
+        lane_change: ``[A]`` 0 right, 1 keep, 2 left; read where the environment's settings have ``lane_change``.
+    """
+
+    action: np.ndarray
+    defer: np.ndarray
+    lane_change: np.ndarray
+
+
+def action_space(config: EnvConfig, count: int | None) -> spaces.Space[Any]:
+    """Return the space of a view's actions: accelerations, and with ``lane_change`` a dictionary of two entries.
+
+    Args:
+        config: the environment's settings.
+        count: how many vehicles act together; ``None``: one does, whose lane change is a number instead of an array.
+    """
+    acceleration = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (1 if count is None else count,), np.float32)
+    if not config.lane_change:
+        return acceleration
+    lanes = spaces.Discrete(LANE_CHANGES) if count is None else spaces.MultiDiscrete([LANE_CHANGES] * count)
+    return spaces.Dict(acceleration=acceleration, lane_change=lanes)
+
+
+def read_action(
+    config: EnvConfig, action: Any, count: int | None, what: str = "the action"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return accelerations and lane changes of an action, each ``[count]`` (``[1]`` for ``None``); see the space.
+
+    Raises:
+        IzooError: an entry is missing or unknown, or is of another shape or type.
+    """
+    shape = (1,) if count is None else (count,)
+    if not config.lane_change:
+        return _accelerations(action, shape, what), np.full(shape, KEEP_LANE, np.int64)
+    if not isinstance(action, Mapping) or set(action) != {"acceleration", "lane_change"}:
+        got = f"has the keys {sorted(action)}" if isinstance(action, Mapping) else f"is a {type(action).__name__}"
+        raise IzooError(
+            f"{what} {got}; with lane_change=True, give a dictionary of 'acceleration' (m/s^2) and 'lane_change' "
+            "(0 right, 1 keep, 2 left)."
+        )
+    lanes = np.asarray(action["lane_change"])
+    legal = () if count is None else shape
+    if lanes.shape != legal or lanes.dtype.kind not in "iu" or not np.isin(lanes, range(LANE_CHANGES)).all():
+        shown = np.unique(lanes)[:5].tolist() if lanes.dtype.kind in "iuf" else lanes.dtype
+        raise IzooError(
+            f"'lane_change' of {what} is {lanes.dtype} of shape {list(lanes.shape)} with the values {shown}; give "
+            f"whole numbers of shape {list(legal)}: 0 right, 1 keep, 2 left."
+        )
+    return _accelerations(action["acceleration"], shape, f"'acceleration' of {what}"), lanes.reshape(shape)
+
+
+def _accelerations(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    array = np.asarray(values)
+    if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
+        raise IzooError(
+            f"{what} is {array.dtype} of shape {list(array.shape)}; give accelerations in m/s^2 as floating-point "
+            f"numbers of shape {list(shape)}."
+        )
+    return array

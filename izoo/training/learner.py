@@ -1,0 +1,81 @@
+"""The learner: an algorithm on its device, and the policy that collects on the CPU, where the simulators are."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from izoo.conf.options import TrainConfig
+from izoo.errors import IzooError
+from izoo.training import runs
+
+COLLECTS_ON = torch.device("cpu")
+
+
+def learner_device(name: str) -> torch.device:
+    """Return the device that the option ``device`` names: ``cpu``, ``cuda``, or ``auto``, a GPU where there is one.
+
+    Raises:
+        IzooError: ``cuda``, and there is no GPU that PyTorch can use.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise IzooError(
+            "device=cuda, but PyTorch finds no GPU here (torch.cuda.is_available() is False); install a build of "
+            "PyTorch with CUDA and the GPU's driver, or choose device=cpu."
+        )
+    return torch.device(name)
+
+
+def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
+    """Return a batch on the learner's device; every batch that is learned from passes here, whole and once."""
+    return batch if device == COLLECTS_ON else batch.to(device)
+
+
+class Learner:
+    """What learns. On the CPU the collecting policy shares the algorithm's weights; elsewhere it gets a copy after each
+    update.
+
+    Args:
+        config: options of the run.
+        features: length ``F`` of an observation.
+        device: where networks, losses and replay live.
+    """
+
+    def __init__(self, config: TrainConfig, features: int, device: torch.device) -> None:
+        self.device = device
+        self.algorithm = runs.make_algorithm(config, features, device)
+        shared = device == COLLECTS_ON
+        self.policy: TensorDictModuleBase = (
+            self.algorithm.policy if shared else copy.deepcopy(self.algorithm.policy).to(COLLECTS_ON)
+        )
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`."""
+        stats = self.algorithm.update(to_learner(batch, self.device), progress)
+        self._share()
+        return stats
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the algorithm's state and the states of the random generators that learning draws from."""
+        state = {"algorithm": self.algorithm.state_dict(), "torch_rng": torch.get_rng_state()}
+        if self.device.type == "cuda":
+            state["cuda_rng"] = torch.cuda.get_rng_state(self.device)
+        return state
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned, on whichever device that was."""
+        self.algorithm.load_state_dict(state["algorithm"])
+        self._share()
+        torch.set_rng_state(state["torch_rng"])
+        if self.device.type == "cuda" and "cuda_rng" in state:
+            torch.cuda.set_rng_state(state["cuda_rng"], self.device)
+
+    def _share(self) -> None:
+        if self.policy is not self.algorithm.policy:
+            self.policy.load_state_dict(self.algorithm.policy.state_dict())

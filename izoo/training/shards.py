@@ -1,0 +1,83 @@
+"""The shards of a data set as one storage for TorchRL's replay buffers; nothing is read before it is drawn."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data.replay_buffers.storages import Storage
+
+from izoo.errors import IzooError
+
+
+def as_they_are(rows: TensorDictBase) -> TensorDictBase:
+    """Collate rows that a :class:`ShardStorage` has put together already."""
+    return rows
+
+
+class ShardStorage(Storage):
+    """Memory-mapped shards, one after the other; read only.
+
+    A replay buffer with ``collate_fn=as_they_are`` samples from it: an index copies the rows that it names, and no
+    others.
+
+    Args:
+        shards: steps ``[frames of the shard]`` with the same leaves.
+    """
+
+    def __init__(self, shards: Sequence[TensorDictBase]) -> None:
+        super().__init__(sum(len(shard) for shard in shards))
+        self.shards = list(shards)
+        self._starts = torch.tensor([0, *itertools.accumulate(len(shard) for shard in shards)])
+
+    def __len__(self) -> int:
+        return self.max_size
+
+    def get(self, index: int | slice | Sequence[int] | Tensor) -> TensorDictBase:
+        """Return the steps that ``index`` names: one without batch dimension, or ``[n]`` in the order given.
+
+        Raises:
+            IndexError: a step is beyond the last.
+        """
+        if isinstance(index, tuple) and len(index) == 1:
+            index = index[0]
+        if isinstance(index, slice):
+            index = torch.arange(*index.indices(len(self)))
+        wanted = torch.as_tensor(index)
+        if wanted.dtype == torch.bool:
+            wanted = wanted.nonzero().view(-1)
+        flat = torch.where(wanted < 0, wanted + len(self), wanted).reshape(-1)
+        if len(flat) > 0 and not (int(flat.min()) >= 0 and int(flat.max()) < len(self)):
+            raise IndexError(f"an index is out of range: the data set has {len(self)} steps")
+        if len(flat) == 0:
+            return self.shards[0][:0]
+        owner = torch.searchsorted(self._starts, flat, right=True) - 1
+        parts, places = [], []
+        for shard in owner.unique().tolist():
+            place = (owner == shard).nonzero().view(-1)
+            parts.append(self.shards[shard][flat[place] - self._starts[shard]])
+            places.append(place)
+        rows = parts[0] if len(parts) == 1 else torch.cat(parts)[torch.cat(places).argsort()]
+        return rows[0] if wanted.ndim == 0 else rows.reshape(wanted.shape)
+
+    def contains(self, item: int) -> bool:
+        """Whether there is a step of this number."""
+        return -len(self) <= int(item) < len(self)
+
+    def set(self, cursor: Any, data: Any, *, set_cursor: bool = True) -> None:
+        """Refuse: data sets are read only."""
+        raise IzooError("a collected data set is read only; copy what you need into a storage of your own.")
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return nothing: the data are in their files."""
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Accept what :meth:`state_dict` returned."""
+
+    def _empty(self) -> None:
+        raise IzooError("a collected data set is read only; it cannot be emptied.")

@@ -1,0 +1,244 @@
+"""Periodic validation: another process compares the run's weights with human driving while training goes on.
+
+``python -m izoo.training.validation CHECKPOINT RESULT`` is that process: of low priority, without workers of its own,
+and gone as soon as the run is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from izoo.conf.cities import CityContexts
+from izoo.conf.contexts import ContextsConfig
+from izoo.conf.folders import DatasetContexts, OsmContexts
+from izoo.conf.options import TrainConfig
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextSource
+from izoo.errors import IzooError
+from izoo.training import checkpoint
+from izoo.training.records import MetricsTable
+
+VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
+VALIDATION_SEED = 7_561
+"""Of validation contexts and episodes, whatever the run's seed: runs are compared on the same episodes."""
+NICENESS = 10
+POLICY = "policy"
+_PATIENCE_S = 0.2
+
+
+class Validator:
+    """Validates checkpoints one after the other in a process of its own, and keeps the best.
+
+    Args:
+        config: options of the run.
+        run_dir: its folder.
+        frames: frames of the run so far; results of later ones are forgotten, an unfinished validation is repeated.
+    """
+
+    def __init__(self, config: TrainConfig, run_dir: Path, frames: int = 0) -> None:
+        self.options, self.run_dir = config.validation, run_dir
+        self.table = MetricsTable(run_dir / VALIDATION_FILE, frames)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._log: IO[bytes] | None = None
+        self._waiting: Path | None = None
+        self._validating = Path()
+        best = checkpoint.best_of(run_dir)
+        if best is not None and checkpoint.frames_of(best) > frames:
+            best.unlink()
+        judged = dict(zip(*self.table.series("best"), strict=True))
+        for candidate in checkpoint.candidates(run_dir):
+            number = checkpoint.frames_of(candidate)
+            if judged.get(number):  # the run was killed before it could take the place of the best
+                checkpoint.make_best(candidate)
+            elif self.options.every_batches and number <= frames and number not in judged:
+                self._wait_for_turn(candidate)
+            else:
+                candidate.unlink()
+
+    def due(self, batches: int) -> bool:
+        """Whether the weights after this many batches are to be validated."""
+        return self.options.every_batches > 0 and batches % self.options.every_batches == 0
+
+    def submit(self, path: Path) -> None:
+        """Validate a checkpoint as soon as the process is free; it takes the place of another that still waits."""
+        self._wait_for_turn(checkpoint.make_candidate(path))
+        self._begin()
+
+    def poll(self) -> dict[str, float]:
+        """Return what a validation that has just ended says, for the run's own table; empty where none has."""
+        if self._process is None or self._process.poll() is None:
+            self._begin()
+            return {}
+        code, self._process = self._process.returncode, None
+        self._close_log()
+        result = _read_result(self._result(self._validating))
+        if code != 0 or result is None:
+            self._validating.unlink(missing_ok=True)
+            print(
+                f"The validation of {self._validating.name} failed ({_last_line(self.run_dir / LOG_FILE, code)}); "
+                f"training goes on. See {self.run_dir / LOG_FILE}.",
+                file=sys.stderr,
+                flush=True,
+            )
+            self._begin()
+            return {}
+        row = {name: value for name, value in result.items() if value is not None}
+        row["best"] = float(self._is_best(row))
+        self.table.append(row)
+        if row["best"]:
+            checkpoint.make_best(self._validating)
+        else:
+            self._validating.unlink(missing_ok=True)
+        self._begin()
+        names = ("benefit", "benefit_over_uncommanded", "throughput_kept")
+        logged = {f"validation_{name}": row[name] for name in names if name in row}
+        return {"validation_frames": row["frames"], **logged}
+
+    @property
+    def busy(self) -> bool:
+        """Whether a validation runs or waits for its turn."""
+        return self._process is not None or self._waiting is not None
+
+    def wait(self, stop: Any) -> dict[str, float]:
+        """Wait for all validations, until ``stop.requested``; return what the last one says."""
+        row: dict[str, float] = {}
+        while self.busy and not stop.requested:
+            row = self.poll() or row
+            time.sleep(_PATIENCE_S)
+        return row
+
+    def close(self) -> None:
+        """Stop the process; a resumed run validates the same weights again."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+        self._close_log()
+
+    def _wait_for_turn(self, candidate: Path) -> None:
+        if self._waiting is not None and self._waiting != candidate:
+            self._waiting.unlink(missing_ok=True)
+        self._waiting = candidate
+
+    def _begin(self) -> None:
+        if self._process is not None or self._waiting is None:
+            return
+        self._validating, self._waiting = self._waiting, None
+        result = self._result(self._validating)
+        result.parent.mkdir(exist_ok=True)
+        self._log = (self.run_dir / LOG_FILE).open("wb")
+        command = [sys.executable, "-m", "izoo.training.validation", str(self._validating), str(result)]
+        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        # A session of its own keeps the terminal's Ctrl-C away; the open pipe tells the process that the run lives.
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=self._log,
+            stderr=self._log,
+            start_new_session=True,
+            env=environment,
+        )
+
+    def _result(self, candidate: Path) -> Path:
+        return self.run_dir / RESULT_FOLDER / f"step-{checkpoint.frames_of(candidate):012d}.json"
+
+    def _is_best(self, row: dict[str, float]) -> bool:
+        _, earlier = self.table.series("benefit")
+        lost = checkpoint.best_of(self.run_dir) is None  # a run that was resumed further back forgets a later best
+        return "benefit" in row and (lost or all(row["benefit"] > value for value in earlier))
+
+    def _close_log(self) -> None:
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+
+def held_out(config: ContextsConfig) -> ContextSource:
+    """Return what to validate on: the validation split, or, of contexts without splits, the same distribution."""
+    if isinstance(config, (CityContexts, DatasetContexts, OsmContexts)) and config.split in ("train", "all"):
+        with contextlib.suppress(IzooError):  # sets of a few intersections are for training alone
+            return dataclasses.replace(config, split="validation").build()
+    return config.build()
+
+
+def validate(path: Path) -> dict[str, float | None]:
+    """Compare a checkpoint's policy with human driving in the validation contexts; return a row of the table.
+
+    ``benefit`` is the mean over approaches of the exactly gated benefit over human driving (of electric vehicles: over
+    uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out. Shares and benefits are fractions.
+    """
+    from izoo.contexts.source import episode_seed
+    from izoo.evaluation import evaluate_policy, summarise
+    from izoo.evaluation.command import choose_contexts
+    from izoo.training import runs
+
+    started = time.perf_counter()
+    algorithm, config, state = runs.load_algorithm(path)
+    options = config.validation
+    contexts: list[Context] = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
+    seeds = [episode_seed(VALIDATION_SEED, number) for number in range(options.seeds)]
+    table = evaluate_policy(
+        algorithm.policy.eval(), contexts, seeds, config.env, num_workers=0, progress=False, name=POLICY
+    )
+    summary = summarise(table)
+    entry = summary["policies"][POLICY]
+    main, human, uncommanded = (entry["against"][baseline] for baseline in (entry["headline"], "human", "uncommanded"))
+    return {
+        "frames": state["frames"],
+        "benefit": main["all"]["exact"]["mean"]["value"],
+        "benefit_iqm": main["all"]["exact"]["iqm"]["value"],
+        "benefit_unsaturated": main["unsaturated"]["exact"]["mean"]["value"],
+        "benefit_over_uncommanded": uncommanded["all"]["exact"]["mean"]["value"],
+        "benefit_ungated": main["all"]["ungated"]["mean"]["value"],
+        "throughput_kept": human["all"]["throughput"]["share_kept"]["value"],
+        "emission_g_per_vehicle": summary["scores"][POLICY]["emission_g_per_vehicle"],
+        "approaches": main["all"]["exact"]["mean"]["n"],
+        "saturated": len(main["saturated"]),
+        "seconds": time.perf_counter() - started,
+    }
+
+
+def _read_result(path: Path) -> dict[str, float | None] | None:
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def _last_line(log: Path, code: int) -> str:
+    with contextlib.suppress(OSError):
+        lines = log.read_text(errors="replace").strip().splitlines()
+        if lines:
+            return lines[-1]
+    return f"exit code {code}"
+
+
+def _end_with_parent() -> None:
+    def watch() -> None:
+        while os.read(0, 1):  # not sys.stdin, whose lock would be missed at the end
+            pass
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def main(checkpoint_file: str, result_file: str) -> None:
+    """Validate a checkpoint and write the row as JSON, whole or not at all."""
+    from izoo.evaluation.table import write_text
+
+    write_text(Path(result_file), json.dumps(validate(Path(checkpoint_file)), allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    _end_with_parent()
+    os.nice(NICENESS)
+    main(*sys.argv[1:])

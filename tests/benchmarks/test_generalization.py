@@ -1,0 +1,204 @@
+"""The generalization benchmark on the real simulator, stopped in every way and gone on with."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from izoo.benchmarks import campaign, generalization
+from izoo.evaluation.table import read_csv
+from izoo.leaderboard import main as leaderboard
+from izoo.reporting.results import evaluation_of, read_results
+from izoo.training import checkpoint
+
+WORDS = [
+    "protocol=systematicity",
+    "algos=[ppo,uncommanded]",
+    "seeds=1",
+    "frames=750",
+    "horizon_s=100",
+    "test_limit=2",
+    "num_workers=0",
+    'train_options=["algo.frames_per_batch=150","checkpoint.every_batches=1","algo.epochs=1"]',
+]
+
+
+def start(folder: Path, cache: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "izoo.benchmarks.generalization", *WORDS, f"out={folder}", f"cache={cache}"]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+def wait_for_frames(folder: Path, frames: int, process: subprocess.Popen[str]) -> None:
+    """Wait until the run has a checkpoint of so many frames."""
+    run = folder / "train" / "ppo" / "seed0"
+    end = time.monotonic() + 120
+    while time.monotonic() < end and process.poll() is None:
+        found = checkpoint.listed(run)
+        if found and int(found[-1].stem.partition("-")[2]) >= frames:
+            return
+        time.sleep(0.02)
+    process.kill()
+    pytest.fail(f"no checkpoint of {frames} frames: {process.communicate()[0]}")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A benchmark that was stopped by Ctrl-C, then by SIGKILL, and then ended; and its cache."""
+    folder, cache = tmp_path_factory.mktemp("results") / "a", tmp_path_factory.mktemp("baselines")
+    process = start(folder, cache)
+    wait_for_frames(folder, 150, process)
+    process.send_signal(signal.SIGINT)
+    output = process.communicate(timeout=60)[0]
+    assert process.returncode == 130, output
+    stopped_at = read_results(folder).entry("ppo").runs[0]
+    assert stopped_at.status == "training"
+    process = start(folder, cache)
+    wait_for_frames(folder, int(checkpoint.listed(folder / "train/ppo/seed0")[-1].stem[5:]) + 150, process)
+    process.kill()
+    process.communicate()
+    assert not read_results(folder).complete
+    assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
+    return folder, cache
+
+
+def test_everything_is_there(done: tuple[Path, Path]) -> None:
+    folder, _ = done
+    results = read_results(folder)
+    assert results.complete
+    assert results.entry("ppo").runs[0].frames == 750
+    table = evaluation_of(folder, results.entry("ppo").runs[0])
+    assert set(table["policy"]) == {"human", "uncommanded", "ppo"}
+    assert table["context_hash"].nunique() == 2 and table["seed"].nunique() == 3
+    frames = [line.split(",")[0] for line in (folder / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
+    assert [int(number) for number in frames] == list(range(150, 751, 150)), "a batch was lost or counted twice"
+    assert results.aggregates["entries"]["ppo"]["n"]["approaches"] == 2
+    assert "paper's form" in results.aggregates["entries"]["ppo"]["best_seed"]["label"]
+    assert {pair["x"] for pair in results.aggregates["improvement"]} == {"ppo", "uncommanded"}
+
+
+def test_a_second_start_does_nothing(done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, cache = done
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("*/*/*/*.csv")}
+    assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
+    assert "3 of 3 jobs are done already" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in folder.glob("*/*/*/*.csv")} == before
+
+
+def test_the_leaderboard_files_are_in_order_but_for_what_is_missing(
+    done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert leaderboard(["validate", str(done[0] / "leaderboard" / "ppo.json")]) == 1
+    marks = [line for line in capsys.readouterr().out.splitlines() if "mark:" in line]
+    assert marks == ["  mark: 126 of 128 test contexts are missing"]
+
+
+def refused(folder: Path, cache: Path, capsys: pytest.CaptureFixture[str], *more: str) -> str:
+    """Start the benchmark, expect exit code 2, and return what it said."""
+    words = [word for word in WORDS if word.partition("=")[0] not in {other.partition("=")[0] for other in more}]
+    assert generalization.main([*words, *more, f"out={folder}", f"cache={cache}"]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.fixture
+def copy(done: tuple[Path, Path], tmp_path: Path) -> Path:
+    """A copy of the benchmark that a test may spoil; its run folders know their new place from the command."""
+    return Path(shutil.copytree(done[0], tmp_path / "copy"))
+
+
+def test_other_settings_are_refused(copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(copy, done[1], capsys, "horizon_s=101")
+    assert "horizon_s 100.0 -> 101.0" in said and "other" in said
+    assert "test_limit 2 -> 3" in refused(copy, done[1], capsys, "test_limit=3")
+    assert "algos" in refused(copy, done[1], capsys, "algos=[ppo]")
+
+
+def test_a_folder_without_settings_is_refused(
+    copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "settings.yaml").unlink()
+    assert "not empty" in refused(copy, done[1], capsys)
+    (copy / "settings.yaml").write_text("protocol: [systema")
+    assert "damaged" in refused(copy, done[1], capsys)
+
+
+def test_a_run_with_other_options_is_refused(
+    copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = copy / "train/ppo/seed0/config.yaml"
+    config.write_text(config.read_text().replace("beta: -3.0", "beta: -1.0"))
+    assert "env.reward.beta -1.0 -> -3.0" in refused(copy, done[1], capsys)
+
+
+def test_a_checkpoint_of_another_observation_is_refused(
+    copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    newest = checkpoint.listed(copy / "train/ppo/seed0")[-1]
+    state = torch.load(newest, weights_only=True)
+    features = state["features"]
+    torch.save({**state, "features": features + 1}, newest)
+    shutil.rmtree(copy / "evaluation/ppo")
+    said = refused(copy, done[1], capsys)
+    assert str(features) in said and str(features + 1) in said and "observ" in said
+
+
+def test_what_is_half_written_is_made_again(copy: Path, done: tuple[Path, Path]) -> None:
+    before = read_csv(copy / "evaluation/ppo/seed0/evaluation.csv")
+    lines = (copy / "evaluation/ppo/seed0/evaluation.csv").read_text().splitlines(keepends=True)
+    kept = [line for line in lines[1:] if not line.startswith("ppo")]
+    (copy / "evaluation/ppo/seed0/evaluation.csv").write_text("".join([lines[0], *kept]))
+    (copy / "results.json").write_text('{"format": "izoo-res')
+    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 0
+    after = read_csv(copy / "evaluation/ppo/seed0/evaluation.csv")
+    assert after.equals(before)
+    assert json.loads((copy / "results.json").read_text())["complete"]
+
+
+def stop(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_aggregates_and_leaderboard_files_never_lag_behind_the_runs(
+    copy: Path, done: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill while summing up leaves no aggregates, and those before it, of fewer runs, are gone."""
+    whole = read_results(copy).aggregates
+    shutil.rmtree(copy / "evaluation/uncommanded")
+    shutil.rmtree(copy / "leaderboard")
+    for where in ("sum_up", "write_submissions"):
+        with monkeypatch.context() as patched:
+            patched.setattr(campaign, where, stop)
+            assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 130
+        results = read_results(copy)
+        assert results.complete and results.aggregates == {}
+    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 0
+    assert read_results(copy).aggregates == whole
+    assert {path.stem for path in (copy / "leaderboard").glob("*.json")} == {"ppo", "uncommanded"}
+
+
+def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(
+    copy: Path, done: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.rmtree(copy / "train/ppo/seed0")
+    monkeypatch.setattr(campaign.Campaign, "_evaluate", stop)
+    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 130
+    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 130, "nothing was left to evaluate"
+    assert read_results(copy).entry("ppo").runs[0].status == "trained"
+
+
+def test_two_processes_do_not_share_a_folder(
+    copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    import fcntl
+
+    with (copy / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert f"{os.sep}copy" in (said := refused(copy, done[1], capsys)) and "another process" in said

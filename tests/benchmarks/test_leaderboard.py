@@ -1,0 +1,228 @@
+"""Leaderboard files: written from rows, checked against themselves, merged with their marks."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from izoo import leaderboard as command
+from izoo.benchmarks.claim import versions
+from izoo.benchmarks.outcome import other_environment
+from izoo.benchmarks.plan import evaluation_seeds
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.errors import IzooError
+from izoo.evaluation.across import aggregate, run_rows
+from izoo.reporting.leaderboard import (
+    check,
+    content_hash,
+    make_submission,
+    merge,
+    read_submission,
+    schema,
+    write_submission,
+)
+from tests.metrics.tables import seeds_table
+
+VERSIONS = {"izoo": "1", "sumo": "1.28.0", "neuralmoves": "0.4", "code": "c" * 64}
+PROTOCOL = {
+    "protocol": "in_distribution",
+    "title": "mine -> mine",
+    "scale": "paper",
+    "train": "mine",
+    "test": None,
+    "form": "split",
+    "weather": None,
+    "test_set": "grid",
+    "horizon_s": 1000.0,
+    "test_count": 3,
+}
+SAVED = {"a/1/A": 0.9, "b/1/A": 0.95, "c/1/A": 1.2}
+"""Emission of the policy over that of the baseline, by context."""
+
+
+def table(train_seed: int, contexts: tuple[str, ...] = tuple(SAVED)) -> pd.DataFrame:
+    """Evaluation rows of one training seed; context ``b`` loses a vehicle and is gated."""
+    parts = []
+    for name in contexts:
+        crossed = [10, 11, 12]
+        human = [100.0 * n for n in crossed]
+        kept = [9, 11, 12] if name.startswith("b") else crossed
+        saved = SAVED[name] + 0.01 * train_seed
+        for policy, count, grams in (("human", crossed, human), ("ppo", kept, [saved * 100.0 * n for n in kept])):
+            rows = seeds_table(count, grams, policy=policy, context=name)
+            parts.append(rows.assign(context_hash=hashlib.sha256(name.encode()).hexdigest()))
+    return pd.concat(parts, ignore_index=True)
+
+
+def submission(contexts: tuple[str, ...] = tuple(SAVED), **policy: Any) -> dict[str, Any]:
+    rows = pd.concat([run_rows(table(k, contexts), "ppo", k) for k in range(4)], ignore_index=True)
+    about = {"name": "ppo", "kind": "trained", "algo": "ppo", "action": "direct", "frames": 1000, **policy}
+    return make_submission(about, PROTOCOL, VERSIONS, evaluation_seeds(3), rows)
+
+
+def sealed(content: dict[str, Any]) -> dict[str, Any]:
+    """The content with the hash that belongs to it, as someone who tampers would write it."""
+    return {**content, "hash": content_hash(content)}
+
+
+def marks(content: dict[str, Any]) -> tuple[str, ...]:
+    return check(content, "file", VERSIONS).marks
+
+
+def test_an_honest_submission_survives_the_file(tmp_path: Path) -> None:
+    content = submission()
+    write_submission(tmp_path / "ppo.json", content)
+    read = read_submission(tmp_path / "ppo.json")
+    assert read == json.loads(json.dumps(content))
+    checked = check(read, "ppo.json", VERSIONS)
+    assert checked.marks == () and checked.notes == ()
+
+
+def test_aggregates_keep_training_seeds_apart() -> None:
+    rows = pd.concat([run_rows(table(k), "ppo", k) for k in range(4)], ignore_index=True)
+    found = aggregate(rows)
+    assert found["n"] == {
+        "train_seeds": 4,
+        "approaches": 3,
+        "saturated": 0,
+        "left_out": 0,
+        "intersections": 3,
+        "eval_seeds": 3,
+    }
+    exact = [run["exact"]["mean"] for run in found["all"]["per_seed"]]
+    assert exact == pytest.approx([(0.1 - 0.01 * k + 0.0 - 0.2 - 0.01 * k) / 3 for k in range(4)])
+    assert found["best_seed"]["seed"] == 0 and "paper's form" in found["best_seed"]["label"]
+    over = found["all"]["over_train_seeds"]["exact"]["mean"]
+    assert over["value"] == pytest.approx(sum(exact) / 4) and over["n"] == 12 and over["low"] < over["high"]
+    assert found["all"]["over_train_seeds"]["exact"]["share_gated"]["value"] == pytest.approx(1 / 3)
+    assert found["unsaturated"] == found["all"]
+    assert aggregate(rows) == found
+
+
+def test_every_tampering_is_marked() -> None:
+    content = submission()
+    changed = copy.deepcopy(content)
+    changed["policy"]["name"] = "mine"
+    assert any("hash does not match" in mark for mark in marks(changed))
+
+    changed = copy.deepcopy(content)
+    changed["rows"][0]["benefit_exact"] = 0.5
+    assert any("row 0" in mark and "does not follow" in mark for mark in marks(sealed(changed)))
+
+    changed = copy.deepcopy(content)
+    changed["rows"][0]["emission_policy_g"] *= 0.5
+    assert any("does not follow from its emissions" in mark for mark in marks(sealed(changed)))
+
+    changed = copy.deepcopy(content)
+    gated = next(k for k, row in enumerate(changed["rows"]) if row["gated_exact"])
+    changed["rows"][gated]["gated_exact"] = False
+    changed["rows"][gated]["benefit_exact"] = changed["rows"][gated]["benefit_ungated"]
+    assert any(f"row {gated}" in mark and "throughput" in mark for mark in marks(sealed(changed)))
+
+    changed = copy.deepcopy(content)
+    changed["aggregates"]["all"]["over_intersections"]["exact"]["mean"]["value"] += 0.1
+    found = marks(sealed(changed))
+    assert len(found) == 1 and "all/over_intersections/exact/mean/value" in found[0]
+
+    changed = copy.deepcopy(content)
+    changed["rows"] = [row for row in changed["rows"] if row["train_seed"] != 3]
+    assert any("other training seeds" in mark for mark in marks(sealed(changed)))
+    changed["rows"].append(changed["rows"][0])
+    assert any("twice" in mark for mark in marks(sealed(changed)))
+
+
+def test_what_is_missing_or_of_other_versions_is_marked() -> None:
+    assert marks(submission(contexts=("a/1/A",))) == ("2 of 3 test contexts are missing",)
+    other = submission()
+    other["versions"]["sumo"] = "1.27.0"
+    assert marks(sealed(other)) == ("other version of sumo: 1.27.0, not 1.28.0",)
+    other = submission()
+    other["eval_seeds"] = [1, 2, 3]
+    assert any("seeds are not the protocol's" in mark for mark in marks(sealed(other)))
+
+
+def test_another_environment_is_marked() -> None:
+    assert other_environment(EnvConfig(horizon_s=300.0, reward=RewardConfig(eta=0.5), watchdog_s=5.0)) == ""
+    changed = other_environment(EnvConfig(step_s=1.0, warmup_s=100.0))
+    assert changed == "step_s 0.5 -> 1.0, warmup_s 25.0 -> 100.0"
+    content = submission()
+    content["protocol"]["env"] = changed
+    assert marks(sealed(content)) == (f"evaluated in another environment: {changed}",)
+
+
+def test_contexts_of_a_published_protocol_are_known() -> None:
+    """A submission cannot make its test set smaller: that of a built-in city is rebuilt."""
+    claimed = submission()
+    claimed["protocol"].update(train="seattle", test_count=3)
+    found = marks(sealed(claimed))
+    assert any("test contexts are missing" in mark for mark in found)
+    assert any("3 context(s) are not of the protocol's test set" in mark for mark in found)
+
+
+def test_merging_ranks_the_unmarked_and_keeps_the_others_apart() -> None:
+    good, marked = submission(), submission(contexts=("a/1/A",), name="lucky")
+    worse = submission(name="worse")
+    worse["rows"] = [{**row, **_shifted(row)} for row in worse["rows"]]
+    worse["aggregates"] = aggregate(pd.DataFrame(worse["rows"]))
+    other = sealed({**submission(), "protocol": {**PROTOCOL, "horizon_s": 500.0}})
+    contents = (("w", sealed(worse)), ("l", marked), ("g", good), ("o", other))
+    merged = merge([check(content, name, VERSIONS) for name, content in contents])
+    first, second = merged["groups"]
+    assert [(line["source"], line["rank"]) for line in first["ranked"]] == [("g", 1), ("w", 2)]
+    assert [line["source"] for line in first["marked"]] == ["l"] and "rank" not in first["marked"][0]
+    assert [line["source"] for line in second["ranked"]] == ["o"]
+    json.dumps(merged, allow_nan=False)
+
+
+def _shifted(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with half as much again emitted."""
+    grams = 1.5 * row["emission_policy_g"]
+    benefit = 1.0 - grams / row["emission_baseline_g"]
+    gated = {f"benefit_{gate}": 0.0 if row[f"gated_{gate}"] else benefit for gate in ("exact", "tested")}
+    return {"emission_policy_g": grams, "benefit_ungated": benefit, **gated}
+
+
+def test_the_form_is_checked(tmp_path: Path) -> None:
+    from jsonschema import Draft202012Validator
+
+    Draft202012Validator.check_schema(schema())
+    content = submission()
+    content["rows"][1]["throughput_policy"] = -1
+    del content["versions"]["sumo"]
+    (tmp_path / "bad.json").write_text(json.dumps(content))
+    with pytest.raises(IzooError, match=r"bad\.json is no leaderboard submission: rows/1/throughput_policy.*1 more"):
+        read_submission(tmp_path / "bad.json")
+    whole = json.dumps(submission())
+    emission = f'"emission_policy_g": {submission()["rows"][0]["emission_policy_g"]}'
+    infinite = [whole.replace(emission, f'"emission_policy_g": {word}', 1) for word in ("NaN", "1e999")]
+    for text in ('{"format": "izoo', *infinite):
+        assert text != whole
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(IzooError, match="cannot read"):
+            read_submission(tmp_path / "bad.json")
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = submission()
+    here = versions()
+    content["versions"] = {name: here[name] for name in VERSIONS}
+    write_submission(tmp_path / "in" / "ppo.json", sealed(content))
+    assert command.main(["validate", str(tmp_path / "in")]) == 0
+    assert "ppo.json: in order" in capsys.readouterr().out
+    out = tmp_path / "leaderboard.json"
+    assert command.main(["merge", str(tmp_path / "in" / "ppo.json"), "--out", str(out)]) == 0
+    assert json.loads(out.read_text())["groups"][0]["ranked"][0]["policy"]["name"] == "ppo"
+    assert "mine -> mine" in capsys.readouterr().out
+    content["versions"]["sumo"] = "1.0"
+    write_submission(tmp_path / "in" / "old.json", sealed(content))
+    assert command.main(["validate", str(tmp_path / "in")]) == 1
+    assert "mark: other version of sumo" in capsys.readouterr().out
+    assert command.main(["validate", str(tmp_path / "nothing.json")]) == 2
+    assert command.main(["merge", str(out), "--out", str(out)]) == 2
+    assert "no leaderboard submission" in capsys.readouterr().err

@@ -1,0 +1,169 @@
+"""Options, contexts and seeds of the generalization benchmark; nothing is simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from izoo.benchmarks import pace
+from izoo.benchmarks.options import SCALES, GeneralizationConfig, parse_entry
+from izoo.benchmarks.plan import (
+    evaluation_env,
+    evaluation_seeds,
+    limit_contexts,
+    make_plan,
+    published_test_set,
+    train_config,
+)
+from izoo.conf.compose import compose_config
+from izoo.contexts import protocols
+from izoo.errors import IzooError
+
+
+def hashes(contexts) -> list[str]:  # type: ignore[no-untyped-def]
+    return [context.content_hash for context in contexts]
+
+
+def test_yaml_equals_dataclass() -> None:
+    name = "benchmarks.generalization"
+    assert compose_config(name, GeneralizationConfig, []) == GeneralizationConfig()
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ({}, protocols.in_distribution()),
+        (
+            {"protocol": "in_distribution", "train": "boston", "form": "paper"},
+            protocols.in_distribution("boston", "paper"),
+        ),
+        ({"protocol": "productivity"}, protocols.productivity()),
+        ({"protocol": "productivity", "test": "chicago"}, protocols.productivity(test="chicago")),
+        ({"protocol": "systematicity"}, protocols.systematicity()),
+        ({"protocol": "systematicity", "test_set": "sample"}, protocols.systematicity("sample")),
+    ],
+)
+def test_contexts_are_those_of_the_protocols(options, wanted) -> None:  # type: ignore[no-untyped-def]
+    import numpy as np
+
+    plan = make_plan(GeneralizationConfig(scale="paper", **options).resolved())
+    assert hashes(plan.test) == hashes(wanted.test)
+    assert plan.test_count == len(wanted.test)
+    for seed in range(5):
+        drawn = [source.sample(np.random.default_rng(seed)) for source in (plan.train.build(), wanted.train)]
+        assert hashes(drawn)[0] == hashes(drawn)[1]
+
+
+def test_a_larger_limit_contains_a_smaller_one() -> None:
+    contexts = protocols.systematicity().test
+    few, more = (limit_contexts(contexts, count) for count in (5, 20))
+    assert set(hashes(few)) < set(hashes(more)) < set(hashes(contexts))
+    assert hashes(few) == hashes(limit_contexts(contexts, 5))
+    assert hashes(limit_contexts(contexts, 0)) == hashes(contexts)
+
+
+def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-untyped-def]
+    import os
+
+    folder = f"{os.environ['IZOO_TEST_DATA']}/salt-lake-city-60"
+    plan = make_plan(GeneralizationConfig(train=folder).resolved())
+    assert plan.title == "salt-lake-city-60 -> salt-lake-city-60"
+    train = {context.intersection.name for context in plan.train.build()}  # type: ignore[attr-defined]
+    test = {context.intersection.name for context in plan.test}
+    assert test and train and not train & test
+    assert all(context.approach is not None for context in plan.test)
+
+
+def test_published_test_sets_are_rebuilt_and_folders_are_not() -> None:
+    base = {"form": "split", "weather": None, "test_set": "grid", "test": None}
+    cities = published_test_set({**base, "protocol": "in_distribution", "train": "seattle"})
+    assert cities == set(hashes(protocols.in_distribution("seattle").test))
+    assert len(published_test_set({**base, "protocol": "systematicity", "train": None}) or ()) == 128
+    assert published_test_set({**base, "protocol": "in_distribution", "train": "my-folder"}) is None
+
+
+def test_evaluation_seeds_extend() -> None:
+    assert evaluation_seeds(5)[:3] == evaluation_seeds(3)
+    assert len(set(evaluation_seeds(5))) == 5
+
+
+def test_scales_fill_what_is_null() -> None:
+    config = GeneralizationConfig(scale="paper").resolved()
+    assert (config.seeds, config.episodes, config.test_limit) == (4, 5000, 0)
+    assert config.total_frames == 5000 * 1950
+    assert config.resolved() == config
+    given = GeneralizationConfig(scale="small", frames=777, seeds=1).resolved()
+    assert (given.total_frames, given.seeds, given.eval_seeds) == (777, 1, SCALES["small"].eval_seeds)
+
+
+def test_training_episodes_may_be_shorter_than_those_of_the_evaluation(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    config = GeneralizationConfig(scale="small", episodes=3, train_horizon_s=300.0).resolved()
+    assert config.total_frames == 3 * (600 - 50)
+    warm = dataclasses.replace(config, train_warmup_s=100.0)
+    assert warm.total_frames == 3 * (600 - 200)
+    assert train_config(warm, make_plan(warm), parse_entry("ppo"), 0, tmp_path).env.warmup_s == 100.0
+    assert evaluation_env(warm).warmup_s == 25.0
+    run = train_config(config, make_plan(config), parse_entry("ppo"), 0, tmp_path)
+    assert run.env.horizon_s == 300.0
+    assert evaluation_env(config).horizon_s == 1000.0
+
+
+def test_entries() -> None:
+    assert parse_entry("ppo_paper_residual").algo == "ppo_paper"
+    assert parse_entry("ppo_paper_residual").action == "residual"
+    assert parse_entry("glide").kind == "scripted"
+    assert parse_entry("tests.evaluation.drivers:gentle").name == "gentle"
+    for name in ("human", "pppo", "ppo_residual_residual"):
+        with pytest.raises(IzooError, match=r"choose one of: .*ppo_residual.*glide"):
+            parse_entry(name)
+
+
+def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    config = GeneralizationConfig(
+        algos=("ddpg_residual",), train_options=("algo.gamma=0.9",), horizon_s=500.0
+    ).resolved()
+    run = train_config(config, make_plan(config), config.entries()[0], 3, tmp_path)
+    assert (run.algo.name, run.algo.gamma, run.action.name, run.seed) == ("ddpg", 0.9, "residual", 3)
+    assert (run.env.horizon_s, run.evaluation.contexts, run.run_dir) == (500.0, 0, str(tmp_path))
+    assert run.validation.every_batches == 0
+    chosen = dataclasses.replace(config, select="best")
+    validated = train_config(chosen, make_plan(chosen), config.entries()[0], 3, tmp_path)
+    assert validated.validation.every_batches > 0
+    assert run.contexts.split == "train" and run.contexts.weather == "published"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"episodes": 3, "frames": 3}, "both"),
+        ({"algos": ()}, "one or more"),
+        ({"algos": ("ppo", "ppo")}, "once"),
+        ({"algos": ("glide", "tests.evaluation.drivers:glide")}, "once"),
+        ({"train_options": ("algo.gamma=0.9", "seed=3")}, "by seeds"),
+        ({"train_options": ("+contexts.split=all",)}, "by protocol"),
+        ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
+        ({"eval_seeds": 2}, "eval_seeds"),
+        ({"test": "atlanta"}, "in_distribution"),
+        ({"protocol": "systematicity", "train": "atlanta"}, "procedural"),
+    ],
+)
+def test_bad_options_say_what_to_do(options, message) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(IzooError, match=message):
+        GeneralizationConfig(**options)
+
+
+def test_time_left_follows_from_what_was_measured() -> None:
+    clock = pace.Pace()
+    jobs = [(("train", "ppo"), 1000.0), (("train", "gcrl"), 500.0)]
+    assert clock.left(jobs) is None
+    clock.add(("train", "ppo"), 100.0, 10.0)
+    assert clock.left(jobs) == pytest.approx(150.0)
+    clock.add(("train", "gcrl"), 10.0, 10.0)
+    assert clock.left(jobs) == pytest.approx(600.0)
+    assert [pace.duration(s) for s in (None, 5, 600, 7200)] == [
+        "an unknown time",
+        "about 5 s",
+        "about 10 min",
+        "about 2.0 h",
+    ]

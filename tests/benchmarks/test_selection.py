@@ -1,0 +1,44 @@
+"""Which weights of a training run the benchmark tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from izoo.benchmarks.campaign import Campaign
+from izoo.benchmarks.options import GeneralizationConfig
+from izoo.training import checkpoint
+
+
+@pytest.mark.parametrize("validated", [True, False])
+def test_the_best_weights_are_those_of_validation(
+    validated: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for frames in (100, 200):
+        checkpoint.save(tmp_path / "run", frames, {"features": 1}, keep=2)
+    first = checkpoint.listed(tmp_path / "run")[0]
+    if validated:
+        (checkpoint.folder_of(tmp_path / "run") / checkpoint.BEST).write_bytes(first.read_bytes())
+    chosen = {}
+    for select in ("last", "best"):
+        config = GeneralizationConfig(protocol="systematicity", algos=("uncommanded",), select=select).resolved()
+        chosen[select] = checkpoint.load(Campaign(config, tmp_path / select)._selected(tmp_path / "run"))["frames"]
+    assert chosen == {"last": 200, "best": 100 if validated else 200}
+    assert ("too short" in capsys.readouterr().out) != validated
+
+
+def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
+    """Else a benchmark that is killed during the last validation would test other weights than one that is not."""
+    trained = {}
+    for select in ("last", "best"):
+        config = GeneralizationConfig(protocol="systematicity", algos=("ppo",), select=select, frames=200).resolved()
+        benchmark = Campaign(config, tmp_path / select)
+        job = benchmark.jobs()[0]
+        last = checkpoint.save(benchmark._run_dir(job.entry, job.seed), 200, {"features": 1}, keep=2)
+        assert benchmark._is_trained(job)
+        candidate = checkpoint.make_candidate(last)
+        trained[select] = benchmark._is_trained(job)
+        checkpoint.make_best(candidate)
+        assert benchmark._is_trained(job)
+    assert trained == {"last": True, "best": False}

@@ -1,0 +1,121 @@
+"""Every code block of the documentation works: Python runs, commands are understood by those they call."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import traceback
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, pages, with_options
+from tests.docs.run_page import check_command, run_page
+
+Result = subprocess.CompletedProcess[str]
+NOT_RUN = 2
+"""Blocks that are marked as not run; each gives its reason where it stands."""
+
+
+def start(page: Path, folder: Path) -> Result:
+    command = [sys.executable, "-m", "tests.docs.run_page", str(page)]
+    settings = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+    return subprocess.run(command, cwd=folder, env=settings, capture_output=True, text=True, timeout=500)
+
+
+def runnable(page: Path) -> list[Block]:
+    return [block for block in blocks_of(page) if block.language != "text" and block.not_run is None]
+
+
+def runs_something(page: Path) -> bool:
+    """Whether a page needs a process: commands that are only checked leave nothing behind."""
+    return any(block.language == "python" or block.run for block in runnable(page))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[Path, Future[Result]]]:
+    """Every page that runs something, in a process and an empty folder of its own; two at a time."""
+    with ThreadPoolExecutor(2) as pool:
+        yield {
+            page: pool.submit(start, page, tmp_path_factory.mktemp(page.stem))
+            for page in sorted(pages(), key=lambda page: page.name != "tutorial.md")  # the longest one first
+            if runs_something(page)
+        }
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.stem)
+def test_page(page: Path, results: dict[Path, Future[Result]]) -> None:
+    count = len(runnable(page))
+    if page not in results:
+        assert run_page(page) == count
+        return
+    result = results[page].result()
+    assert result.returncode == 0, result.stderr[-3000:]
+    assert result.stdout.splitlines()[-1] == f"{count} blocks"
+
+
+def test_no_block_escapes() -> None:
+    """As many blocks are found as lines that open or close one, in half; those not run are counted."""
+    unrun = []
+    for page in pages():
+        fences = re.findall(r"^\s*(?:```|~~~)", page.read_text(), re.MULTILINE)
+        blocks = blocks_of(page)
+        assert len(fences) == 2 * len(blocks), page
+        unrun += [block for block in blocks if block.not_run is not None]
+    assert len(unrun) == NOT_RUN, [f"{block.page.name}:{block.line} {block.not_run}" for block in unrun]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("```python\nx = 1\nraise KeyError(x)\n```\n", "KeyError: 1"),
+        ("Text.\n\n```python\nimport izoo.nothing\n```\n", "No module named 'izoo.nothing'"),
+        ("```python\nx = 1\n```\nThen:\n```python\nassert x == 2\n```\n", "AssertionError"),
+        ("```bash\npython -m izoo.train algo=sarsa\n```\n", "page.md:2.*unknown algo 'sarsa'"),
+        ("```bash\npython -m izoo.train \\\n    env.horizon=3\n```\n", "unknown option 'env.horizon'"),
+        ("```bash\npython -m izoo.train -m algo=ppo,sarsa\n```\n", "unknown algo 'sarsa'"),
+        ("```bash\npython -m izoo.contexts paint 3\n```\n", "invalid choice: 'paint'"),
+        ("```bash\npython -m izoo.reports here\n```\n", "No module named 'izoo.reports'"),
+        ("```bash\nmake coffee\n```\n", "no target 'coffee'"),
+        ("```bash\npip install 'izoo[magic]'\n```\n", "no extra 'magic'"),
+        ("```bash\nrm -r runs\n```\n", "nobody knows how to check this"),
+        ("<!-- run: frames=0 -->\n```bash\npython -m izoo.collect\n```\n", "returned non-zero exit status 2"),
+        ("```\nx = 1\n```\n", "language ''"),
+        ("    x = 1\n", "an indented block"),
+        ("<!-- not run: -->\n\n```python\nx\n```\n", "gives no reason"),
+    ],
+)
+def test_a_broken_page_fails(text: str, message: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(text)
+    with pytest.raises(Exception) as failure:
+        run_page(page)
+    assert re.search(message, "".join(traceback.format_exception_only(failure.value)), re.DOTALL)
+
+
+def test_the_failing_line_is_named(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("Words.\n\n```python\nx = 1\nraise KeyError(x)\n```\n")
+    result = start(page, tmp_path)
+    assert result.returncode != 0 and re.search(r'page\.md", line 5.*KeyError: 1', result.stderr, re.DOTALL)
+
+
+def test_blocks_are_read(tmp_path: Path) -> None:
+    text = (
+        "<!-- not run: needs a key -->\n```python\nsecret()\n```\n\n- item\n\n"
+        "    ```bash\n    make test  # slow\n    ```\n\n"
+        "<!-- run: frames=5 env.horizon_s=30 -->\n\n```bash\nOMP_NUM_THREADS=1 python -m izoo.collect frames=90 \\\n"
+        "    out=x  # data\n```\n```text\nfinished\n```\n"
+    )
+    closed, listed, collect, output = blocks_of(tmp_path / "page.md", text)
+    assert closed.not_run == "needs a key" and closed.line == 3 and output.language == "text"
+    assert command_lines(listed) == [["make", "test"]]
+    (words,) = command_lines(collect)
+    assert collect.run == ("frames=5", "env.horizon_s=30") and words[-1] == "out=x"
+    assert with_options(words, collect.run)[2:] == ["izoo.collect", "out=x", "frames=5", "env.horizon_s=30"]
+    check_command(words)

@@ -1,0 +1,141 @@
+"""Reference pages agree with the code: TensorDict layout, options, commands, examples, navigation."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import functools
+import re
+from typing import Any
+
+import pytest
+import yaml
+
+from izoo.conf import compose
+from izoo.docs import pages
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.config import EMIT_GROUPS
+from izoo.errors import IzooError
+from tests.docs.blocks import DOCS, ROOT
+
+ROW = re.compile(r"^\| `(\([^`]+\)|\w+)` \| `\[([^`]*)\]` \| (\w+) \|", re.MULTILINE)
+READ_IF_THERE = {("agents", "defer")}
+
+
+def documented_layout() -> dict[tuple[str, ...], tuple[str, str]]:
+    """Shape and type of every key, as the page has them."""
+    rows = {}
+    for key, shape, kind in ROW.findall((DOCS / "layout.md").read_text()):
+        name = ast.literal_eval(key) if key.startswith("(") else (key,)
+        assert name not in rows, f"{name} stands there twice"
+        rows[name] = (shape, kind)
+    return rows
+
+
+def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
+    """The same of an environment that emits and reads everything."""
+    env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, lane_change=True))
+    config, found = env.config, {}
+    letters = {config.num_agents: "A", config.num_vehicles: "V", config.num_approaches: "P"}
+    letters[len(env.observation_names)] = "F"
+    for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
+        for key in spec.keys(True, True):
+            shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
+            found[key if isinstance(key, tuple) else (key,)] = (shape, str(spec[key].dtype).removeprefix("torch."))
+    return found
+
+
+def test_layout() -> None:
+    documented = documented_layout()
+    assert {key: value for key, value in documented.items() if key not in READ_IF_THERE} == emitted_layout()
+    assert documented.keys() >= READ_IF_THERE
+
+
+@functools.cache
+def options_page() -> str:
+    return pages.options_page()
+
+
+def leaves(config: Any, prefix: str = "") -> set[str]:
+    """Every option of a dataclass and of those inside it."""
+    found = set()
+    for field in dataclasses.fields(config):
+        value, path = getattr(config, field.name), f"{prefix}{field.name}"
+        if dataclasses.is_dataclass(value):
+            found |= leaves(value, f"{path}.")
+        elif field.name != "name":
+            found.add(path)
+    return found
+
+
+def test_options() -> None:
+    """Every option of every command in every choice is on the page, with a default and a meaning."""
+    page = options_page()
+    rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)\|$", page, re.MULTILINE))
+    expected = set()
+    for command in pages.hydra_commands():
+        expected |= leaves(compose.compose_config(command.name, command.config(), []))
+    for group, choices in compose.choices().items():
+        for choice in choices:
+            config = pages.options_of(group, choice)
+            expected |= leaves(config, f"{group}.")
+            assert f"`{group}={choice}`" in page
+    assert expected <= rows.keys()
+    empty = [name for name, cells in rows.items() if not cells.rpartition("|")[2].strip()]
+    assert not empty, f"options without a meaning in their dataclass's docstring: {empty}"
+
+
+def test_presets_stand_side_by_side() -> None:
+    (row,) = re.findall(r"^\| `algo.epochs` \| `(\d+)` \| `(\d+)` \| passes over", options_page(), re.MULTILINE)[-1:]
+    assert row == ("4", "30")
+
+
+def test_every_command_has_its_help() -> None:
+    page = pages.commands_page()
+    for name in pages.argparse_commands():
+        assert f"## python -m {name}\n" in page
+    assert "### contexts build" in page and "an extract, .osm or .osm.pbf" in page
+    assert pages.modules().keys() >= {"izoo.train", "izoo.evaluate", "izoo.collect", "izoo.report", "izoo.contexts"}
+    for command in pages.hydra_commands():
+        assert f"## python -m izoo.{command.name}\n" in options_page()
+
+
+def test_markers() -> None:
+    filled = pages.on_page_markdown("Text\n<!-- source: examples/own_city.py -->\nmore")
+    assert "\n    def main(\n        extract: Path | None = None," in filled
+    assert filled.startswith("Text\n??? example") and filled.endswith("more")
+    assert pages.on_page_markdown("<!-- run: a=1 -->") == "<!-- run: a=1 -->"
+
+
+def test_every_example_and_page_can_be_found() -> None:
+    examples = (DOCS / "examples.md").read_text()
+    for path in (DOCS / "examples").glob("[a-z]*.py"):
+        assert f"(examples/{path.name})" in examples and f"<!-- source: examples/{path.name} -->" in examples
+    # Material's own tags are of no interest here.
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    listed = re.findall(r"\w+\.md", str(site["nav"]))
+    assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
+
+
+def test_the_site_asks_for_nothing_from_the_network() -> None:
+    text = (ROOT / "mkdocs.yml").read_text()
+    assert "://" not in text and "font: false" in text
+
+
+def test_docstrings_are_rewritten() -> None:
+    pytest.importorskip("griffe")
+    from izoo.docs import docstrings
+
+    text = (
+        "Do it.\n\nArgs:\n    a, b: first\n        line, two: more\n    c: :class:`~izoo.x.Y` it is\n\n"
+        "Raises:\n    d, e: no"
+    )
+    assert docstrings.rewrite(text) == (
+        "Do it.\n\nArgs:\n    a: first\n        line, two: more\n    b: first\n        line, two: more\n"
+        "    c: `Y` it is\n\nRaises:\n    d, e: no"
+    )
+
+
+def test_an_unknown_choice_is_refused() -> None:
+    with pytest.raises(IzooError, match="algo=sarsa"):
+        pages.options_of("algo", "sarsa")

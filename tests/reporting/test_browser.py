@@ -1,0 +1,182 @@
+"""The page in a real Chromium: what is clicked and typed does what it says, and nothing is asked of a network."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from izoo.report import main
+from tests.reporting.folders import benchmark, rename_policy
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+WIDE, PHONE = (1280, 900), (390, 844)
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason=f"no Chromium on PATH ({', '.join(BROWSERS)})")
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless Chromium, driven by Playwright."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def eventually(page: Any, condition: Callable[[], bool], patience_s: float = 20.0) -> None:
+    """Wait for a condition; the page's own rules forbid to have it evaluated there."""
+    end = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        page.wait_for_timeout(50)
+
+
+class Visit:
+    """An open page, with what it asked for and what it complained about."""
+
+    def __init__(self, chromium: Any, path: Path, size: tuple[int, int], scheme: str = "light") -> None:
+        self.page = chromium.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def draw_everything(self) -> None:
+        """Scroll to every figure and wait until it is drawn."""
+        for place in self.page.locator(".plot").all():
+            place.scroll_into_view_if_needed()
+        waiting = self.page.locator(".plot:not([data-drawn])")
+        eventually(self.page, lambda: waiting.count() == 0)
+
+    def close(self, path: Path) -> None:
+        """Close the page; it must have been content, and have asked for nothing but itself."""
+        self.page.close()
+        assert self.complaints == []
+        assert self.requests == [path.as_uri()]
+
+
+def column(page: Any, number: int) -> list[str]:
+    return [row.locator("th, td").nth(number).inner_text() for row in page.locator("#rows tbody tr").all()]
+
+
+def pixels(page: Any, canvas: str) -> str:
+    """The picture on a canvas."""
+    return page.evaluate("id => document.getElementById(id).toDataURL()", canvas)
+
+
+def test_table_sorts_and_filters(chromium, page: Path) -> None:
+    visit = Visit(chromium, page, WIDE)
+    sheet = visit.page
+    sheet.wait_for_selector("#rows tbody tr")
+    assert sheet.locator("#filter-count").inner_text() == "4 of 4 rows"
+    head = sheet.get_by_role("button", name="no gate (%)", exact=True)
+    head.click()
+    values = [float(text) for text in column(sheet, 5)]
+    assert values == sorted(values)
+    assert sheet.locator("#rows th[aria-sort=ascending]").inner_text() == "no gate (%)"
+    head.press("Enter")
+    assert [float(text) for text in column(sheet, 5)] == values[::-1]
+    sheet.get_by_label("Filter").fill(f"no_gate>9999 benefit<{values[-1] + 1}")
+    assert sheet.locator("#filter-count").inner_text() == "0 of 4 rows"  # "no_gate>9999" names no column: a word
+    bound = 0.5 * (values[1] + values[2])
+    sheet.get_by_label("Filter").fill(f"benefit_ungated<{bound}")
+    assert [float(text) for text in column(sheet, 5)] == [value for value in values[::-1] if value < bound]
+    sheet.get_by_label("Filter").fill("q600")
+    assert len(column(sheet, 0)) == 2
+    sheet.get_by_label("Filter").fill("")
+    sheet.locator("#filter-policy").select_option("uncommanded")
+    assert column(sheet, 2) == ["uncommanded"] * 2
+    visit.close(page)
+
+
+def test_replay_plays_and_scrubs(chromium, page: Path) -> None:
+    visit = Visit(chromium, page, WIDE)
+    sheet = visit.page
+    sheet.wait_for_selector("#replay-app[data-scene='0']")
+    before = pixels(sheet, "policy-map"), pixels(sheet, "baseline-timespace")
+    scrub = sheet.get_by_label("Time of the episode")
+    scrub.fill("150")
+    assert sheet.locator("#clock").inner_text() == "75 s"
+    assert pixels(sheet, "policy-map") != before[0]
+    assert pixels(sheet, "baseline-timespace") != before[1]
+    scrub.press("ArrowRight")
+    assert scrub.input_value() == "151"
+    sheet.get_by_role("button", name="Play").click()
+    eventually(sheet, lambda: int(scrub.input_value()) > 155)
+    sheet.get_by_role("button", name="Pause").click()
+    stopped = scrub.input_value()
+    sheet.wait_for_timeout(200)
+    assert scrub.input_value() == stopped
+    sheet.locator("#rate").select_option("30")
+    sheet.get_by_role("button", name="Play").click()
+    eventually(sheet, lambda: sheet.locator("#play").inner_text() == "Play")  # it stops at the end
+    assert scrub.input_value() == scrub.get_attribute("max")
+    picture = pixels(sheet, "policy-map")
+    sheet.locator("#paint").select_option("kind")
+    painted = pixels(sheet, "policy-map")
+    sheet.get_by_role("button", name="Zoom in").click()
+    assert len({picture, painted, pixels(sheet, "policy-map")}) == 3
+    diagram = sheet.locator("#policy-timespace")
+    diagram.click(position={"x": 200, "y": 60})
+    assert 0 < int(scrub.input_value()) < int(scrub.get_attribute("max"))
+    sheet.locator("#scenes button").nth(1).click()
+    sheet.wait_for_selector("#replay-app[data-scene='1']")
+    assert "benefit of glide over human driving" in sheet.locator("#scene-text").inner_text()
+    visit.close(page)
+
+
+def test_counters_end_where_the_evaluation_does(chromium, page: Path, evaluation: Path) -> None:
+    visit = Visit(chromium, page, WIDE)
+    sheet = visit.page
+    sheet.wait_for_selector("#replay-app[data-scene]")
+    last = sheet.get_by_label("Time of the episode").get_attribute("max")
+    sheet.get_by_label("Time of the episode").fill(last)
+    scene = sheet.evaluate("report.content.scenes[0]")
+    rows = [line.split(",") for line in (evaluation / "evaluation.csv").read_text().splitlines()]
+    place = {name: rows[0].index(name) for name in ("policy", "context_hash", "seed", "crossed")}
+    wanted = ("glide", scene["context_hash"], scene["seed"])
+    (mine,) = [row for row in rows if tuple(row[place[k]] for k in ("policy", "context_hash", "seed")) == wanted]
+    shown = int(sheet.locator("#policy-count").inner_text().split()[0])
+    assert 0 <= float(mine[place["crossed"]]) - shown <= 5  # counters are kept every five seconds
+    visit.close(page)
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(WIDE, "light"), (PHONE, "dark")])
+def test_figures_are_drawn_and_nothing_overflows(chromium, evaluation: Path, tmp_path: Path, size, scheme) -> None:
+    folder = benchmark(evaluation, tmp_path / "results")
+    assert main([str(folder)]) == 0
+    visit = Visit(chromium, folder / "report.html", size, scheme)
+    visit.draw_everything()
+    width = visit.page.evaluate("document.documentElement.scrollWidth")
+    assert width <= size[0]
+    assert visit.page.locator(".plot .main-svg").count() >= 10
+    unnamed = "[...document.querySelectorAll('canvas, .plot')].filter(e => !e.getAttribute('aria-label')).length"
+    assert visit.page.evaluate(unnamed) == 0
+    ground = visit.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    visit.page.get_by_label("Switch between light and dark").click()
+    assert visit.page.evaluate("getComputedStyle(document.body).backgroundColor") != ground
+    visit.close(folder / "report.html")
+
+
+def test_hostile_names_do_nothing(chromium, evaluation: Path, tmp_path: Path) -> None:
+    name = "<img src=x onerror=alert(1)><script>alert(2)</script>"
+    folder = rename_policy(evaluation, tmp_path / "results", "glide", name)
+    assert main([str(folder), f"title=</script>{name}", "replay=false"]) == 0
+    visit = Visit(chromium, folder / "report.html", WIDE)
+    alerts: list[str] = []
+    visit.page.on("dialog", lambda dialog: alerts.append(dialog.message) or dialog.dismiss())
+    visit.draw_everything()
+    assert visit.page.locator("h1").inner_text() == f"</script>{name}"
+    assert set(column(visit.page, 2)) == {name, "uncommanded"}
+    assert visit.page.locator("img").count() == 0
+    assert alerts == []
+    visit.close(folder / "report.html")

@@ -1,0 +1,58 @@
+"""Figures of a report: the paper's histogram, Pareto fronts, and text that stays text."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from izoo.reporting.collect import Curve
+from izoo.reporting.curves import learning_curves, pareto
+from izoo.reporting.histograms import cut_height, histogram, zero_count
+
+
+def test_tall_bars_are_cut_and_their_count_printed() -> None:
+    assert cut_height(np.array([5, 40, 6])) == 12
+    assert cut_height(np.array([5, 8, 6])) == 8
+    figure = histogram(np.concatenate([np.zeros(40), np.full(6, 0.2), [7.0]]), "a -> b", "h")
+    assert figure.title == "a -> b (n = 47)"
+    assert [note["text"] for note in figure.layout["annotations"]] == ["40"]
+    assert max(figure.data[0]["y"]) == 12
+    counts = figure.data[0]["customdata"]
+    assert (len(counts), sum(counts), counts[-1]) == (150, 47, 1)  # 700 % is clipped into the last bar
+
+
+def test_the_bar_at_zero() -> None:
+    assert zero_count([0.0, 0.001, -0.001, 0.02]) == 2
+
+
+def test_pareto_figure_joins_the_front_and_marks_lost_throughput() -> None:
+    table = pd.DataFrame(
+        {
+            "point": ["human", "<b>", "ppo", "ppo"],
+            "kind": ["human", "scripted", "trained", "trained"],
+            "emission_g_per_vehicle": [100.0, 90.0, 80.0, 70.0],
+            "travel_time_s_per_vehicle": [40.0, 42.0, 50.0, 90.0],
+            "throughput_kept": [True, True, True, False],
+            "on_front": [True, False, True, False],
+        }
+    )
+    figure = pareto(table)
+    assert [trace["name"] for trace in figure.data] == [
+        *("human", "scripted", "trained", "trained, lost throughput", "Pareto front")
+    ]
+    assert figure.data[1]["text"] == ["&lt;b&gt;"]
+    assert figure.data[-1]["x"] == [80.0, 100.0]
+    assert figure.alt.endswith("on the Pareto front: ppo, human.")
+
+
+def test_learning_curves_smooth_and_leave_out_gaps() -> None:
+    values = np.where(np.arange(100) % 2, 1.0, 3.0)
+    values[10] = np.nan
+    metrics = pd.DataFrame({"frames": np.arange(100), "return": values})
+    (figure,) = learning_curves([Curve("ppo seed 0", metrics)])
+    assert figure.name == "curve-return"
+    assert len(figure.data[0]["x"]) == 99
+    assert figure.data[0]["y"][-1] == pytest.approx(
+        2.0, abs=0.1
+    )  # a running mean, where the column jumps between 1 and 3

@@ -1,0 +1,112 @@
+"""The learner's device: batches cross to it in one place, and weights come back."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from izoo import train
+from izoo.algos.action import ResidualAction
+from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.conf.options import TrainConfig
+from izoo.envs.layout import observation_names
+from izoo.errors import IzooError
+from izoo.training import learner as learning
+from izoo.training.learner import Learner, learner_device, to_learner
+from tests.algos import frames
+
+CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
+"""``cpu:0`` counts as another device, so that everything a GPU needs to be done is done, on a machine without one."""
+FEATURES = len(observation_names(TrainConfig().env))
+CONFIGS = {
+    "ppo": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16)),
+    "mappo": TrainConfig(algo=MAPPOConfig(hidden=(8, 8), minibatch_rows=16)),
+    "gcrl": TrainConfig(algo=GCRLConfig(hidden=(8,), minibatch_rows=16)),
+    "ddpg": TrainConfig(algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
+    "prioritised": TrainConfig(
+        algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200, priority_alpha=0.6)
+    ),
+    "residual": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16), action=ResidualAction()),
+}
+
+
+def collect(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A batch as the learner's policy would have collected it."""
+    monkeypatch.setattr(frames, "FEATURES", FEATURES)
+    batch = frames.make_frames()
+    torch.manual_seed(1)
+    with torch.no_grad():
+        return learner.policy(batch)
+
+
+def make(name: str, device: torch.device) -> Learner:
+    torch.manual_seed(0)
+    return Learner(CONFIGS[name], FEATURES, device)
+
+
+def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {key: value.clone() for key, value in policy.state_dict().items() if torch.is_tensor(value)}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_learning_elsewhere_is_the_same_and_its_weights_come_back(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved: list[torch.device] = []
+
+    def counted(batch: Any, device: torch.device) -> Any:
+        moved.append(device)
+        return to_learner(batch, device)
+
+    monkeypatch.setattr(learning, "to_learner", counted)
+    here, there = make(name, CPU), make(name, OTHER)
+    assert here.policy is here.algorithm.policy and there.policy is not there.algorithm.policy
+    before = weights(there.policy)
+    for learner in (here, there):
+        batch = collect(learner, monkeypatch)
+        torch.manual_seed(2)
+        learner.update(batch, 0.25)
+    assert moved == [CPU, OTHER], "each batch crosses once, in one place"
+    after = weights(there.policy)
+    assert any(not torch.equal(before[key], after[key]) for key in after), "learning changed nothing"
+    for key, value in weights(here.policy).items():
+        assert torch.equal(value, after[key]), key
+
+
+@pytest.mark.parametrize("name", ["ppo", "ddpg"])
+def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = make(name, OTHER)
+    first.update(collect(first, monkeypatch), 0.25)
+    state = copy.deepcopy(first.state_dict())
+    torch.manual_seed(99)
+    second = Learner(CONFIGS[name], FEATURES, CPU)
+    second.load_state_dict(state)
+    assert torch.equal(torch.get_rng_state(), state["torch_rng"])
+    expected = weights(first.policy)
+    assert all(torch.equal(value, expected[key]) for key, value in weights(second.policy).items())
+
+
+def test_batches_that_are_at_home_are_not_copied() -> None:
+    batch = frames.make_frames()
+    assert to_learner(batch, CPU) is batch
+    moved = to_learner(batch, torch.device("meta"))
+    assert {leaf.device.type for leaf in moved.values(True, True)} == {"meta"}
+
+
+def test_a_missing_gpu_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(IzooError, match="PyTorch finds no GPU"):
+        learner_device("cuda")
+    assert learner_device("auto") == CPU
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert learner_device("auto") == torch.device("cuda")
+    monkeypatch.undo()
+    if not torch.cuda.is_available():
+        assert train.main(["device=cuda", f"run_dir={tmp_path / 'run'}"]) == 2
+        assert "choose device=cpu" in capsys.readouterr().err
+        assert not (tmp_path / "run").exists()

@@ -1,0 +1,97 @@
+"""Training and evaluation on a Ray cluster of two nodes, both on this machine."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+
+from izoo import cluster, evaluate, train
+from izoo.errors import IzooError
+from izoo.training import runs
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
+    *("algo.hidden=[16]", "algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0"),
+    *("checkpoint.every_batches=1", "collector=ray", "num_workers=2"),
+]
+MEMORY_BYTES = 80 * 2**20
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra izoo[ray] is not installed")
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """Address of a cluster of two nodes with one core each: two workers must use both."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        from ray.cluster_utils import Cluster
+
+        node = {"num_cpus": 1, "object_store_memory": MEMORY_BYTES}
+        started = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
+        try:
+            started.add_node(**node)
+            assert len(started.list_all_nodes()) == 2
+            yield started.address
+        finally:
+            started.shutdown()
+
+
+def run(command: str, words: list[str], address: str) -> None:
+    """Run a command of izoo apart, as a driver of the cluster."""
+    done = subprocess.run(
+        [sys.executable, "-m", command, *words],
+        env={**os.environ, "RAY_ADDRESS": address},
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@needs_ray
+def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    run("izoo.train", [*TOY, "total_frames=400", f"run_dir={run_dir}"], address)
+    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [int(row["frames"]) for row in table] == [200, 400]
+    assert int(table[-1]["episodes"]) == 4, "both workers have ended two episodes of 100 steps"
+    weights = runs.load_algorithm(run_dir)[0].state_dict()["policy"]
+    torch.manual_seed(0)
+    fresh = runs.make_algorithm(runs.read_config(run_dir), runs.load_algorithm(run_dir)[2]["features"])
+    assert any(not torch.equal(weights[key], value) for key, value in fresh.state_dict()["policy"].items())
+    words = [f"run={run_dir}", "num_contexts=1", "num_workers=2"]
+    run("izoo.evaluate", [*words, "executor=ray", f"out={tmp_path / 'ray'}", f"cache={tmp_path / 'a'}"], address)
+    assert evaluate.main([*words, "num_workers=1", f"out={tmp_path / 'here'}", f"cache={tmp_path / 'b'}"]) == 0
+    there, here = (pd.read_csv(tmp_path / name / "evaluation.csv") for name in ("ray", "here"))
+    pd.testing.assert_frame_equal(there, here)
+
+
+def test_a_missing_ray_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(IzooError, match=r"pip install 'izoo\[ray\]'"):
+        cluster.connect()
+    assert evaluate.main(["policy=glide", "executor=ray", "num_contexts=1", f"out={tmp_path / 'out'}"]) == 2
+    assert train.main([*TOY, "total_frames=200", f"run_dir={tmp_path / 'run'}"]) == 2
+    assert "pip install 'izoo[ray]'" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@needs_ray
+def test_a_cluster_that_is_not_there_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
+    assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 2
+    assert "no Ray cluster at 127.0.0.1:1 (RAY_ADDRESS): Connection refused" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,185 @@
+"""A run that was killed and resumed ends where an uninterrupted one does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from izoo import train
+from izoo.algos.base import ACTION, MASK
+from izoo.contexts.procedural import procedural_context
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import TOTALS
+from izoo.errors import IzooError
+from izoo.training import checkpoint, runs
+from izoo.training.environments import TrainingParallelEnv
+from izoo.training.past import EpisodePast, Pasts
+
+TOY = [
+    *(
+        "contexts=pcg_easy",
+        "contexts.inflow_vph_per_lane=600",
+        "contexts.adoption=1.0",
+        "env.horizon_s=100",
+        "algo.hidden=[16]",
+    ),
+    *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=1"),
+    *("total_frames=1200", "validation.every_batches=0"),
+]
+"""Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
+DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
+
+
+def flat(state: object, prefix: str = "") -> dict[str, object]:
+    """Every leaf of nested containers by its path."""
+    if isinstance(state, dict):
+        items = state.items()
+    elif isinstance(state, (list, tuple)):
+        items = enumerate(state)  # type: ignore[assignment]
+    else:
+        return {prefix: state}
+    return {path: leaf for key, value in items for path, leaf in flat(value, f"{prefix}/{key}").items()}
+
+
+def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch: int = 200) -> None:
+    """Start a run and kill it with SIGKILL once ``batch - 1`` checkpoints have been written."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    awaited = checkpoint.folder_of(run_dir) / f"step-{(batch - 1) * frames_per_batch:012d}.pt"
+    deadline = time.monotonic() + 120
+    while not awaited.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.002)
+    os.killpg(process.pid, signal.SIGKILL)
+    _, error = process.communicate(timeout=30)
+    assert awaited.exists(), error.decode()
+    newest = checkpoint.load(checkpoint.find(run_dir))["frames"]
+    assert newest < 1200, "the run was over before it was killed"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["collector=single"],
+        ["collector=parallel", "num_workers=2", *DDPG],
+    ],
+    ids=["single-ppo", "parallel-ddpg"],
+)
+def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
+    # The single collector simulates in its own process, which can hold one simulation.
+    command = [sys.executable, "-m", "izoo.train"]
+    words = [*TOY, *words]
+    if words[-1] in DDPG:
+        words = [word for word in words if not word.startswith("algo.minibatch_rows")]
+    subprocess.run([*command, *words, f"run_dir={tmp_path / 'a'}"], check=True, stdout=subprocess.DEVNULL, timeout=200)
+    kill_in_batch(tmp_path / "b", words, batch=4)
+    subprocess.run([*command, f"resume={tmp_path / 'b'}"], check=True, stdout=subprocess.DEVNULL, timeout=200)
+    whole, resumed = (flat(checkpoint.load(checkpoint.find(tmp_path / name))) for name in "ab")
+    assert whole.keys() == resumed.keys()
+    for path, leaf in whole.items():
+        if isinstance(leaf, torch.Tensor):
+            assert torch.equal(leaf, resumed[path]), path  # type: ignore[arg-type]
+        elif not path.endswith("/seconds"):
+            assert leaf == resumed[path], path
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    before = flat(checkpoint.load(checkpoint.find(run_dir)))
+    for path in checkpoint.listed(run_dir):
+        path.unlink()
+    assert train.main([f"resume={run_dir}"]) == 0
+    after = flat(checkpoint.load(checkpoint.find(run_dir)))
+    assert all(torch.equal(leaf, after[path]) for path, leaf in before.items() if isinstance(leaf, torch.Tensor))
+
+
+DENSE = procedural_context(adoption=1.0, inflow_vph_per_lane=900.0, lane_length_m=120.0)
+ENV = EnvConfig(horizon_s=100.0, num_agents=16, emit=())
+SLOTS = 16
+
+
+def play(
+    env: TrainingParallelEnv, root: TensorDictBase, steps: int, generator: torch.Generator
+) -> tuple[TensorDictBase, TensorDictBase]:
+    """Step with random commands; return the steps ``[2, T]`` and the state to act on next."""
+    frames = []
+    for _ in range(steps):
+        root.set(ACTION, torch.rand(2, SLOTS, 1, generator=generator) * 4.0 - 2.0)
+        root.set(("agents", "defer"), torch.rand(2, SLOTS, generator=generator) < 0.2)
+        step, root = env.step_and_maybe_reset(root)
+        frames.append(step)
+    return torch.stack(frames, 1), root
+
+
+@pytest.mark.parametrize("steps", [40, 150, 190])
+def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
+    """Within the first episode, between two, and within the second; one worker's episode is shorter."""
+    pasts = Pasts.fresh(2)
+    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    batch, root = play(first, first.reset(), steps, torch.Generator().manual_seed(3))
+    pasts.add(batch)
+    again = Pasts.from_state(pasts.state_dict())
+    assert [past.episode for past in again.pasts] == ([0, 1] if steps < 150 else [2, 3])
+    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=again.pasts)
+    other = second.reset()
+    for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
+        assert torch.equal(root.get(key), other.get(key)), key
+    # To the end of the episode, for its metrics, and into the next one.
+    rest = 310 - steps
+    whole, resumed = (
+        play(env, state, rest, torch.Generator().manual_seed(5))[0] for env, state in ((first, root), (second, other))
+    )
+    for key in (MASK, ("next", "agents", "observation"), ("next", "agents", "reward"), ("next", "done")):
+        assert torch.equal(whole.get(key), resumed.get(key)), key
+    ended = whole.get(("next", "done")).squeeze(-1)
+    assert ended.any() and whole.get(MASK).any()
+    assert torch.equal(whole.get(("next", TOTALS))[ended], resumed.get(("next", TOTALS))[ended])
+    first.close()
+    second.close()
+
+
+def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
+    pasts = Pasts.fresh(2)
+    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
+    pasts.add(batch)
+    first.close()
+    young = Pasts.from_state([pasts.state_dict()[0], EpisodePast(7).state_dict()])
+    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=young.pasts)
+    other = second.reset()
+    assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
+    assert second._next_episode.tolist() == [2, 9]
+    alone = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=[EpisodePast(0), EpisodePast(7)])
+    assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
+    second.close()
+    alone.close()
+
+
+def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
+    past = EpisodePast(5, [torch.tensor([2])], [{"action": torch.tensor([0.5, 1.0])}])
+    script = past.unroll(4)
+    assert script.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
+    with pytest.raises(IzooError, match="episode 5 does not repeat itself: 1 controlled vehicles at step 0, 2 before"):
+        script.at(0, torch.tensor([True, False, False, False]))
+
+
+def test_another_number_of_workers_leaves_the_episodes_in_progress_out(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0
+    assert train.main([f"resume={run_dir}", "total_frames=600", "num_workers=1"]) == 0
+    state = checkpoint.load(checkpoint.find(run_dir))
+    assert state["first_episode"] == 4, "two workers had reached the episodes 2 and 3"
+    assert [entry["episode"] for entry in state["pasts"]] == [1]
+    assert runs.read_config(run_dir).num_workers == 1

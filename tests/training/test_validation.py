@@ -1,0 +1,180 @@
+"""Validation beside training, on real SUMO."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from izoo import evaluate, train
+from izoo.conf.cities import CityContexts
+from izoo.conf.contexts import PcgContexts
+from izoo.conf.options import TrainConfig, ValidationConfig
+from izoo.contexts.catalogue import Scenarios
+from izoo.errors import IzooError
+from izoo.training import checkpoint, runs, validation
+from izoo.training.validation import Validator
+
+TOY = [
+    *(
+        "contexts=pcg_easy",
+        "contexts.inflow_vph_per_lane=600",
+        "env.horizon_s=75",
+        "algo.hidden=[16]",
+        "contexts.lane_length_m=120",
+    ),
+    *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=5"),
+    *("validation.every_batches=2", "validation.contexts=1"),
+]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of five batches."""
+    folder = tmp_path_factory.mktemp("runs") / "toy"
+    assert train.main([*TOY, "total_frames=1000", f"run_dir={folder}"]) == 0
+    return folder
+
+
+def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
+    table = rows(run_dir / validation.VALIDATION_FILE)
+    assert int(table[-1]["frames"]) == 1000, "the last weights are validated at the end"
+    assert {int(row["frames"]) for row in table} <= {400, 800, 1000}
+    benefits = [float(row["benefit"]) for row in table]
+    best = checkpoint.load(run_dir / "checkpoints" / "best.pt")
+    assert best["frames"] == int(table[benefits.index(max(benefits))]["frames"])
+    assert [row["best"] for row in table].count("1") >= 1 and table[0]["best"] == "1"
+    assert not checkpoint.candidates(run_dir)
+    assert (run_dir / runs.CURVE_FILE).stat().st_size > 0
+
+
+def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:
+    words = [*TOY, "validation.every_batches=0", "total_frames=1000", f"run_dir={tmp_path / 'run'}"]
+    assert train.main(words) == 0
+    with_it, without = (runs.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run"))
+    assert all(torch.equal(with_it[key], without[key]) for key in with_it)
+    assert not (tmp_path / "run" / validation.VALIDATION_FILE).exists()
+    with pytest.raises(IzooError, match="has no best checkpoint"):
+        checkpoint.find(tmp_path / "run", "best")
+
+
+def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) -> None:
+    words = ["num_workers=0", "seeds=3", "num_contexts=1", f"out={tmp_path / 'out'}"]
+    assert evaluate.main([f"run={run_dir}", "checkpoint=best", *words]) == 0
+    assert "toy-best" in {row["policy"] for row in rows(tmp_path / "out" / "evaluation.csv")}
+    assert checkpoint.find(run_dir, "1000") == checkpoint.find(run_dir)
+    with pytest.raises(IzooError, match=r"checkpoint is '77'; .* has last, best, and by frames: 400, 800, 1000"):
+        checkpoint.find(run_dir, "77")
+    with pytest.raises(IzooError, match=r"config\.yaml is a file that does not lie among a run's checkpoints"):
+        checkpoint.find(run_dir / "config.yaml")
+
+
+def wait_for(validator: Validator) -> dict[str, float]:
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        result = validator.poll()
+        if result or not validator.busy:
+            return result
+        time.sleep(0.05)
+    raise AssertionError("the validation did not end")
+
+
+def test_a_failed_validation_is_reported_and_training_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    validator = Validator(TrainConfig(), tmp_path)
+    path = checkpoint.save(tmp_path, 100, {"algorithm": {}, "features": 3}, keep=1)
+    validator.submit(path)  # the folder has no config.yaml
+    assert wait_for(validator) == {}
+    error = capsys.readouterr().err
+    assert "validation of candidate-000000000100.pt failed" in error and "training goes on" in error
+    assert "config.yaml" in error
+    assert not checkpoint.candidates(tmp_path) and checkpoint.listed(tmp_path) == [path]
+
+
+def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
+    validator = Validator(TrainConfig(), tmp_path)
+    for frames in (100, 200, 300):
+        validator.submit(checkpoint.save(tmp_path, frames, {"algorithm": {}, "features": 3}, keep=1))
+    assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100, 300]
+    process = validator._process
+    assert process is not None
+    validator.close()
+    assert process.poll() is not None
+    # A resumed run validates what was left: not what it will train anew, and the newest only.
+    again = Validator(TrainConfig(), tmp_path, frames=250)
+    assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100]
+    again.close()
+    Validator(TrainConfig(validation=ValidationConfig(every_batches=0)), tmp_path, frames=250)
+    assert checkpoint.candidates(tmp_path) == []
+
+
+def test_a_best_checkpoint_of_the_future_is_forgotten(tmp_path: Path) -> None:
+    for frames, kept in ((200, True), (300, False)):
+        checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1)))
+        Validator(TrainConfig(), tmp_path, frames=250)
+        assert (checkpoint.best_of(tmp_path) is not None) == kept
+
+
+def test_a_forgotten_best_checkpoint_is_replaced_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n200,0.5,1.0\n300,0.6,1.0\n")
+    checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 300, {"algorithm": {}}, keep=1)))
+    assert not Validator(TrainConfig(), tmp_path, frames=300)._is_best({"benefit": 0.4})
+    assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"benefit": 0.4})
+
+
+def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_path: Path) -> None:
+    (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n100,0.5,1.0\n200,0.4,0.0\n")
+    for frames in (100, 200):
+        checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=2))
+    validator = Validator(TrainConfig(), tmp_path, frames=250)
+    assert not validator.busy and checkpoint.candidates(tmp_path) == []
+    best = checkpoint.best_of(tmp_path)
+    assert best is not None and checkpoint.frames_of(best) == 100
+
+
+def test_the_process_ends_with_the_run(run_dir: Path, tmp_path: Path) -> None:
+    """Also where the run is killed: the pipe to it closes."""
+    command = [sys.executable, "-m", "izoo.training.validation", str(checkpoint.find(run_dir)), str(tmp_path / "r")]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdin is not None
+    process.stdin.close()
+    assert process.wait(30) == 1
+    assert not (tmp_path / "r").exists()
+
+
+def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    words = [*TOY, "total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "izoo.train", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
+    deadline = time.monotonic() + 120
+    while not checkpoint.candidates(folder) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    assert "Traceback" not in error
+    assert checkpoint.candidates(folder), "a resumed run validates these weights again"
+
+
+def test_validation_uses_held_out_intersections_where_there_are_any() -> None:
+    source = validation.held_out(CityContexts(split="train"))
+    assert isinstance(source, Scenarios)
+    names = {source[k].intersection.name for k in range(0, len(source), 7)}
+    trained = CityContexts(split="train").build()
+    assert names.isdisjoint({trained[k].intersection.name for k in range(0, len(trained), 7)})  # type: ignore[index]
+    assert validation.held_out(PcgContexts(preset="easy")) is not None
