@@ -15,7 +15,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from izoo.algos import base
-from izoo.algos.scripted import Glide
+from izoo.algos.scripted import DEFER, Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, observation_names
@@ -26,7 +26,7 @@ RESIDUAL = ("agents", "residual")
 class NominalDriver(nn.Module):
     """Glide where it commands; where it leaves a CV alone, what the car-following model would do.
 
-    A residual needs something to be added to, so nobody is left to the simulator's driver. Its intelligent driver model
+    A residual that brakes needs something to be subtracted from, so the simulator's intelligent driver model
     (Treiber et al., Phys. Rev. E 62, 1805) is estimated from the observation, with ``cv_vehicle=paper``'s parameters.
     The simulator never lets a command exceed its own safe speed, so the estimate matters where it is the lower of the
     two.
@@ -42,10 +42,15 @@ class NominalDriver(nn.Module):
         self.glide = Glide(config)
         self.columns = {name: column for column, name in enumerate(observation_names(config))}
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return accelerations ``[*B, A]`` in m/s^2 of observations ``[*B, A, F]``; empty slots may hold anything."""
+    def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return accelerations in m/s^2, and which are estimates of the simulator's own, both ``[*B, A]``.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            mask: ``[*B, A]``; what empty slots get does not matter.
+        """
         advised, idle = self.glide.drive(observation, mask)
-        return torch.where(idle, self.follow(observation), advised)
+        return torch.where(idle, self.follow(observation), advised), idle
 
     def follow(self, observation: Tensor) -> Tensor:
         """Return the car-following model's acceleration, ``[*B, A]``, behind the leader or a red light ahead."""
@@ -78,23 +83,28 @@ class NominalDriver(nn.Module):
 class ResidualPolicy(TensorDictModuleBase):
     """A learned policy's action becomes ``("agents", "residual")``; the sum with the nominal one becomes the action.
 
+    A CV that the nominal controller leaves alone stays with the simulator's driver, ``("agents", "defer")``, unless its
+    residual brakes. So a policy of residuals near 0 is the nominal controller, and no estimate of it.
+
     Args:
         learned: writes ``("agents", "action")`` ``[*B, A, 1]``, in m/s^2, which may be negative.
         nominal: the controller that it corrects.
+        threshold_mps2: residuals above minus this do not count as braking.
     """
 
-    def __init__(self, learned: TensorDictModuleBase, nominal: NominalDriver) -> None:
+    def __init__(self, learned: TensorDictModuleBase, nominal: NominalDriver, threshold_mps2: float) -> None:
         super().__init__()
-        self.learned, self.nominal = learned, nominal
+        self.learned, self.nominal, self.threshold_mps2 = learned, nominal, threshold_mps2
         self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION, base.MASK]))
-        self.out_keys = [*learned.out_keys, RESIDUAL]
+        self.out_keys = [*learned.out_keys, RESIDUAL, DEFER]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write residual and acceleration, ``[*B, A, 1]`` each, and whatever else the learned policy writes."""
+        """Write residual and acceleration, ``[*B, A, 1]`` each, ``defer``, and what else the learned policy writes."""
         residual = self.learned(tensordict).get(base.ACTION)
-        nominal = self.nominal(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK)).unsqueeze(-1)
+        nominal, idle = self.nominal(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
         tensordict.set(RESIDUAL, residual)
-        return tensordict.set(base.ACTION, (nominal + residual).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2))
+        tensordict.set(DEFER, idle & (residual.squeeze(-1) > -self.threshold_mps2))
+        return tensordict.set(base.ACTION, (nominal.unsqueeze(-1) + residual).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2))
 
 
 class Residual:
@@ -103,11 +113,12 @@ class Residual:
     Args:
         learned: the algorithm, built for residuals.
         nominal: the controller that its policy corrects.
+        threshold_mps2: see :class:`ResidualPolicy`.
     """
 
-    def __init__(self, learned: base.Algorithm, nominal: NominalDriver) -> None:
+    def __init__(self, learned: base.Algorithm, nominal: NominalDriver, threshold_mps2: float) -> None:
         self.learned = learned
-        self.policy = ResidualPolicy(learned.policy, nominal)
+        self.policy = ResidualPolicy(learned.policy, nominal, threshold_mps2)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Hand the batch on with the residual in the place of the action; the batch itself stays as it is."""

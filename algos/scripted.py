@@ -108,11 +108,14 @@ class GlideConfig:
     """Settings of :class:`Glide`; tuned by hand on measured training intersections.
 
     Attributes:
-        max_lanes: approaches with more lanes are left alone. Where vehicles choose among lanes the queue ahead cannot
+        max_lanes: on approaches with more lanes nobody glides. Where vehicles choose among lanes the queue ahead cannot
             be guessed from the leader, others overtake and merge in front, and the rule costs more than it gains.
+        stop_decel_mps2: there, whoever must stop in any case brakes from where this deceleration is enough; 0: they
+            are left alone.
         start_lag_s: time from green until the first vehicle of a queue crosses.
         headway_s: time between two vehicles of a discharging queue.
         spacing_m: road that a queued vehicle takes up.
+        standing_gap_m: what is left free behind a standing leader.
         moving_fill: share of the road ahead of a moving leader that is assumed to fill with a queue.
         queue_speed_mps: a leader slower than this stands in a queue that reaches back to it.
         margin_s: a green is used only if this much of it is left on arrival.
@@ -125,9 +128,11 @@ class GlideConfig:
     """
 
     max_lanes: int = 1
+    stop_decel_mps2: float = 0.6
     start_lag_s: float = 2.0
     headway_s: float = 2.2
     spacing_m: float = 7.5
+    standing_gap_m: float = 3.0
     moving_fill: float = 0.15
     queue_speed_mps: float = 2.0
     margin_s: float = 2.0
@@ -143,6 +148,7 @@ class GlideConfig:
         for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
             check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
         check_range("glide.max_lanes", self.max_lanes, 0, 100)
+        check_range("glide.stop_decel_mps2", self.stop_decel_mps2, 0.0, -ACTION_LOW_MPS2, "m/s^2")
         check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
 
 
@@ -151,9 +157,10 @@ class Glide(ScriptedDriver):
 
     Each CV estimates when it can pass: the start of a green of its movement, plus the time that the queue ahead on its
     lane needs to discharge, skipping greens that the queue uses up; and slows gently, early, to arrive then. What it
-    cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. Whoever
-    need not slow, is near the stop line, or follows closely is left to IDM, and so is everyone on approaches with
-    more lanes than ``max_lanes``.
+    cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. On
+    approaches with more lanes than ``max_lanes`` a CV that has to stop in any case brakes early and gently instead:
+    braking burns as little as standing, cruising twice as much. Whoever need not slow, is near the stop line, or
+    follows closely is left to IDM.
 
     Args:
         config: settings of the environment; the leader and the features ``green_s``, ``red_s``, ``speed_limit_mps``
@@ -187,18 +194,37 @@ class Glide(ScriptedDriver):
         free_s = distance / limit
         arrival_s = self.passing_time(observation, distance, free_s)
         advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.full_like(limit, s.floor_mps))
-        following = leader & (gap < s.headway_gap_s * speed)
+        leads = approaching & ~(leader & (gap < s.headway_gap_s * speed))
         wide = self._column(observation, "context_lane_count", feature("lane_count").scale) > s.max_lanes + 0.5
-        idle = (
-            wide
-            | (arrival_s - free_s < s.late_s)
-            | (distance < s.near_m)
-            | following
-            | ~approaching
-            | (advised >= limit)
-        )
-        accel = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
-        return accel, idle
+        early = (arrival_s - free_s >= s.late_s) & (advised < limit) & (distance >= s.near_m)
+        glides = leads & ~wide & early
+        glide = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
+        decel, must_stop = self.stop(observation, distance, speed)
+        stops = leads & wide & must_stop
+        return torch.where(stops, -decel, glide), ~(glides | stops)
+
+    def stop(self, observation: Tensor, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the deceleration that ends in each CV's stop, ``[*B, A]`` in m/s^2, and whether it is time for it.
+
+        A stop is certain behind a standing leader, and at a red light that outlasts the braking.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            distance: ``[*B, A]`` metres to the stop line.
+            speed: ``[*B, A]`` m/s.
+        """
+        s = self.settings
+        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
+        queued = observation[..., self.columns["leader_present"]] > 0.5
+        queued &= self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
+        ahead = torch.where(queued, gap - s.standing_gap_m, distance)
+        decel = 0.5 * speed**2 / ahead.clamp_min(1.0)
+        red = observation[..., self.columns["signal_red"]] > 0.5
+        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        certain = (red & (left > 2.0 * ahead / speed.clamp_min(0.5))) | (queued & (gap < distance))
+        # What brakes harder than this, or is about to stand, is the simulator's.
+        possible = (decel >= s.stop_decel_mps2) & (decel < 4.0) & (ahead > 5.0) & (speed > 3.0)
+        return decel, certain & possible & (s.stop_decel_mps2 > 0.0)
 
     def passing_time(self, observation: Tensor, distance: Tensor, free_s: Tensor) -> Tensor:
         """Return in how many seconds each CV can pass the stop line, ``[*B, A]``.

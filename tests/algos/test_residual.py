@@ -8,13 +8,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
 from izoo.algos import base
 from izoo.algos.action import DirectAction, ResidualAction
 from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolicy
+from izoo.algos.scripted import DEFER
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.compose import compose_config
 from izoo.conf.options import TrainConfig
@@ -50,7 +52,7 @@ def observe(**values: float) -> torch.Tensor:
 
 def nominal(**values: float) -> float:
     observation = observe(**values).reshape(1, 1, -1)
-    return float(NominalDriver(ENV)(observation, torch.ones(1, 1, dtype=torch.bool)))
+    return float(NominalDriver(ENV)(observation, torch.ones(1, 1, dtype=torch.bool))[0])
 
 
 def make(algo: str, *words: str) -> Residual:
@@ -90,7 +92,9 @@ def test_nominal_is_glide_where_glide_commands() -> None:
     observation, mask = observe(**red).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)
     advised, idle = driver.glide.drive(observation, mask)
     assert not idle.any()
-    torch.testing.assert_close(driver(observation, mask), advised)
+    accel, estimated = driver(observation, mask)
+    torch.testing.assert_close(accel, advised)
+    assert not estimated.any()
     assert nominal(**red) < -0.5
 
 
@@ -113,12 +117,31 @@ def test_a_red_light_ahead_holds_but_not_in_the_last_metres() -> None:
     assert float(near) > 0
 
 
+def test_whom_glide_leaves_alone_is_commanded_only_to_brake() -> None:
+    class Learned(TensorDictModuleBase):
+        in_keys, out_keys = [base.OBSERVATION], [base.ACTION]
+
+        def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+            return tensordict.set(base.ACTION, torch.tensor([[0.5], [0.0], [-0.05], [-0.5]]))
+
+    batch = TensorDict({"agents": {"observation": observe().expand(4, -1), "mask": torch.ones(4, dtype=torch.bool)}})
+    acted = ResidualPolicy(Learned(), NominalDriver(ENV), threshold_mps2=0.1)(batch.clone())
+    assert acted[DEFER].tolist() == [True, True, True, False]
+    assert float(acted[base.ACTION][3]) == pytest.approx(nominal() - 0.5, abs=1e-5)
+
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
+    batch["agents", "observation"] = observe(**red).expand(4, -1)
+    assert not ResidualPolicy(Learned(), NominalDriver(ENV), threshold_mps2=0.1)(batch)[DEFER].any()
+
+
 @pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
 def test_training_starts_from_the_nominal_controller(algo: str) -> None:
     algorithm, batch = make(algo), make_batch()
     acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
     assert float(acted[RESIDUAL].abs().max()) < 0.1
-    expected = NominalDriver(ENV)(batch[base.OBSERVATION], batch[base.MASK]).unsqueeze(-1)
+    nominal, idle = NominalDriver(ENV)(batch[base.OBSERVATION], batch[base.MASK])
+    assert torch.equal(acted[DEFER], idle)
+    expected = nominal.unsqueeze(-1)
     torch.testing.assert_close(acted[base.ACTION], (expected + acted[RESIDUAL]).clamp(-4.5, 2.6))
 
 

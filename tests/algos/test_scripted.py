@@ -172,6 +172,34 @@ def test_glide_drives_on_wider_approaches_when_told_to() -> None:
     assert advise(observation(context_lane_count=2.0), settings=GlideConfig(max_lanes=2))[1].tolist() == [False]
 
 
+@pytest.mark.parametrize(
+    ("values", "decel"),
+    [
+        # 10 m/s and 60 m to the line: 0.83 m/s^2 stops there in 12 s, which the red light outlasts, or does not.
+        ({"stop_line_distance": -60.0, "signal_time_left": 30.0}, 100.0 / 120.0),
+        ({"stop_line_distance": -60.0, "signal_time_left": 11.0}, None),
+        # 100 m away braking would be gentler than it need be, and in the last metres it is the simulator's.
+        ({"stop_line_distance": -100.0, "signal_time_left": 30.0}, None),
+        ({"stop_line_distance": -4.0, "signal_time_left": 30.0, "speed": 4.0}, None),
+        # A leader that stands 43 m ahead, of which 3 m are to be left; one that drives ends no journey.
+        (
+            {"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 0.0, "signal_time_left": 5.0},
+            100.0 / 80.0,
+        ),
+        ({"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 9.0, "signal_time_left": 5.0}, None),
+    ],
+)
+def test_glide_brakes_early_on_wider_approaches_where_a_stop_is_certain(
+    values: dict[str, float], decel: float | None
+) -> None:
+    row = observation(**{"context_lane_count": 2.0, "speed": 10.0, "signal_green": 0.0, "signal_red": 1.0} | values)
+    accel, defer = advise(row)
+    assert defer.tolist() == [decel is None]
+    if decel is not None:
+        assert float(accel) == pytest.approx(-decel, abs=1e-3)
+    assert advise(row, settings=GlideConfig(stop_decel_mps2=0.0))[1].tolist() == [True]
+
+
 def test_glide_never_advises_below_its_floor() -> None:
     row = observation(speed=4.0, signal_time_left=60.0, signal_second_green=120.0 / TIME_SCALE_S)
     accel, idle = advise(row)
