@@ -177,7 +177,7 @@ class Host:
 
     def close(self) -> None:
         """End the simulation; a later :meth:`begin` starts it again."""
-        self.over = True
+        self.context, self.over = None, True
         _stop(self._runner)
 
     # -- what is in the frame ------------------------------------------------------------------------------------------

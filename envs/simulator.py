@@ -49,7 +49,7 @@ from izoo.envs.layout import (
     VEHICLE_INTS,
 )
 from izoo.envs.sumo import SumoSession, sumo_arguments
-from izoo.envs.worker import episode_folder_prefix
+from izoo.envs.worker import episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.networks.build import build_net
@@ -96,6 +96,7 @@ class Simulator:
         self.context, self.seed = context, seed
         self.traffic = sample_traffic(context, road, seed, config.horizon_s)
         if self._folder is None:
+            remove_abandoned_folders()
             self._folder = tempfile.TemporaryDirectory(prefix=episode_folder_prefix(os.getpid()))
         routes = Path(self._folder.name) / "traffic.rou.xml"
         write_routes(self.traffic, road, routes)

@@ -32,6 +32,8 @@ _STARTUP_S = 300.0
 SPIN_S = 400e-6
 """For so long a worker asks again for its next command before it sleeps, if every worker has a core: being woken
 takes some 50 us, a tenth of a step. It yields its core at every turn, so that the parent can have it."""
+ABANDONED_S = 24 * 3600.0
+"""An episode's folder that is older than this, and whose process is gone, is removed."""
 _LENGTH = struct.Struct("!Q")
 
 
@@ -50,9 +52,30 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-def episode_folder_prefix(pid: int) -> str:
+def episode_folder_prefix(pid: int | str) -> str:
     """Name, but for its random end, of the temporary folder in which a process keeps the files of its episode."""
     return f"izoo-{pid}-"
+
+
+def remove_abandoned_folders() -> None:
+    """Remove what processes that were killed together with their parent have left: nobody else could."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix('*')}*"):
+        pid = folder.name.split("-")[1]
+        with contextlib.suppress(OSError):
+            # A process of another container may live although it is not seen here, but then its files are young.
+            old = time.time() - folder.stat().st_mtime > ABANDONED_S
+            if old and pid.isdigit() and folder.stat().st_uid == os.getuid() and not _runs(int(pid)):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:

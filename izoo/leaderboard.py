@@ -37,11 +37,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    paths = _submissions(arguments.files)
+
     from izoo.benchmarks.claim import versions
     from izoo.evaluation.table import write_text
     from izoo.reporting import leaderboard
 
-    paths = list(_submissions(arguments.files))
     reference = versions()
     checked = [leaderboard.check(leaderboard.read_submission(path), str(path), reference) for path in paths]
     if arguments.command == "validate":
@@ -64,6 +65,8 @@ def _submissions(paths: Sequence[Path]) -> list[Path]:
         inside = sorted(path.glob("*.json")) if path.is_dir() else [path]
         if not inside:
             raise IzooError(f"{path} holds no leaderboard file; a benchmark writes them into leaderboard/.")
+        if not inside[0].exists():
+            raise IzooError(f"{path} does not exist; give leaderboard files, or folders that hold some.")
         found += inside
     return found
 

@@ -161,6 +161,10 @@ def test_step_before_reset_is_refused() -> None:
     for call in (lambda: env.step({}), env.state):
         with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):
             call()
+    env.reset(seed=1)
+    env.close()
+    with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):
+        env.step({})
 
 
 def test_unknown_render_mode_is_refused() -> None:

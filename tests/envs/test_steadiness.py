@@ -22,7 +22,7 @@ from tensordict import TensorDict
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
 from izoo.envs import EnvConfig, SumoParallelEnv
-from izoo.envs.worker import episode_folder_prefix
+from izoo.envs.worker import ABANDONED_S, episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.networks.build import build_net
 from tests.envs.worlds import crossing, defer, digest, play, play_on, same, short, steer
@@ -229,6 +229,23 @@ def open_descriptors() -> int:
 
 def folders_of(pids: set[int]) -> list[Path]:
     return [path for pid in pids for path in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix(pid)}*")]
+
+
+def test_what_killed_processes_left_is_removed_once_it_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    long_ago = time.time() - ABANDONED_S - 60.0
+    for name, old in {"dead": True, "young": False, "alive": True}.items():
+        pid = os.getpid() if name == "alive" else gone.pid
+        (tmp_path / f"{episode_folder_prefix(pid)}{name}").mkdir()
+        (tmp_path / f"{episode_folder_prefix(pid)}{name}" / "traffic.rou.xml").write_text("")
+        if old:
+            os.utime(tmp_path / f"{episode_folder_prefix(pid)}{name}", (long_ago, long_ago))
+    (tmp_path / "izoo-docs-old").mkdir()
+    os.utime(tmp_path / "izoo-docs-old", (long_ago, long_ago))
+    remove_abandoned_folders()
+    assert {path.name.split("-")[-1] for path in tmp_path.iterdir()} == {"young", "alive", "old"}
 
 
 def test_close_leaves_nothing() -> None:
