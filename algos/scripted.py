@@ -206,7 +206,7 @@ class Glide(ScriptedDriver):
     def stop(self, observation: Tensor, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Return the deceleration that ends in each CV's stop, ``[*B, A]`` in m/s^2, and whether it is time for it.
 
-        A stop is certain behind a standing leader, and at a red light that outlasts the braking.
+        A stop is certain while a red light outlasts the braking: at the line, or behind a leader that stands before it.
 
         Args:
             observation: ``[*B, A, F]``.
@@ -217,11 +217,11 @@ class Glide(ScriptedDriver):
         gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
         queued = observation[..., self.columns["leader_present"]] > 0.5
         queued &= self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
-        ahead = torch.where(queued, gap - s.standing_gap_m, distance)
+        ahead = torch.where(queued, torch.minimum(gap - s.standing_gap_m, distance), distance)
         decel = 0.5 * speed**2 / ahead.clamp_min(1.0)
         red = observation[..., self.columns["signal_red"]] > 0.5
         left = self._column(observation, "signal_time_left", TIME_SCALE_S)
-        certain = (red & (left > 2.0 * ahead / speed.clamp_min(0.5))) | (queued & (gap < distance))
+        certain = red & (left > 2.0 * ahead / speed.clamp_min(0.5))
         # What brakes harder than this, or is about to stand, is the simulator's.
         possible = (decel >= s.stop_decel_mps2) & (decel < 4.0) & (ahead > 5.0) & (speed > 3.0)
         return decel, certain & possible & (s.stop_decel_mps2 > 0.0)

@@ -66,14 +66,17 @@ def claimed(folder: Path) -> Iterator[None]:
 def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, str]) -> None:
     """Compare a folder's settings with the options and the versions ``now``; an empty folder gets them.
 
+    Besides the versions, ``drivers`` is a digest of the algorithms' own files: entries that are added later drive by
+    the same rules as those that are there.
+
     Raises:
         IzooError: it holds something else, or a benchmark with other settings, which the message names.
     """
-    wanted = {**_kept(options, MAY_DIFFER), "versions": dict(now)}
+    wanted = {**_kept(options, MAY_DIFFER), "versions": {**now, "drivers": code_digest(drivers=True)}}
     path = folder / SETTINGS_FILE
     if path.exists():
         stored = _read_settings(path)
-        grown = {name: wanted[name] for name in MAY_GROW if _grew(stored.get(name), wanted.get(name))}
+        grown = {name: wanted[name] for name in MAY_GROW if _grew(name, stored.get(name), wanted.get(name))}
         differing = differences({**stored, **grown}, wanted)
         if differing:
             raise IzooError(f"{folder} holds a benchmark with other settings ({differing}); give those or another out.")
@@ -97,10 +100,10 @@ def _kept(values: Mapping[str, Any], without: tuple[str, ...]) -> dict[str, Any]
     return {name: value for name, value in values.items() if name not in without}
 
 
-def _grew(old: Any, new: Any) -> bool:
-    """Whether a list or a number contains the one before."""
+def _grew(name: str, old: Any, new: Any) -> bool:
+    """Whether a list or a number contains the one before; the first value of a weight gives all points new names."""
     if isinstance(new, list):
-        return isinstance(old, list) and set(old) <= set(new)
+        return isinstance(old, list) and set(old) <= set(new) and (bool(old) or name not in SWEPT)
     return isinstance(old, int) and isinstance(new, int) and old <= new
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 from rich.table import Table
 
+from izoo.benchmarks.options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
 from izoo.envs.config import EnvConfig
 from izoo.evaluation.across import aggregate, compare_entries, run_rows
@@ -76,11 +77,18 @@ def other_environment(env: EnvConfig) -> str:
     return differences({**theirs, "reward": None}, {**mine, "reward": None})
 
 
+def _place(place: str | None) -> str | None:
+    """Return a city's name, or a folder's with a slash at its end, so that no folder passes for a built-in city."""
+    if place is None:
+        return None
+    return f"{place_name(place)}/" if is_folder(place) else place_name(place)
+
+
 def write_submissions(folder: Path, results: Results, plan: Plan, env: EnvConfig) -> list[Path]:
     """Write ``leaderboard/<entry>.json`` for every entry, evaluated in ``env``; returns the files."""
     options, written = results.settings, []
     names = ("protocol", "scale", "form", "weather", "test_set", "horizon_s")
-    places = {name: None if options[name] is None else place_name(options[name]) for name in ("train", "test")}
+    places = {name: _place(options[name]) for name in ("train", "test")}
     protocol = {name: options[name] for name in names}
     protocol.update(title=results.title, test_count=plan.test_count, **places)
     if changed := other_environment(env):

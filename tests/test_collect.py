@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import pickle
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor
+from tensordict import MemoryMappedTensor, NonTensorData
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 
@@ -125,6 +129,22 @@ def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -
     path.write_text(json.dumps({**manifest, "format": "other"}))
     with pytest.raises(IzooError, match="other"):
         collect.load(tmp_path)
+
+
+def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[Any, tuple[str]]:
+            return (os.mkdir, (str(tmp_path / "ran"),))
+
+    shutil.copytree(data, tmp_path / "data")
+    shard = next(path for path in (tmp_path / "data").iterdir() if path.is_dir())
+    NonTensorData(print).memmap_(shard / "x")
+    (shard / "x" / "other.pickle").write_bytes(pickle.dumps({"data": Evil()}))
+    content = json.loads((shard / "meta.json").read_text())
+    (shard / "meta.json").write_text(json.dumps({**content, "x": {"type": "NonTensorData"}}))
+    with pytest.raises(IzooError, match="cannot be read"):
+        collect.load(tmp_path / "data")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:

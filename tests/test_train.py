@@ -176,6 +176,14 @@ def test_checkpoints_hold_no_code(tmp_path: Path) -> None:
         checkpoint.load(path)
 
 
+def test_a_run_resumed_further_back_forgets_what_came_later(tmp_path: Path) -> None:
+    for frames in (100, 300, 400):
+        checkpoint.save(tmp_path, frames, make_state(), keep=2)
+    saved = checkpoint.save(tmp_path, 350, make_state(), keep=2)
+    assert [checkpoint.frames_of(path) for path in checkpoint.listed(tmp_path)] == [300, 350]
+    assert checkpoint.find(tmp_path) == saved
+
+
 def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = checkpoint.save(tmp_path, 100, make_state(), keep=1)
 

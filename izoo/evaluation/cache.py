@@ -40,10 +40,14 @@ INDIFFERENT = ("emit", "recycle_episodes", "watchdog_s", "gui")
 
 
 @functools.cache
-def code_digest() -> str:
-    """SHA-256 over the files of :data:`SIMULATED_BY`, so that a changed simulator never meets old numbers."""
+def code_digest(drivers: bool = False) -> str:
+    """SHA-256 over the files of :data:`SIMULATED_BY`, so that a changed simulator never meets old numbers.
+
+    Args:
+        drivers: over the algorithms and scripted drivers instead.
+    """
     digest = hashlib.sha256()
-    for package, names in SIMULATED_BY.items():
+    for package, names in ({"izoo.algos": None} if drivers else SIMULATED_BY).items():
         for entry in sorted(resources.files(package).iterdir(), key=lambda entry: entry.name):
             if entry.is_file() and (names is None or entry.name in names) and not entry.name.endswith(".pyc"):
                 digest.update(f"{package}/{entry.name}\n".encode())

@@ -62,12 +62,14 @@ class ResultFolder:
         """
         if self.path is not None:
             self._read(self.path, policy, fingerprint)
+        whole = False
         try:
             yield
+            whole = True
         finally:
             self.table = make_table(self._rows)
             if self.path is not None:
-                self._write(self.path)
+                self._write(self.path, whole)
 
     def add(self, rows: list[dict[str, Any]]) -> None:
         """Add the rows of one episode."""
@@ -100,12 +102,17 @@ class ResultFolder:
         content = {"format": FORMAT, "settings": self.settings, "policies": {**policies, policy: fingerprint}}
         write_text(path / MANIFEST_FILE, json.dumps(content, indent=2) + "\n")
 
-    def _write(self, path: Path) -> None:
+    def _write(self, path: Path, whole: bool) -> None:
         from izoo.evaluation.summary import summarise
 
         if self.table.empty:
             return
         write_csv(self.table, path / CSV_FILE)
+        if not whole:
+            # The rows are in the table as well; that the journal is there says that more of them are to come.
+            (path / JOURNAL_FILE).touch()
+            (path / SUMMARY_FILE).unlink(missing_ok=True)
+            return
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         with contextlib.suppress(IzooError):  # an interrupted evaluation may lack baselines
             write_text(path / SUMMARY_FILE, json.dumps(summarise(self.table), indent=2, allow_nan=False) + "\n")

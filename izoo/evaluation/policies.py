@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import dataclasses
 import functools
 import hashlib
 import importlib
@@ -83,12 +85,19 @@ def import_policy(reference: str) -> Policy:
     return policy
 
 
+_LIBRARIES = ("torch", "torchrl", "tensordict")
+
+
 def fingerprint(policy: Policy) -> str:
-    """Return a digest that changes with a module's structure and weights, or with a callable's source."""
+    """Return a digest that changes with a module's code, settings and weights, or with a callable's source."""
     digest = hashlib.sha256()
     if isinstance(policy, nn.Module):
-        settings = getattr(policy, "settings", None)
-        digest.update(_without_addresses(f"{policy!r} {settings!r}"))
+        digest.update(_without_addresses(repr(policy)))
+        for name, module in policy.named_modules():
+            if type(module).__module__.partition(".")[0] not in _LIBRARIES:
+                digest.update(_without_addresses(f"{name} {_plain_attributes(module)}"))
+                with contextlib.suppress(OSError, TypeError):
+                    digest.update(inspect.getsource(type(module)).encode())
         for key, tensor in sorted(policy.state_dict().items()):
             if hasattr(tensor, "detach"):
                 digest.update(key.encode())
@@ -101,6 +110,13 @@ def fingerprint(policy: Policy) -> str:
     except (OSError, TypeError):
         digest.update(_without_addresses(repr(policy)))
     return digest.hexdigest()[:16]
+
+
+def _plain_attributes(module: nn.Module) -> list[tuple[str, Any]]:
+    """Return the settings of a module: attributes that are numbers, texts, tuples of them, or dataclasses."""
+    values = {name: value for name, value in vars(module).items() if name != "training"}
+    kinds = (bool, int, float, str, tuple)
+    return sorted((n, repr(v)) for n, v in values.items() if isinstance(v, kinds) or dataclasses.is_dataclass(v))
 
 
 def _without_addresses(text: str) -> bytes:

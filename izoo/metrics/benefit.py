@@ -130,7 +130,9 @@ def _compare(group: pd.DataFrame) -> dict[str, object]:
         result[f"collisions_{side}"] = float(collisions.mean())
     both = ~np.isnan(emission["policy"]) & ~np.isnan(emission["baseline"])
     for side in ("policy", "baseline"):
-        result[f"emission_{side}_g"] = float(emission[side][both].mean()) if both.any() else math.nan
+        # Where the policy lets nobody cross in any seed there are no pairs, but the baseline's emission still counts.
+        shown = both if both.any() else ~np.isnan(emission[side])
+        result[f"emission_{side}_g"] = float(emission[side][shown].mean()) if shown.any() else math.nan
     arrivals = group[["entered_policy", "entered_baseline", "waiting_baseline"]].to_numpy(float)
     crossed_baseline = float(group["crossed_baseline"].sum())
     change = (group["crossed_policy"] - group["crossed_baseline"]).to_numpy(float)

@@ -212,8 +212,8 @@ def _row_problem(row: Mapping[str, Any]) -> str:
     """Say what does not follow within a row, or nothing; with demand from all approaches another may have gated it."""
     counted = row["left_out"] == ""
     ungated = 0.0
-    if row["emission_baseline_g"]:
-        ungated = 1.0 - (row["emission_policy_g"] or 0.0) / row["emission_baseline_g"]
+    if row["emission_baseline_g"] and row["emission_policy_g"] is not None:
+        ungated = 1.0 - row["emission_policy_g"] / row["emission_baseline_g"]
     if not math.isclose(row["benefit_ungated"], ungated, abs_tol=TOLERANCE):
         return "its benefit does not follow from its emissions"
     falls = {

@@ -52,7 +52,10 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
             partial.unlink(missing_ok=True)
         # torch reports a write that failed underneath it as a RuntimeError.
         raise error if isinstance(error, OSError) else OSError(str(error).splitlines()[0]) from error
-    for old in listed(run_dir)[:-keep]:
+    there = listed(run_dir)
+    until = there.index(path) + 1
+    # Later ones belong to what was given up when the run was resumed further back.
+    for old in [*there[:until][:-keep], *there[until:]]:
         old.unlink(missing_ok=True)
     return path
 

@@ -141,7 +141,7 @@ def load_shards(folder: Path | str) -> list[TensorDictBase]:
         raise IzooError(f"{folder} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
     try:
         manifest = json.loads(path.read_text())
-        shards = [(folder / shard["name"], int(shard["frames"])) for shard in manifest["shards"]]
+        shards = [(folder / Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
     except (ValueError, KeyError, TypeError) as error:
         raise IzooError(f"{path} is damaged; collect the data again.") from error
     if manifest.get("format") != FORMAT:
@@ -149,7 +149,12 @@ def load_shards(folder: Path | str) -> list[TensorDictBase]:
     missing = [shard.name for shard, _ in shards if not shard.is_dir()]
     if missing or not shards:
         raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
-    opened = [(TensorDict.load_memmap(shard), frames) for shard, frames in shards]
+    try:
+        # Pickled values would run what a foreign data set holds.
+        opened = [(TensorDict.load_memmap(shard, allow_pickle=False), frames) for shard, frames in shards]
+    except (RuntimeError, OSError, ValueError, KeyError) as error:
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise IzooError(f"{folder} cannot be read: {text}; copy it whole, or collect again.") from error
     # A collection that Ctrl-C ended leaves room at the end of its last shard.
     return [steps if len(steps) == frames else steps[:frames] for steps, frames in opened]
 

@@ -70,6 +70,8 @@ class Validator:
 
     def submit(self, path: Path) -> None:
         """Validate a checkpoint as soon as the process is free; it takes the place of another that still waits."""
+        if self._process is not None and checkpoint.frames_of(self._validating) == checkpoint.frames_of(path):
+            return  # it is being validated
         self._wait_for_turn(checkpoint.make_candidate(path))
         self._begin()
 

@@ -181,12 +181,15 @@ def test_glide_drives_on_wider_approaches_when_told_to() -> None:
         # 100 m away braking would be gentler than it need be, and in the last metres it is the simulator's.
         ({"stop_line_distance": -100.0, "signal_time_left": 30.0}, None),
         ({"stop_line_distance": -4.0, "signal_time_left": 30.0, "speed": 4.0}, None),
-        # A leader that stands 43 m ahead, of which 3 m are to be left; one that drives ends no journey.
+        # A leader that stands 43 m ahead, of which 3 m are to be left; a queue that green will move ends no journey.
+        ({"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 0.0, "signal_time_left": 9.0}, 100.0 / 80.0),
+        ({"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 0.0, "signal_time_left": 7.0}, None),
+        ({"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 9.0, "signal_time_left": 9.0}, None),
+        # One that stands beyond the line is further away than the line.
         (
-            {"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 0.0, "signal_time_left": 5.0},
-            100.0 / 80.0,
+            {"stop_line_distance": -60.0, "leader_present": 1.0, "leader_distance": 140.0, "signal_time_left": 30.0},
+            100.0 / 120.0,
         ),
-        ({"leader_present": 1.0, "leader_distance": 43.0, "leader_speed": 9.0, "signal_time_left": 5.0}, None),
     ],
 )
 def test_glide_brakes_early_on_wider_approaches_where_a_stop_is_certain(

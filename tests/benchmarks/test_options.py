@@ -8,6 +8,7 @@ import pytest
 
 from izoo.benchmarks import pace
 from izoo.benchmarks.options import SCALES, GeneralizationConfig, parse_entry
+from izoo.benchmarks.outcome import _place
 from izoo.benchmarks.plan import (
     evaluation_env,
     evaluation_seeds,
@@ -81,6 +82,12 @@ def test_published_test_sets_are_rebuilt_and_folders_are_not() -> None:
     assert cities == set(hashes(protocols.in_distribution("seattle").test))
     assert len(published_test_set({**base, "protocol": "systematicity", "train": None}) or ()) == 128
     assert published_test_set({**base, "protocol": "in_distribution", "train": "my-folder"}) is None
+
+
+def test_a_folder_named_like_a_city_is_not_that_city() -> None:
+    base = {"form": "split", "weather": None, "test_set": "grid", "test": None, "protocol": "in_distribution"}
+    assert _place("datasets/atlanta") == "atlanta/" and _place("atlanta") == "atlanta" and _place(None) is None
+    assert published_test_set({**base, "train": _place("datasets/atlanta")}) is None
 
 
 def test_evaluation_seeds_extend() -> None:

@@ -84,6 +84,9 @@ def test_a_sweep_leaves_points_and_a_plot(tmp_path: Path) -> None:
     before = (tmp_path / "out" / "tradeoffs.csv").read_bytes()
     assert tradeoffs.main(words) == 0
     assert (tmp_path / "out" / "tradeoffs.csv").read_bytes() == before
+    # Points of a weight that was not swept over have other names: what is there would be lost.
+    assert tradeoffs.main([*words, "eta=[0,1]"]) == 2
+    assert (tmp_path / "out" / "tradeoffs.csv").read_bytes() == before
 
 
 def test_options_do_not_clash_with_the_choices_of_other_commands() -> None:

@@ -13,16 +13,20 @@ import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 from rich.console import Console
+from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.scripted import Glide, GlideConfig, UncommandedDriver
 from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation import approach_table, evaluate_policy, print_summary, summarise
 from izoo.evaluation.cache import EpisodeCache, baseline_context
 from izoo.evaluation.folder import ResultFolder
+from izoo.evaluation.policies import fingerprint
 from izoo.evaluation.table import COLUMNS, read_csv
 from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.reporting.collect import collect
 from tests.evaluation import drivers
 from tests.evaluation.conftest import SHORT
 
@@ -155,10 +159,13 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(
         evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
     kept = read_csv(tmp_path / "out" / "evaluation.csv")
     assert (kept["policy"] == "policy").sum() == 3
+    with pytest.raises(IzooError, match="interrupted"):
+        collect(tmp_path / "out")
     policy.fail_at = 10**9
     resumed = evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
     assert policy.steps() == 4 * STEPS
     assert_frame_equal(resumed, table, check_exact=True)
+    assert collect(tmp_path / "out")
     evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
     assert policy.steps() == 4 * STEPS
 
@@ -264,3 +271,21 @@ def test_rows_of_other_weights_are_forgotten_before_anything_is_played(table: pd
     assert len(opened("old", [])) == len(rows)
     assert opened("new", []) == set()
     assert opened("new", []) == set(), "the first weights' rows came back as those of the second"
+
+
+class Setting(TensorDictModuleBase):
+    """A driver with a number that is no parameter."""
+
+    in_keys, out_keys = ["a"], ["b"]
+
+    def __init__(self, speed_mps: float) -> None:
+        super().__init__()
+        self.speed_mps = speed_mps
+
+
+def test_a_module_with_another_setting_is_another_policy() -> None:
+    assert fingerprint(Setting(5.0)) == fingerprint(Setting(5.0)) != fingerprint(Setting(12.0))
+    config = EnvConfig()
+    glides = [Glide(config), Glide(config), Glide(config, GlideConfig(floor_mps=2.0))]
+    one, same, other = (fingerprint(glide) for glide in glides)
+    assert one == same != other

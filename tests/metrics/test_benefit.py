@@ -115,6 +115,14 @@ def test_a_policy_that_stops_everyone_has_no_benefit_under_either_gate() -> None
     assert ratio_of_sums(emission_pairs(result, "tested")) == 0.0
 
 
+def test_the_ratio_of_sums_counts_the_baseline_of_an_approach_that_the_policy_blocks() -> None:
+    baseline = pd.concat([seeds_table([10], [1000.0]), seeds_table([10], [1000.0], context="x/2/A")])
+    for crossed in (0, 1):
+        blocked = seeds_table([crossed], [90.0 * crossed], context="x/2/A")
+        result = benefits(pd.concat([seeds_table([10], [800.0]), blocked]), baseline)
+        assert ratio_of_sums(emission_pairs(result, "exact")) == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize(
     ("settings", "saturated"),
     [

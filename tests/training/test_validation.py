@@ -104,6 +104,17 @@ def test_a_failed_validation_is_reported_and_training_goes_on(
     assert not checkpoint.candidates(tmp_path) and checkpoint.listed(tmp_path) == [path]
 
 
+def test_weights_that_are_being_validated_are_not_submitted_again(tmp_path: Path) -> None:
+    validator = Validator(TrainConfig(), tmp_path)
+    path = checkpoint.save(tmp_path, 100, {"algorithm": {}, "features": 3}, keep=1)
+    validator.submit(path)
+    assert validator.busy
+    validator.submit(path)
+    wait_for(validator)
+    assert not validator.busy
+    validator.close()
+
+
 def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
     validator = Validator(TrainConfig(), tmp_path)
     for frames in (100, 200, 300):
