@@ -14,7 +14,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from izoo.algos.scripted import Glide, GlideConfig
-from izoo.benchmarks.claim import check_run, check_settings, claimed, versions
+from izoo.benchmarks.claim import check_run, check_settings, versions
 from izoo.benchmarks.options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace, duration
@@ -23,6 +23,7 @@ from izoo.conf.build import to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
+from izoo.evaluation.folder import claimed
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
 from izoo.reporting.results import (

@@ -1,13 +1,11 @@
-"""The folder of a benchmark: one process works in it, under the options and versions that it was begun with."""
+"""The folder of a benchmark: what is in it was made under the options and versions that it was begun with."""
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import importlib.metadata
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,6 @@ from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
 from izoo.training.session import CHANGEABLE
 
-LOCK_FILE = ".lock"
 MAY_DIFFER = ("out", "num_workers", "cache")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
@@ -41,26 +38,6 @@ def versions() -> dict[str, str]:
     packages = {"sumo": "libsumo", "torch": "torch", "torchrl": "torchrl", "neuralmoves": "neuralmoves"}
     found = {name: importlib.metadata.version(package) for name, package in packages.items()}
     return {"izoo": izoo.__version__, "python": platform.python_version(), **found, "code": code_digest()}
-
-
-@contextlib.contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """Make ``folder`` and keep other processes out of it.
-
-    Raises:
-        IzooError: it cannot be made, or another process works in it.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK_FILE).open("w")
-    except OSError as error:
-        raise IzooError(f"cannot use out={folder}: {error.strerror}; choose another folder.") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise IzooError(f"another process works in {folder}; wait for it or choose another out.") from None
-        yield
 
 
 def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, str]) -> None:
@@ -80,7 +57,7 @@ def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, s
         differing = differences({**stored, **grown}, wanted)
         if differing:
             raise IzooError(f"{folder} holds a benchmark with other settings ({differing}); give those or another out.")
-    elif any(entry.name != LOCK_FILE for entry in folder.iterdir()):
+    elif any(folder.iterdir()):
         raise IzooError(f"{folder} is not empty and has no {SETTINGS_FILE}; choose another out.")
     write_text(path, OmegaConf.to_yaml(OmegaConf.create(wanted)))
 

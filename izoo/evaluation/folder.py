@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,31 @@ from izoo.evaluation.table import (
 )
 
 FORMAT = 1
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Make ``folder`` and keep other processes out of it, until the end of this one at the latest.
+
+    Raises:
+        IzooError: it cannot be made, or another process works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise IzooError(f"cannot use the folder {folder}: {error.strerror}; choose another one.") from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise IzooError(f"another process works in {folder}; wait for it, or choose another out.") from None
+    except OSError:
+        pass  # some network file systems cannot lock a folder
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
 
 class ResultFolder:
@@ -58,18 +85,19 @@ class ResultFolder:
             fingerprint: its fingerprint; rows of another one under this name are dropped.
 
         Raises:
-            IzooError: the folder was written with other settings, or is damaged.
+            IzooError: the folder was written with other settings, is damaged, or another process works in it.
         """
-        if self.path is not None:
-            self._read(self.path, policy, fingerprint)
-        whole = False
-        try:
-            yield
-            whole = True
-        finally:
-            self.table = make_table(self._rows)
+        with contextlib.nullcontext() if self.path is None else claimed(self.path):
             if self.path is not None:
-                self._write(self.path, whole)
+                self._read(self.path, policy, fingerprint)
+            whole = False
+            try:
+                yield
+                whole = True
+            finally:
+                self.table = make_table(self._rows)
+                if self.path is not None:
+                    self._write(self.path, whole)
 
     def add(self, rows: list[dict[str, Any]]) -> None:
         """Add the rows of one episode."""
@@ -79,10 +107,6 @@ class ResultFolder:
                 journal.write(json.dumps(rows) + "\n")
 
     def _read(self, path: Path, policy: str, fingerprint: str) -> None:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise IzooError(f"cannot use the folder {path}: {error.strerror}; choose another one.") from error
         manifest = _read_manifest(path / MANIFEST_FILE)
         policies: dict[str, str] = {}
         if manifest is not None:

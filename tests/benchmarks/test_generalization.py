@@ -15,6 +15,7 @@ import pytest
 import torch
 
 from izoo.benchmarks import campaign, generalization
+from izoo.evaluation.folder import claimed
 from izoo.evaluation.table import read_csv
 from izoo.leaderboard import main as leaderboard
 from izoo.reporting.results import evaluation_of, read_results
@@ -197,8 +198,6 @@ def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(
 def test_two_processes_do_not_share_a_folder(
     copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import fcntl
 
-    with (copy / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with claimed(copy):
         assert f"{os.sep}copy" in (said := refused(copy, done[1], capsys)) and "another process" in said
