@@ -80,9 +80,11 @@ def test_two_hundred_episodes_on_all_measured_intersections(dataset: ContextList
             context = contexts[names[k % len(names)]]
             commanded += totals(env, context, 1000 + k, at_random(k))
             baseline += totals(env, context, 1000 + k, defer)
+            if (k + 1) % 20 == 0:
+                shown = ("crossed", "collisions_cv", "collisions_hdv", "red_crossings_cv", "red_crossings_hdv")
+                counts = ", ".join(f"{name} {commanded[name]:.0f} / {baseline[name]:.0f}" for name in shown)
+                print(f"{k + 1} episodes, random / uncommanded: {counts}", flush=True)
     finally:
         env.close()
-    for name in ("agent_steps", "crossed", "collisions_cv", "collisions_hdv", "red_crossings_hdv"):
-        print(f"{name}: random {commanded[name]:.0f}, uncommanded {baseline[name]:.0f}")
     assert commanded["red_crossings_cv"] == baseline["red_crossings_cv"] == 0
     assert commanded["collisions_cv"] <= baseline["collisions_cv"]
