@@ -275,7 +275,8 @@ def test_a_killed_worker_leaves_no_files(pair: SumoParallelEnv) -> None:
 
 
 PARENT = """
-import os, sys, time
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell are born deaf to it
 from tests.envs.worlds import crossing, play, short
 from izoo.envs import SumoParallelEnv
 env = SumoParallelEnv(2, crossing(), config=short(horizon_s=500.0))
