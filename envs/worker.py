@@ -25,6 +25,7 @@ from typing import Any
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import map_frames
 from izoo.errors import IzooError
+from izoo.networks.cache import is_running
 
 STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
 DONE, FAILED = b"k", b"e"
@@ -64,18 +65,8 @@ def remove_abandoned_folders() -> None:
         with contextlib.suppress(OSError):
             # A process of another container may live although it is not seen here, but then its files are young.
             old = time.time() - folder.stat().st_mtime > ABANDONED_S
-            if old and pid.isdigit() and folder.stat().st_uid == os.getuid() and not _runs(int(pid)):
+            if old and pid.isdigit() and folder.stat().st_uid == os.getuid() and not is_running(int(pid)):
                 shutil.rmtree(folder, ignore_errors=True)
-
-
-def _runs(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:

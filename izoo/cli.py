@@ -52,20 +52,16 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
     # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-    try:
-        return _run(command, words)
-    except IzooError as error:
-        print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print(f"izoo {command.name}: stopped.", file=sys.stderr, flush=True)
-        return EXIT_INTERRUPTED
+    return exit_code(command.name, lambda: _run(command, words))
 
 
 def exit_code(name: str, main: Callable[[], int]) -> int:
-    """Return what ``main``, of a command with a parser of its own, returns; 130 when it was stopped by Ctrl-C."""
+    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
     try:
         return main()
+    except IzooError as error:
+        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
         return EXIT_INTERRUPTED

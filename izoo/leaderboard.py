@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo import __version__
-from izoo.cli import EXIT_BAD_INPUT, exit_code
+from izoo.cli import exit_code
 from izoo.errors import IzooError
 
 EXIT_MARKED = 1
@@ -29,11 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             command.add_argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file")
     arguments = parser.parse_args(argv)
     print(f"izoo {__version__} leaderboard", flush=True)
-    try:
-        return _run(arguments)
-    except IzooError as error:
-        print(f"izoo leaderboard: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
+    return exit_code("leaderboard", lambda: _run(arguments))
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -108,4 +104,4 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code("leaderboard", main))
+    sys.exit(main())

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from izoo import __version__
-from izoo.cli import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from izoo.cli import exit_code
 from izoo.errors import IzooError, check_folder, unknown_choice
 
 HELP = """Write results as one HTML page that opens from disk and asks for nothing else.
@@ -90,27 +90,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if "--version" in words:
         return 0
-    try:
-        options = parse(words)
-        check_folder(options.results, "give one that izoo.evaluate, izoo.train or a benchmark has written")
-        os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-        from izoo.reporting.page import write_report
+    return exit_code("report", lambda: _run(words))
 
-        path = write_report(
-            options.results,
-            options.out,
-            options.title,
-            replay=options.replay,
-            imports=options.imports,
-            partial=options.partial,
-            note=lambda text: print(text, flush=True),
-        )
-    except IzooError as error:
-        print(f"izoo report: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print("izoo report: stopped.", file=sys.stderr, flush=True)
-        return EXIT_INTERRUPTED
+
+def _run(words: Sequence[str]) -> int:
+    options = parse(words)
+    check_folder(options.results, "give one that izoo.evaluate, izoo.train or a benchmark has written")
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
+    from izoo.reporting.page import write_report
+
+    path = write_report(
+        options.results,
+        options.out,
+        options.title,
+        replay=options.replay,
+        imports=options.imports,
+        partial=options.partial,
+        note=lambda text: print(text, flush=True),
+    )
     print(f"Report: {path} ({path.stat().st_size / 1e6:.1f} MB)", flush=True)
     return 0
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from izoo import __version__
-from izoo.cli import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from izoo.cli import exit_code
 from izoo.errors import IzooError, check_folder, unknown_choice
 
 HELP = """Show the runs of a sweep side by side, averaged over their seeds.
@@ -45,19 +45,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if "--version" in words:
         return 0
-    try:
-        folder = parse(words)
-        check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
-        from izoo.training.sweeps import report
+    return exit_code("sweep", lambda: _run(words))
 
-        path = report(folder)
-    except IzooError as error:
-        print(f"izoo sweep: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print("izoo sweep: stopped.", file=sys.stderr, flush=True)
-        return EXIT_INTERRUPTED
-    print(f"Table: {path}", flush=True)
+
+def _run(words: Sequence[str]) -> int:
+    folder = parse(words)
+    check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
+    from izoo.training.sweeps import report
+
+    print(f"Table: {report(folder)}", flush=True)
     return 0
 
 

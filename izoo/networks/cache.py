@@ -123,3 +123,14 @@ def _unwritable(folder: Path, error: OSError) -> IzooError:
         f"cannot write to the cache folder {folder} ({error.strerror or error}); set {CACHE_ENV} to a folder that can "
         "be written to."
     )
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is a process of this number, of whomever."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

@@ -13,6 +13,7 @@ from typing import Any
 
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
 from izoo.errors import IzooError
+from izoo.networks.cache import is_running
 
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
@@ -131,15 +132,8 @@ def _discard_partials(target: Path) -> None:
     """Remove what builds of ``target`` left behind whose process is gone."""
     for path in target.parent.iterdir():
         match = _PARTIAL.fullmatch(path.name)
-        if match and match["name"] == target.name and not _alive(int(match["pid"])):
+        if not match or match["name"] != target.name:
+            continue
+        pid = int(match["pid"])
+        if pid == os.getpid() or not is_running(pid):
             shutil.rmtree(path, ignore_errors=True)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return pid != os.getpid()
