@@ -17,6 +17,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import frame_bytes, map_frames, observation_names
+from izoo.envs.reader import FrameReader
 from izoo.envs.simulator import Simulator
 from izoo.errors import IzooError
 
@@ -47,8 +48,7 @@ class EcoDrivingBase(EnvBase):
         self.config = config = config or EnvConfig()
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
         self.frames = map_frames(buffer, config, *(batch_size or [1]))
-        views = self.frames if batch_size else {name: array[0] for name, array in self.frames.items()}
-        self.reader = specs.FrameReader(config, views, self.batch_size, self.leaves)
+        self.reader = FrameReader(config, buffer, self.batch_size, self.leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -67,10 +67,16 @@ class EcoDrivingBase(EnvBase):
         """Number episodes from the first again."""
         raise NotImplementedError
 
-    def _next_frame(self) -> TensorDict:
-        frame = self._frame()
-        _set(frame._get_str("agents", None), "reward", self.reader.reward())
-        return frame
+    def _simulate(self, tensordict: TensorDictBase) -> None:
+        """Take the actions and bring the frames to what follows."""
+        raise NotImplementedError
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._simulate(tensordict)
+        return self.reader.read()[0]
+
+    def _frame(self) -> TensorDict:
+        return self.reader.read()[1]
 
     def step_lean(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Step, and return what is set under ``"next"``: ``step`` without its checks."""
@@ -83,19 +89,14 @@ class EcoDrivingBase(EnvBase):
 
         The same as TorchRL's own, but lean (:meth:`step_lean`).
         """
-        following = self.step_lean(tensordict)
+        self._simulate(tensordict)
+        following, state = self.reader.read()
+        _set(tensordict, "next", following)
         if b"\1" in self.frames["done"].tobytes():
             # Not reset(): given the mask alone, it would blank the rows that go on.
             ended = following._get_str("done", None)
             return tensordict, self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
-        values = dict(following.items())
-        agents = dict(values["agents"].items())
-        del agents["reward"]
-        values["agents"] = TensorDict._new_unsafe(agents, batch_size=self.reader.agents_batch)
-        return tensordict, TensorDict._new_unsafe(values, batch_size=self.batch_size)
-
-    def _frame(self) -> TensorDict:
-        return TensorDict._new_unsafe(self.reader.observation(), batch_size=self.batch_size)
+        return tensordict, state
 
 
 def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
@@ -167,12 +168,11 @@ class EcoDrivingEnv(EcoDrivingBase):
         self.simulator.reset(planned, planned_seed if seed is None else seed, episode)
         return self._frame()
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def _simulate(self, tensordict: TensorDictBase) -> None:
         if self._simulator is None or not self._simulator.started:
             raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
         self.reader.write_action(tensordict)
         self._simulator.step()
-        return self._next_frame()
 
     def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
         """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.

@@ -113,13 +113,14 @@ class SumoParallelEnv(EcoDrivingBase):
         for index in waiting:
             try:
                 self._workers[index].wait()  # type: ignore[union-attr]
+                self.reader.prepare()  # while the others still simulate
             except WorkerLost as error:
                 lost[index] = error
             except (IzooError, RuntimeError) as error:
                 failures.append(error)
         return failures
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def _simulate(self, tensordict: TensorDictBase) -> None:
         if not self._started:
             raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
         self.reader.write_action(tensordict)
@@ -137,7 +138,6 @@ class SumoParallelEnv(EcoDrivingBase):
         for index, reason in lost.items():
             self._replace(index, reason)
             self._truncate(index, tensordict)
-        return self._next_frame()
 
     def _replace(self, index: int, reason: Exception) -> None:
         logger.warning("simulation worker %d is replaced: %s", index, reason)

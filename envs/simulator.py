@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import os
 import tempfile
+from collections.abc import Collection
 from itertools import filterfalse
 from pathlib import Path
 
@@ -110,7 +111,9 @@ class Simulator:
             self.session.advance()
         self._register_present()
         self._started_s = self.session.time_s
-        self._make_frame(acting=np.full(config.num_agents, -1), leavers=[], measured=False)
+        self._list_members()
+        reading = self.session.read(self._row_names, self.lane_numbers)
+        self._make_frame(reading, acting=np.full(config.num_agents, -1), leavers=[], measured=False)
         self._write_context(episode)
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
@@ -122,9 +125,11 @@ class Simulator:
         self.session.advance()
         self.steps += 1
         leavers = self._find_leavers()
-        self._register_newcomers()
+        if leavers:
+            self._list_members(set(leavers))
+        reading = self._read_with_newcomers()
         self._count_collisions()
-        self._make_frame(acting, leavers, measured=True)
+        self._make_frame(reading, acting, leavers, measured=True)
         if leavers:
             self._release_rows(leavers)
         final = self.steps >= self.config.control_steps
@@ -185,7 +190,6 @@ class Simulator:
         self.collided: set[tuple[str, str]] = set()
         self.rows = _NOBODY
         self._row_names: list[str] = []
-        self._members_changed = True
 
     def _grow(self) -> None:
         """Double the capacity of the tables."""
@@ -222,6 +226,7 @@ class Simulator:
         self.entry_edges = [
             edge for name in self.context.demand_approaches for edge in road.incoming_edges[road.approaches.index(name)]
         ]
+        self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self.entry_edges for name in road.lane_ids])
         shape = clock.colour.shape[:2]
         self.clock = ClockArrays(
             **{name: getattr(clock, name) for name in ClockArrays._fields[:8]},
@@ -289,11 +294,25 @@ class Simulator:
         row_of = self.row_of
         return [row_of[name] for name in self.session.arrived() if name in row_of]
 
-    def _register_newcomers(self) -> None:
-        row_of = self.row_of
+    def _list_members(self, gone: Collection[int] = ()) -> None:
+        """List rows and names of the vehicles that are in the region, in the order in which they came."""
+        members = [(row, name) for name, row in self.row_of.items() if row not in gone]
+        self.rows = np.array([row for row, _ in members], np.int64)
+        self._row_names = [name for _, name in members]
+
+    def _read_with_newcomers(self) -> tuple[np.ndarray, ...]:
+        """Read every vehicle in the region; where the entries hold more than were known, register the others first."""
+        reading = self.session.read(self._row_names, self.lane_numbers)
+        if self.session.count_on(self.entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):
+            return reading
+        known, row_of = len(self._row_names), self.row_of
         for edge in self.entry_edges:
             for name in filterfalse(row_of.__contains__, self.session.on_edge(edge)):
                 self._register(name, counted=True)
+                self._row_names.append(name)
+        newcomers = self._row_names[known:]
+        self.rows = np.append(self.rows, np.array([row_of[name] for name in newcomers], np.int64))
+        return tuple(map(np.append, reading, self.session.read(newcomers, self.lane_numbers)))
 
     def _register_present(self) -> None:
         """Register everybody in the region at the end of the warm-up, also inside the junction and behind it."""
@@ -310,7 +329,6 @@ class Simulator:
             self._grow()
         row, number, traffic = heapq.heappop(self.free_rows), int(name), self.traffic
         self.names[row], self.row_of[name] = name, row
-        self._members_changed = True
         self.yields[row] = 0
         is_cv = bool(traffic.is_cv[number])
         self.flags[row] = 0
@@ -341,17 +359,13 @@ class Simulator:
         if self.config.lane_change:
             self.session.take_lane_changes(name)
 
-    def _make_frame(self, acting: np.ndarray, leavers: list[int], measured: bool) -> None:
-        """Read every vehicle that is still in the region and let the compiled code do the rest."""
-        if leavers or self._members_changed:
-            gone = set(leavers)
-            members = [(row, name) for name, row in self.row_of.items() if row not in gone]
-            self.rows = np.array([row for row, _ in members], np.int64)
-            self._row_names = [name for _, name in members]
-            self._members_changed = False
+    def _make_frame(
+        self, reading: tuple[np.ndarray, ...], acting: np.ndarray, leavers: list[int], measured: bool
+    ) -> None:
+        """Let the compiled code turn what was read into the frame."""
         self.phase, suspects = make_frame(
             self.rows,
-            self.session.read(self._row_names, self.lane_numbers),
+            reading,
             acting,
             np.array(leavers, np.int64) if leavers else _NOBODY,
             self.time_s,

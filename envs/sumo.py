@@ -136,6 +136,7 @@ class SumoSession:
         self._free_speed = vehicle.getSpeedWithoutTraCI
         self._change_lane = vehicle.changeLaneRelative
         self._on_edge = api.edge.getLastStepVehicleIDs
+        self._count_on_edge = getattr(flat, "edge_getLastStepVehicleNumber", api.edge.getLastStepVehicleNumber)
         self._simulation = api.simulation
         self._vehicle = vehicle
         self._advance = api.simulationStep
@@ -156,6 +157,10 @@ class SumoSession:
     def on_edge(self, edge: str) -> Sequence[str]:
         """Vehicles on an edge."""
         return self._on_edge(edge)
+
+    def count_on(self, edges: Sequence[str]) -> int:
+        """Number of vehicles on these edges together."""
+        return sum(map(self._count_on_edge, edges))
 
     def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
         """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""

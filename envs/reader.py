@@ -1,0 +1,234 @@
+"""How the arrays of a frame become a TensorDict, and an action goes into them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import (
+    CONTEXT_VALUES,
+    VEHICLE_FLAGS,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
+    Field,
+    frame_offsets,
+    map_frames,
+    padded_bytes,
+)
+from izoo.envs.specs import CONTEXT_IDS, DONE
+from izoo.errors import IzooError
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+
+_FLAG_PER_AGENT = {name: (f"agent_{name}", (1,)) for name in DONE}
+_AGENT_LEAVES = {"mask": ("mask", ()), "vehicle": ("agent_vehicle", ()), "reward": ("reward", (1,)), **_FLAG_PER_AGENT}
+"""By key under ``"agents"``: the array of a frame, and the dimension that TorchRL wants besides; small ones alone."""
+
+
+class _Blocks:
+    """Memory for the small arrays of frames, cut into tensors for some dozens of frames at a time.
+
+    Making a tensor costs more than copying a few hundred bytes into one.
+
+    Args:
+        fields: where each array begins, in bytes, and what it is; they lie side by side.
+        buffer: the memory of the frames.
+        batch: batch size of the environment.
+        tensors: name of the array, and shape but for ``batch``, of each tensor.
+    """
+
+    BYTES = 1 << 16
+
+    def __init__(
+        self,
+        fields: dict[str, tuple[int, Field]],
+        buffer: Any,
+        batch: torch.Size,
+        tensors: Sequence[tuple[str, tuple[int, ...]]],
+    ) -> None:
+        rows = batch.numel()
+        first = min(offset for offset, _ in fields.values())
+        size = max(offset + padded_bytes(field, rows) for offset, field in fields.values()) - first
+        self._source: np.ndarray = np.ndarray((size,), np.uint8, buffer, first)
+        self._cuts = []
+        for name, shape in tensors:
+            offset, field = fields[name]
+            dtype = torch.bool if field.dtype == np.uint8 else torch.from_numpy(np.zeros(0, field.dtype)).dtype
+            length = rows * int(np.prod(field.shape)) * field.dtype.itemsize
+            self._cuts.append((offset - first, offset - first + length, dtype, (*batch, *shape)))
+        self._count = max(1, self.BYTES // size)
+        self._ready: Iterator[tuple[np.ndarray, tuple[Tensor, ...]]] = iter(())
+
+    def take(self) -> tuple[np.ndarray, tuple[Tensor, ...]]:
+        """Return memory for one frame, to be given to :meth:`fill`, and the tensors in it."""
+        return next(self._ready, None) or self._refill()
+
+    def _refill(self) -> tuple[np.ndarray, tuple[Tensor, ...]]:
+        block = torch.empty((self._count, self._source.size), dtype=torch.uint8)
+        cut = [
+            block[:, begin:end].view(dtype).view(self._count, *shape).unbind(0)
+            for begin, end, dtype, shape in self._cuts
+        ]
+        self._ready = zip(block.numpy(), zip(*cut, strict=True), strict=True)
+        return next(self._ready)
+
+    def fill(self, memory: np.ndarray) -> None:
+        """Copy what the arrays hold now."""
+        memory[...] = self._source
+
+
+class _Pending(NamedTuple):
+    """A frame whose tensors exist, and hold nothing yet."""
+
+    memory: np.ndarray
+    agents: dict[str, Tensor]
+    root: dict[str, Tensor | TensorDict]
+
+
+class FrameReader:
+    """Turns the arrays of frames into TensorDicts that own their memory.
+
+    Args:
+        config: the environment's settings.
+        buffer: the memory of the frames.
+        batch: batch size of the environment: ``[]``, or ``[N]`` for frames of ``N`` environments.
+        leaves: arrays that are emitted at the root under their own names.
+    """
+
+    def __init__(self, config: EnvConfig, buffer: Any, batch: torch.Size, leaves: Sequence[str] = ()) -> None:
+        self.config, self.batch = config, batch
+        rows = batch.numel()
+        arrays = {
+            name: array.reshape(*batch, *array.shape[1:]) for name, array in map_frames(buffer, config, rows).items()
+        }
+        self.agents_batch = torch.Size((*batch, config.num_agents))
+        self._defer = arrays["defer"]
+        self._deferring = True
+        self._observation = torch.from_numpy(arrays["observation"])
+        places = frame_offsets(config, rows)
+        self._root_names = (*DONE, *leaves)
+        cuts = [(name, (*places[name][1].shape, *last)) for name, last in _AGENT_LEAVES.values()]
+        cuts += [(name, places[name][1].shape) for name in self._root_names]
+        self._blocks = _Blocks({name: places[name] for name, _ in cuts}, buffer, batch, cuts)
+        self._pending: _Pending | None = None
+        self.tensors: dict[str, Tensor] = {}
+        for name, array in arrays.items():
+            tensor = torch.from_numpy(array)
+            self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
+        self.action_shape = torch.Size((*self.agents_batch, 1))
+        self._action = self.tensors["action"].unsqueeze(-1)
+
+    def write_action(self, tensordict: TensorDict) -> None:
+        """Copy the action keys into the frames.
+
+        Raises:
+            IzooError: an action is missing, is of another shape or type than its spec, or is no lane change.
+        """
+        agents = tensordict._get_str("agents", None)
+        action = None if agents is None else agents._get_str("action", None)
+        if action is None or action.shape != self.action_shape or not action.is_floating_point():
+            got = "missing" if action is None else f"{action.dtype} of shape {list(action.shape)}"
+            raise IzooError(
+                f"('agents', 'action') is {got}; give accelerations in m/s^2 as a float tensor of shape "
+                f"{list(self.action_shape)}."
+            )
+        self._action.copy_(action)
+        defer = agents._get_str("defer", None)
+        if defer is not None:
+            self.tensors["defer"].copy_(self._flags(defer))
+        elif self._deferring:
+            self._defer.fill(0)
+        self._deferring = defer is not None
+        if self.config.lane_change:
+            self.tensors["lane_change"].copy_(self._lane_change(agents))
+
+    def _flags(self, defer: Tensor) -> Tensor:
+        """Return the defer flags ``[*B, A]``, checked."""
+        if defer.numel() != self.agents_batch.numel():
+            shape = list(self.agents_batch)
+            raise IzooError(f"('agents', 'defer') is of shape {list(defer.shape)}; give flags of shape {shape}.")
+        return defer.reshape(self.agents_batch)
+
+    def _lane_change(self, agents: TensorDictBase) -> Tensor:
+        """Return the lane changes ``[*B, A]``, checked."""
+        lanes, legal = agents.get("lane_change", None), self.tensors["lane_change"].shape
+        whole = lanes is not None and lanes.shape == legal and not lanes.is_floating_point()
+        if lanes is None or not whole or not ((lanes >= 0) & (lanes <= 2)).all():
+            got = "missing" if lanes is None else f"{lanes.dtype} of shape {list(lanes.shape)}"
+            values = "" if lanes is None else f" with the values {lanes.unique()[:5].tolist()}"
+            raise IzooError(
+                f"('agents', 'lane_change') is {got}{values}; with lane_change=True, give whole numbers of shape "
+                f"{list(legal)}: 0 right, 1 keep, 2 left. izoo's own learners and drivers command accelerations alone; "
+                "for them leave lane_change off."
+            )
+        return lanes
+
+    def prepare(self) -> None:
+        """Make the next frame's tensors; :meth:`read` is then shorter. It can be done while workers still simulate."""
+        self._pending = self._next()
+
+    def _next(self) -> _Pending:
+        if self._pending is not None:
+            return self._pending
+        memory, tensors = self._blocks.take()
+        agents = dict(zip(_AGENT_LEAVES, tensors, strict=False))
+        agents["observation"] = torch.empty_like(self._observation)
+        return _Pending(memory, agents, dict(zip(self._root_names, tensors[len(_AGENT_LEAVES) :], strict=True)))
+
+    def read(self) -> tuple[TensorDict, TensorDict]:
+        """Return what a step leads to, with the reward, and the same without it: the state to act on next.
+
+        Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
+        """
+        memory, agents, root = self._next()
+        self._pending = None
+        self._blocks.fill(memory)
+        agents["observation"].copy_(self._observation)
+        t, emit = self.tensors, self.config.emit
+        if "reward_vector" in emit:
+            agents["reward_vector"] = t["reward_vector"].clone()
+        if "vehicles" in emit:
+            root["vehicles"] = self._vehicles()
+        if "signal" in emit:
+            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
+            root["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
+        if "context" in emit:
+            root["context"] = self.context()
+        if "metrics" in emit:
+            root["metrics"] = self.metrics()
+        following = _new({**root, "agents": _new({**agents}, self.agents_batch)}, self.batch)
+        del agents["reward"]
+        root["agents"] = _new(agents, self.agents_batch)
+        return following, _new(root, self.batch)
+
+    def context(self) -> TensorDict:
+        """Read the context group."""
+        values, ids = self.tensors["context_values"].clone(), self.tensors["context_ids"].clone()
+        columns = dict(zip(CONTEXT_VALUES, values.split(1, -1), strict=True))
+        columns |= dict(zip(CONTEXT_IDS, ids.split(1, -1), strict=True))
+        return _new(columns, self.batch)
+
+    def _vehicles(self) -> TensorDict:
+        t = self.tensors
+        columns = dict(zip(VEHICLE_FLOATS, t["vehicle_floats"].clone().unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_INTS, t["vehicle_ints"].clone().unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_FLAGS, t["vehicle_flags"].clone().unbind(-1), strict=True))
+        return _new(columns, torch.Size((*self.batch, self.config.num_vehicles)))
+
+    def metrics(self) -> TensorDict:
+        """Read the metrics group: sums of the episode so far."""
+        approach = dict(zip(APPROACH_METRICS, self.tensors["approach_metrics"].clone().unbind(-1), strict=True))
+        approach["mask"] = self.tensors["approach_mask"].clone()
+        episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
+        p = torch.Size((*self.batch, self.config.num_approaches))
+        return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
+
+
+def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:
+    # The specs' test compares shapes once; checking them in every step would cost more than the copies.
+    return TensorDict._new_unsafe(columns, batch_size=batch)
