@@ -27,18 +27,19 @@ def worlds() -> list[Any]:
     """Contexts of growing traffic, all approaches, a third of the vehicles CVs."""
     from izoo.contexts.procedural import procedural_context
 
-    sizes = [(1, 100.0), (1, 150.0), (1, 300.0), (2, 250.0), (2, 350.0), (3, 330.0), (4, 330.0), (4, 420.0), (4, 500.0)]
+    flows = [(1, 100.0), (1, 150.0), (1, 300.0), (2, 250.0), (2, 350.0), (3, 330.0), (4, 330.0), (4, 420.0)]
+    sizes = [*((*flow, 400.0) for flow in flows), (4, 500.0, 600.0)]
     return [
         procedural_context(
             lane_count=lanes,
             phase_count=min(lanes, 2),
             inflow_vph_per_lane=inflow,
-            lane_length_m=600.0 if inflow == 500.0 else 400.0,
+            lane_length_m=length_m,
             green_s=30.0,
             red_s=30.0,
             approach="all",
         )
-        for lanes, inflow in sizes
+        for lanes, inflow, length_m in sizes
     ]
 
 
