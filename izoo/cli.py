@@ -13,13 +13,14 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TextIO
 
 from izoo import __version__
 from izoo.errors import IzooError, unknown_choice
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+EXIT_UNREAD = 141
 HELP_WIDTH = 110
 Work = Callable[[Any, frozenset[str]], object]
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
@@ -56,15 +57,31 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
 
 
 def exit_code(name: str, main: Callable[[], int]) -> int:
-    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
+    """Return what ``main`` returns, 2 for bad input, 130 after Ctrl-C, and 141 where nobody reads the output."""
     try:
-        return main()
+        code = main()
+        sys.stdout.flush()
+        return code
     except IzooError as error:
         print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
         return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        if not _is_unread(sys.stdout):
+            raise
+        return EXIT_UNREAD
+
+
+def _is_unread(stream: TextIO) -> bool:
+    """Whether nobody reads a stream any more, as after ``| head``; what is still to be written is then dropped."""
+    try:
+        os.write(stream.fileno(), b"\n")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return True
+    return False
 
 
 def _run(command: Command, words: Sequence[str]) -> int:

@@ -156,6 +156,17 @@ def test_help_names_every_option_with_its_meaning(capsys: pytest.CaptureFixture[
         assert max(map(len, page.splitlines())) <= 140
 
 
+def test_output_that_nobody_reads_ends_a_command_quietly() -> None:
+    """As ``python -m izoo.evaluate --help | head -1`` does."""
+    command = [sys.executable, "-m", "izoo.evaluate", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline().startswith("izoo ")
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 141
+
+
 def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert train.main(["--cfg", "seed=5"]) == 0
     assert "seed: 5" in capsys.readouterr().out
