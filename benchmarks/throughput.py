@@ -2,7 +2,8 @@
 
 ``python -m izoo.benchmarks.throughput [--json] [--workers N] [--scenarios light,medium,heavy] [--steps N]``
 
-Every row plays the same episode: same net, same arrivals. CVs are commanded to accelerate at their limit, which SUMO's
+Every row plays the same episode: same net, same arrivals. Bare libsumo is also run in several processes at once, which
+shows what the machine's cores allow. CVs are commanded to accelerate at their limit, which SUMO's
 checks turn into driving as fast as is safe, so that commands are given in every step and traffic stays close to
 that of the bare simulation; the vehicles that were in the region are printed with each row. All rows of a scenario are
 measured in turn, several times, so that a machine whose speed drifts slows them alike; medians are reported.
@@ -12,10 +13,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -31,6 +34,8 @@ SAMPLE_STEPS = 20
 """Agents and vehicles are counted once in so many steps, so that counting takes no part of the time."""
 AGENT_SLOTS = 96
 VEHICLE_STEPS = EPISODE_METRICS.index("vehicle_steps")
+_together: Any = None
+"""In a process of :func:`_bare_side_by_side`: the barrier that all of them share."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ def _variants(context: Any, workers: int) -> dict[str, Callable[[float], Sample]
     full = EnvConfig(num_agents=AGENT_SLOTS)
     return {
         "bare libsumo": lambda steps: _bare(context, steps),
+        f"{workers} processes, bare libsumo": lambda steps: _bare_side_by_side(context, workers, steps),
         "one environment": lambda steps: _stepped(EcoDrivingEnv(context, config=lean), steps),
         "one environment, all groups emitted": lambda steps: _stepped(EcoDrivingEnv(context, config=full), steps),
         f"{workers} workers": lambda steps: _stepped(SumoParallelEnv(workers, context, config=lean), steps),
@@ -94,7 +100,7 @@ def _variants(context: Any, workers: int) -> dict[str, Callable[[float], Sample]
     }
 
 
-def _bare(context: Any, steps: int) -> Sample:
+def _bare(context: Any, steps: int, wait: Callable[[], object] = lambda: None) -> Sample:
     """Step libsumo alone, with nobody reading or commanding; count vehicles in a second, untimed pass."""
     from izoo.contexts.source import episode_seed
     from izoo.envs import EcoDrivingEnv, EnvConfig
@@ -102,7 +108,7 @@ def _bare(context: Any, steps: int) -> Sample:
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=AGENT_SLOTS))
     try:
         env.reset(context=context, seed=episode_seed(0, 0))
-        rate = _time_steps(env.simulator.session.advance, steps)
+        rate = _time_steps(env.simulator.session.advance, steps, wait)
         env.reset(context=context, seed=episode_seed(0, 0))
         simulator, vehicles, agents = env.simulator, 0, 0
         simulator.frame["defer"][:] = 1
@@ -116,10 +122,31 @@ def _bare(context: Any, steps: int) -> Sample:
     return rate, rate * agents / steps, vehicles / steps, agents / steps
 
 
-def _time_steps(step: Callable[[], None], count: int) -> float:
-    """Call ``step`` ``count`` times, after the region has filled; return calls per second."""
+def _bare_side_by_side(context: Any, workers: int, steps: int) -> Sample:
+    """Step libsumo alone in several processes that know nothing of each other: what the machine's cores allow."""
+    spawn = multiprocessing.get_context("spawn")
+    together = spawn.Barrier(workers)
+    with ProcessPoolExecutor(workers, spawn, initializer=_join, initargs=(together,)) as pool:
+        samples = list(pool.map(_bare_together, [context] * workers, [steps] * workers))
+    rate, agent_rate, vehicles, agents = (sum(column) for column in zip(*samples, strict=True))
+    return rate, agent_rate, vehicles / workers, agents / workers
+
+
+def _join(together: Any) -> None:
+    global _together
+    _together = together
+
+
+def _bare_together(context: Any, steps: int) -> Sample:
+    """As :func:`_bare`, but its timed steps begin when all processes have come so far."""
+    return _bare(context, steps, _together.wait)
+
+
+def _time_steps(step: Callable[[], None], count: int, wait: Callable[[], object] = lambda: None) -> float:
+    """Call ``step`` ``count`` times, after the region has filled and ``wait`` is over; return calls per second."""
     for _ in range(SETTLE_STEPS):
         step()
+    wait()
     begin = time.perf_counter()
     for _ in range(count):
         step()
