@@ -2,11 +2,12 @@
 
 ``python -m izoo.benchmarks.throughput [--json] [--workers N] [--scenarios light,medium,heavy] [--steps N]``
 
-Every row plays the same episode: same net, same arrivals. Bare libsumo is also run in several processes at once, which
-shows what the machine's cores allow. CVs are commanded to accelerate at their limit, which SUMO's
-checks turn into driving as fast as is safe, so that commands are given in every step and traffic stays close to
-that of the bare simulation; the vehicles that were in the region are printed with each row. All rows of a scenario are
-measured in turn, several times, so that a machine whose speed drifts slows them alike; medians are reported.
+Every row plays the same episode: same net, same arrivals; where there are several workers, the next episodes besides.
+Bare libsumo is also run in several processes at once, which shows what the machine's cores allow. CVs are commanded to
+accelerate at their limit, which SUMO's checks turn into driving as fast as is safe, so that commands are given in every
+step and traffic stays close to that of the bare simulation; the vehicles that were in the region are printed with each
+row. All rows of a scenario are measured in turn, several times, so that a machine whose speed drifts slows them alike;
+medians are reported.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ SETTLE_STEPS = 400
 CHUNK = 200
 """Steps per environment in a collected batch."""
 SAMPLE_STEPS = 20
-"""Agents and vehicles are counted once in so many steps, so that counting takes no part of the time."""
+"""Agents and vehicles are counted once in so many steps, so that counting takes next to no part of the time."""
 AGENT_SLOTS = 96
 VEHICLE_STEPS = EPISODE_METRICS.index("vehicle_steps")
 _together: Any = None
@@ -100,16 +101,16 @@ def _variants(context: Any, workers: int) -> dict[str, Callable[[float], Sample]
     }
 
 
-def _bare(context: Any, steps: int, wait: Callable[[], object] = lambda: None) -> Sample:
+def _bare(context: Any, steps: int, episode: int = 0, wait: Callable[[], object] = lambda: None) -> Sample:
     """Step libsumo alone, with nobody reading or commanding; count vehicles in a second, untimed pass."""
     from izoo.contexts.source import episode_seed
     from izoo.envs import EcoDrivingEnv, EnvConfig
 
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=AGENT_SLOTS))
     try:
-        env.reset(context=context, seed=episode_seed(0, 0))
+        env.reset(context=context, seed=episode_seed(0, episode))
         rate = _time_steps(env.simulator.session.advance, steps, wait)
-        env.reset(context=context, seed=episode_seed(0, 0))
+        env.reset(context=context, seed=episode_seed(0, episode))
         simulator, vehicles, agents = env.simulator, 0, 0
         simulator.frame["defer"][:] = 1
         for step in range(SETTLE_STEPS + steps):
@@ -125,9 +126,9 @@ def _bare(context: Any, steps: int, wait: Callable[[], object] = lambda: None) -
 def _bare_side_by_side(context: Any, workers: int, steps: int) -> Sample:
     """Step libsumo alone in several processes that know nothing of each other: what the machine's cores allow."""
     spawn = multiprocessing.get_context("spawn")
-    together = spawn.Barrier(workers)
+    together = spawn.Barrier(workers, timeout=300.0)
     with ProcessPoolExecutor(workers, spawn, initializer=_join, initargs=(together,)) as pool:
-        samples = list(pool.map(_bare_together, [context] * workers, [steps] * workers))
+        samples = list(pool.map(_bare_together, [context] * workers, [steps] * workers, range(workers)))
     rate, agent_rate, vehicles, agents = (sum(column) for column in zip(*samples, strict=True))
     return rate, agent_rate, vehicles / workers, agents / workers
 
@@ -137,9 +138,13 @@ def _join(together: Any) -> None:
     _together = together
 
 
-def _bare_together(context: Any, steps: int) -> Sample:
+def _bare_together(context: Any, steps: int, episode: int) -> Sample:
     """As :func:`_bare`, but its timed steps begin when all processes have come so far."""
-    return _bare(context, steps, _together.wait)
+    try:
+        return _bare(context, steps, episode, _together.wait)
+    except BaseException:
+        _together.abort()
+        raise
 
 
 def _time_steps(step: Callable[[], None], count: int, wait: Callable[[], object] = lambda: None) -> float:

@@ -48,7 +48,8 @@ class EcoDrivingBase(EnvBase):
         self.config = config = config or EnvConfig()
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
         self.frames = map_frames(buffer, config, *(batch_size or [1]))
-        self.reader = FrameReader(config, buffer, self.batch_size, self.leaves)
+        views = self.frames if batch_size else {name: array[0] for name, array in self.frames.items()}
+        self.reader = FrameReader(config, views, self.batch_size, self.leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)

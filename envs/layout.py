@@ -106,10 +106,7 @@ class Field:
 
 
 def frame_fields(config: EnvConfig) -> Iterator[Field]:
-    """Yield the arrays of a frame; the action arrays are written by the parent, all others by the worker.
-
-    What is small and emitted in every step, ``reward`` to :data:`TOTALS`, lies side by side, so that one copy takes it.
-    """
+    """Yield the arrays of a frame; the action arrays are written by the parent, all others by the worker."""
     a, v, p = config.num_agents, config.num_vehicles, config.num_approaches
     f = len(observation_names(config))
     f32, i32, i64, u8 = (np.dtype(t) for t in (np.float32, np.int32, np.int64, np.uint8))
@@ -126,13 +123,13 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
     yield Field("terminated", u8, (1,))
     yield Field("truncated", u8, (1,))
     yield Field("done", u8, (1,))
-    yield Field(TOTALS, f32, (len(EPISODE_METRICS) + p * len(APPROACH_METRICS),))
     yield Field("reward_vector", f32, (a, len(REWARD_VECTOR)))
     yield Field("vehicle_floats", f32, (v, len(VEHICLE_FLOATS)))
     yield Field("vehicle_ints", i32, (v, len(VEHICLE_INTS)))
     yield Field("vehicle_flags", u8, (v, len(VEHICLE_FLAGS)))
     yield Field("signal_colour", i32, (p, p))
     yield Field("signal_time_left_s", f32, (p, p))
+    yield Field(TOTALS, f32, (len(EPISODE_METRICS) + p * len(APPROACH_METRICS),))
     yield Field("approach_mask", u8, (p,))
     yield Field("context_values", f32, (len(CONTEXT_VALUES),))
     yield Field("context_ids", i64, (3,))  # episode number, context id or -1, seed
@@ -140,32 +137,24 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
 
 def frame_bytes(config: EnvConfig, num_envs: int) -> int:
     """Size of the buffer that holds the frames of ``num_envs`` environments."""
-    return sum(padded_bytes(field, num_envs) for field in frame_fields(config))
-
-
-def frame_offsets(config: EnvConfig, num_envs: int) -> dict[str, tuple[int, Field]]:
-    """Return by name where in the buffer an array begins, in bytes, and what it is."""
-    places: dict[str, tuple[int, Field]] = {}
-    offset = 0
-    for field in frame_fields(config):
-        places[field.name] = (offset, field)
-        offset += padded_bytes(field, num_envs)
-    return places
+    return sum(_padded(field, num_envs) for field in frame_fields(config))
 
 
 def map_frames(buffer: Any, config: EnvConfig, num_envs: int) -> dict[str, np.ndarray]:
     """Return the arrays ``[num_envs, *shape]`` by name, all of them views of ``buffer``."""
-    arrays: dict[str, np.ndarray] = {
-        name: np.ndarray((num_envs, *field.shape), field.dtype, buffer, offset)
-        for name, (offset, field) in frame_offsets(config, num_envs).items()
-    }
+    arrays: dict[str, np.ndarray] = {}
+    offset = 0
+    for field in frame_fields(config):
+        shape = (num_envs, *field.shape)
+        arrays[field.name] = np.ndarray(shape, field.dtype, buffer, offset)
+        offset += _padded(field, num_envs)
     episode, approach = np.split(arrays[TOTALS], [len(EPISODE_METRICS)], axis=1)
     arrays["episode_metrics"] = episode
     arrays["approach_metrics"] = approach.reshape(num_envs, config.num_approaches, len(APPROACH_METRICS))
     return arrays
 
 
-def padded_bytes(field: Field, num_envs: int) -> int:
+def _padded(field: Field, num_envs: int) -> int:
     """Bytes of one array, rounded up to cache lines so that rows of different arrays never share one."""
     size = int(np.prod((num_envs, *field.shape))) * field.dtype.itemsize
     return -(-size // 64) * 64

@@ -98,12 +98,13 @@ class SumoParallelEnv(EcoDrivingBase):
                 except WorkerLost as error:
                     lost[index] = error
             failures = self._collect([index for index in plan if index not in lost], lost)
+            for index, reason in lost.items():
+                self._replace(index, reason)
             if failures:
                 raise failures[0]
             for index, reason in lost.items():
                 if attempt == 1:
                     raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {reason}")
-                self._replace(index, reason)
             plan = {index: plan[index] for index in lost}
         self._started = True
 
@@ -113,7 +114,6 @@ class SumoParallelEnv(EcoDrivingBase):
         for index in waiting:
             try:
                 self._workers[index].wait()  # type: ignore[union-attr]
-                self.reader.prepare()  # while the others still simulate
             except WorkerLost as error:
                 lost[index] = error
             except (IzooError, RuntimeError) as error:
@@ -133,11 +133,11 @@ class SumoParallelEnv(EcoDrivingBase):
             except WorkerLost as error:
                 lost[index] = error
         failures = self._collect(waiting, lost)
-        if failures:
-            raise failures[0]
         for index, reason in lost.items():
             self._replace(index, reason)
             self._truncate(index, tensordict)
+        if failures:
+            raise failures[0]
 
     def _replace(self, index: int, reason: Exception) -> None:
         logger.warning("simulation worker %d is replaced: %s", index, reason)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -16,78 +15,15 @@ from izoo.envs.layout import (
     VEHICLE_FLAGS,
     VEHICLE_FLOATS,
     VEHICLE_INTS,
-    Field,
-    frame_offsets,
-    map_frames,
-    padded_bytes,
 )
 from izoo.envs.specs import CONTEXT_IDS, DONE
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
-_FLAG_PER_AGENT = {name: (f"agent_{name}", (1,)) for name in DONE}
-_AGENT_LEAVES = {"mask": ("mask", ()), "vehicle": ("agent_vehicle", ()), "reward": ("reward", (1,)), **_FLAG_PER_AGENT}
-"""By key under ``"agents"``: the array of a frame, and the dimension that TorchRL wants besides; small ones alone."""
-
-
-class _Blocks:
-    """Memory for the small arrays of frames, cut into tensors for some dozens of frames at a time.
-
-    Making a tensor costs more than copying a few hundred bytes into one.
-
-    Args:
-        fields: where each array begins, in bytes, and what it is; they lie side by side.
-        buffer: the memory of the frames.
-        batch: batch size of the environment.
-        tensors: name of the array, and shape but for ``batch``, of each tensor.
-    """
-
-    BYTES = 1 << 16
-
-    def __init__(
-        self,
-        fields: dict[str, tuple[int, Field]],
-        buffer: Any,
-        batch: torch.Size,
-        tensors: Sequence[tuple[str, tuple[int, ...]]],
-    ) -> None:
-        rows = batch.numel()
-        first = min(offset for offset, _ in fields.values())
-        size = max(offset + padded_bytes(field, rows) for offset, field in fields.values()) - first
-        self._source: np.ndarray = np.ndarray((size,), np.uint8, buffer, first)
-        self._cuts = []
-        for name, shape in tensors:
-            offset, field = fields[name]
-            dtype = torch.bool if field.dtype == np.uint8 else torch.from_numpy(np.zeros(0, field.dtype)).dtype
-            length = rows * int(np.prod(field.shape)) * field.dtype.itemsize
-            self._cuts.append((offset - first, offset - first + length, dtype, (*batch, *shape)))
-        self._count = max(1, self.BYTES // size)
-        self._ready: Iterator[tuple[np.ndarray, tuple[Tensor, ...]]] = iter(())
-
-    def take(self) -> tuple[np.ndarray, tuple[Tensor, ...]]:
-        """Return memory for one frame, to be given to :meth:`fill`, and the tensors in it."""
-        return next(self._ready, None) or self._refill()
-
-    def _refill(self) -> tuple[np.ndarray, tuple[Tensor, ...]]:
-        block = torch.empty((self._count, self._source.size), dtype=torch.uint8)
-        cut = [
-            block[:, begin:end].view(dtype).view(self._count, *shape).unbind(0)
-            for begin, end, dtype, shape in self._cuts
-        ]
-        self._ready = zip(block.numpy(), zip(*cut, strict=True), strict=True)
-        return next(self._ready)
-
-    def fill(self, memory: np.ndarray) -> None:
-        """Copy what the arrays hold now."""
-        memory[...] = self._source
-
-
-class _Pending(NamedTuple):
-    """A frame whose tensors exist, and hold nothing yet."""
-
-    memory: np.ndarray
-    agents: dict[str, Tensor]
-    root: dict[str, Tensor | TensorDict]
+_AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent_vehicle"}
+"""Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``."""
+_AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
+"""The same for those that TorchRL wants as ``[*B, A, 1]``."""
 
 
 class FrameReader:
@@ -95,31 +31,27 @@ class FrameReader:
 
     Args:
         config: the environment's settings.
-        buffer: the memory of the frames.
-        batch: batch size of the environment: ``[]``, or ``[N]`` for frames of ``N`` environments.
+        arrays: frames as made by :func:`izoo.envs.layout.map_frames`; for ``batch`` of ``[]`` their single row.
+        batch: batch size of the environment.
         leaves: arrays that are emitted at the root under their own names.
     """
 
-    def __init__(self, config: EnvConfig, buffer: Any, batch: torch.Size, leaves: Sequence[str] = ()) -> None:
+    def __init__(
+        self, config: EnvConfig, arrays: dict[str, np.ndarray], batch: torch.Size, leaves: Sequence[str] = ()
+    ) -> None:
         self.config, self.batch = config, batch
-        rows = batch.numel()
-        arrays = {
-            name: array.reshape(*batch, *array.shape[1:]) for name, array in map_frames(buffer, config, rows).items()
-        }
         self.agents_batch = torch.Size((*batch, config.num_agents))
         self._defer = arrays["defer"]
         self._deferring = True
-        self._observation = torch.from_numpy(arrays["observation"])
-        places = frame_offsets(config, rows)
-        self._root_names = (*DONE, *leaves)
-        cuts = [(name, (*places[name][1].shape, *last)) for name, last in _AGENT_LEAVES.values()]
-        cuts += [(name, places[name][1].shape) for name in self._root_names]
-        self._blocks = _Blocks({name: places[name] for name, _ in cuts}, buffer, batch, cuts)
-        self._pending: _Pending | None = None
         self.tensors: dict[str, Tensor] = {}
         for name, array in arrays.items():
             tensor = torch.from_numpy(array)
             self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
+        self._agent_keys = (*_AGENT_LEAVES, *_AGENT_COLUMNS)
+        self._root_keys = (*DONE, *leaves)
+        self._sources = [self.tensors[name] for name in _AGENT_LEAVES.values()]
+        self._sources += [self.tensors[name].unsqueeze(-1) for name in _AGENT_COLUMNS.values()]
+        self._sources += [self.tensors[name] for name in self._root_keys]
         self.action_shape = torch.Size((*self.agents_batch, 1))
         self._action = self.tensors["action"].unsqueeze(-1)
 
@@ -168,27 +100,14 @@ class FrameReader:
             )
         return lanes
 
-    def prepare(self) -> None:
-        """Make the next frame's tensors; :meth:`read` is then shorter. It can be done while workers still simulate."""
-        self._pending = self._next()
-
-    def _next(self) -> _Pending:
-        if self._pending is not None:
-            return self._pending
-        memory, tensors = self._blocks.take()
-        agents = dict(zip(_AGENT_LEAVES, tensors, strict=False))
-        agents["observation"] = torch.empty_like(self._observation)
-        return _Pending(memory, agents, dict(zip(self._root_names, tensors[len(_AGENT_LEAVES) :], strict=True)))
-
     def read(self) -> tuple[TensorDict, TensorDict]:
         """Return what a step leads to, with the reward, and the same without it: the state to act on next.
 
         Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
         """
-        memory, agents, root = self._next()
-        self._pending = None
-        self._blocks.fill(memory)
-        agents["observation"].copy_(self._observation)
+        copies, count = _clone_all(self._sources), len(self._agent_keys)
+        agents = dict(zip(self._agent_keys, copies[:count], strict=True))
+        root: dict[str, Tensor | TensorDict] = dict(zip(self._root_keys, copies[count:], strict=True))
         t, emit = self.tensors, self.config.emit
         if "reward_vector" in emit:
             agents["reward_vector"] = t["reward_vector"].clone()
@@ -227,6 +146,11 @@ class FrameReader:
         episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
         p = torch.Size((*self.batch, self.config.num_approaches))
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
+
+
+def _clone_all(tensors: list[Tensor]) -> list[Tensor]:
+    """Return a copy of each; many small tensors are copied faster in one call."""
+    return torch._foreach_clone(tensors)
 
 
 def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:

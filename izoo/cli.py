@@ -9,6 +9,7 @@ import dataclasses
 import inspect
 import os
 import re
+import select
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
@@ -20,7 +21,6 @@ from izoo.errors import IzooError, unknown_choice
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
-EXIT_UNREAD = 141
 HELP_WIDTH = 110
 Work = Callable[[Any, frozenset[str]], object]
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
@@ -49,7 +49,6 @@ class Command:
 def run(command: Command, argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0, 2 for input that cannot be used, 130 when it was stopped."""
     words = list(sys.argv[1:] if argv is None else argv)
-    print(f"izoo {__version__} {command.name}", flush=True)
     # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
@@ -57,10 +56,11 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
 
 
 def exit_code(name: str, main: Callable[[], int]) -> int:
-    """Return what ``main`` returns, 2 for bad input, 130 after Ctrl-C, and 141 where nobody reads the output."""
+    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
     try:
         code = main()
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
         return code
     except IzooError as error:
         print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
@@ -71,20 +71,22 @@ def exit_code(name: str, main: Callable[[], int]) -> int:
     except BrokenPipeError:
         if not _is_unread(sys.stdout):
             raise
-        return EXIT_UNREAD
+        # Whoever read the output, such as `head`, has had enough; what is left to flush must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
-def _is_unread(stream: TextIO) -> bool:
-    """Whether nobody reads a stream any more, as after ``| head``; what is still to be written is then dropped."""
-    try:
-        os.write(stream.fileno(), b"\n")
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-        return True
-    return False
+def _is_unread(stream: TextIO | None) -> bool:
+    """Whether a stream is a pipe that nobody reads any more."""
+    if stream is None:
+        return False
+    pipe = select.poll()
+    pipe.register(stream.fileno(), select.POLLOUT)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in pipe.poll(0))
 
 
 def _run(command: Command, words: Sequence[str]) -> int:
+    print(f"izoo {__version__} {command.name}", flush=True)
     flags = [word for word in words if word.startswith("-")]
     options = [word for word in words if not word.startswith("-")]
     for flag in flags:

@@ -332,3 +332,16 @@ def test_worker_processes_do_not_import_torch() -> None:
     program = "import izoo.envs.simulator, izoo.envs.worker, sys; print('torch' in sys.modules)"
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert output.stdout.strip() == "False"
+
+
+def test_sharing_a_kept_frame_touches_no_other(make: Make) -> None:
+    """As putting it into a queue of ``torch.multiprocessing`` does, which moves its memory."""
+    env = make()
+    kept, state = [], env.reset()
+    for _ in range(20):
+        frame, state = env.step_and_maybe_reset(steer(state))
+        for name, array in (("mask", "mask"), ("reward", "reward"), ("done", "agent_done")):
+            assert (frame["next", "agents", name].flatten().numpy() == env.frames[array].flatten()).all(), name
+        kept.append((frame, frame.clone()))
+        frame["next", "agents", "mask"].share_memory_()
+    assert all(same(frame, as_it_was) for frame, as_it_was in kept)

@@ -1,4 +1,4 @@
-"""Commanded lane changes move vehicles, and SUMO still refuses what is unsafe."""
+"""Commanded lane changes move vehicles, and nobody collides."""
 
 from __future__ import annotations
 
