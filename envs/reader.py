@@ -148,9 +148,10 @@ class FrameReader:
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
 
 
-def _clone_all(tensors: list[Tensor]) -> list[Tensor]:
+def _clone_all(tensors: list[Tensor]) -> tuple[Tensor, ...]:
     """Return a copy of each; many small tensors are copied faster in one call."""
-    return torch._foreach_clone(tensors)
+    copies: tuple[Tensor, ...] = torch._foreach_clone(tensors)
+    return copies
 
 
 def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:
