@@ -34,6 +34,7 @@ from izoo.envs.layout import (
     SUM_JERK,
     SUM_STEPS,
     SUM_STOPPED,
+    TARGET,
     TTC,
     TTC_CAP_S,
 )
@@ -84,18 +85,19 @@ _GRIDLOCK = EPISODE_METRIC["gridlock"]
 def plan_commands(agent_row, action, defer, yields, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
     """Sort the agents into those whose speed is commanded and those left to SUMO.
 
-    Inside the junction a CV always is: vehicles that are made to stand there are driven into from the side, which no
-    check of SUMO's prevents.
+    Inside the junction a CV always is left to SUMO: vehicles that are made to stand there are driven into from the
+    side, which no check of SUMO's prevents. A command holds until the next one, so one that would repeat the last, as
+    in a queue, is left out.
 
     Args:
         action: ``[A]`` m/s^2; NaN counts as defer.
         defer: ``[A]`` asked to be left to SUMO.
         yields: ``[C]`` rows that SUMO slows for a lane change.
-        command, release: ``[A]`` outputs: rows to command, and rows that were commanded and no longer are.
+        command, release: ``[A]`` outputs: rows with a new command, and rows that were commanded and no longer are.
         target: ``[A]`` output: speed in m/s for each commanded row.
 
     Returns:
-        How many rows are commanded, and how many released.
+        How many rows have a new command, and how many are released.
     """
     commands, releases = 0, 0
     for a in range(agent_row.shape[0]):
@@ -121,10 +123,14 @@ def plan_commands(agent_row, action, defer, yields, step_s, floats, ints, flags,
                 releases += 1
         else:
             flags[r, DEFERRED] = 0
-            flags[r, COMMANDED] = 1
             accel = min(max(action[a], ACTION_LOW_MPS2), ACTION_HIGH_MPS2)
+            speed = max(floats[r, SPEED] + accel * step_s, 0.0)
+            if flags[r, COMMANDED] and speed == floats[r, TARGET]:
+                continue
+            flags[r, COMMANDED] = 1
+            floats[r, TARGET] = speed
             command[commands] = r
-            target[commands] = max(floats[r, SPEED] + accel * step_s, 0.0)
+            target[commands] = speed
             commands += 1
     return commands, releases
 

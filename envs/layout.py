@@ -36,8 +36,8 @@ VEHICLE_FLOATS = (
 (SPEED, ACCEL, LENGTH, PATH_POSITION, STOP_LINE, GAP, LEADER_SPEED, GRADE, EMISSION, LANE_POSITION) = range(10)
 # Working columns that are not emitted.
 (PREV_ACCEL, JUNCTION_M, SUM_EMISSION, SUM_STEPS, SUM_STOPPED) = range(10, 15)
-(SUM_ACCEL, SUM_JERK, MIN_TTC, ENTRY_M, TTC) = range(15, 20)
-NUM_FLOATS = 20
+(SUM_ACCEL, SUM_JERK, MIN_TTC, ENTRY_M, TTC, TARGET) = range(15, 21)
+NUM_FLOATS = 21
 
 VEHICLE_INTS = (
     "location",  # 0 approaching, 1 inside the junction, 2 leaving
