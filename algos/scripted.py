@@ -110,8 +110,10 @@ class GlideConfig:
     Attributes:
         max_lanes: on approaches with more lanes nobody glides. Where vehicles choose among lanes the queue ahead cannot
             be guessed from the leader, others overtake and merge in front, and the rule costs more than it gains.
-        stop_decel_mps2: there, whoever must stop in any case brakes from where this deceleration is enough; 0: they
-            are left alone.
+        min_green_share: nor for movements with a smaller share of green: there CVs would glide through most of a long
+            red, which burns twice what standing does, for a short discharge.
+        stop_decel_mps2: in both cases, whoever must stop in any case brakes from where this deceleration is enough; 0:
+            they are left alone.
         start_lag_s: time from green until the first vehicle of a queue crosses.
         headway_s: time between two vehicles of a discharging queue.
         spacing_m: road that a queued vehicle takes up.
@@ -128,6 +130,7 @@ class GlideConfig:
     """
 
     max_lanes: int = 1
+    min_green_share: float = 0.22
     stop_decel_mps2: float = 0.6
     start_lag_s: float = 2.0
     headway_s: float = 2.2
@@ -148,6 +151,7 @@ class GlideConfig:
         for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
             check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
         check_range("glide.max_lanes", self.max_lanes, 0, 100)
+        check_range("glide.min_green_share", self.min_green_share, 0.0, 1.0)
         check_range("glide.stop_decel_mps2", self.stop_decel_mps2, 0.0, -ACTION_LOW_MPS2, "m/s^2")
         check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
 
@@ -158,9 +162,9 @@ class Glide(ScriptedDriver):
     Each CV estimates when it can pass: the start of a green of its movement, plus the time that the queue ahead on its
     lane needs to discharge, skipping greens that the queue uses up; and slows gently, early, to arrive then. What it
     cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. On
-    approaches with more lanes than ``max_lanes`` a CV that has to stop in any case brakes early and gently instead:
-    braking burns as little as standing, cruising twice as much. Whoever need not slow, is near the stop line, or
-    follows closely is left to IDM.
+    approaches with more lanes than ``max_lanes``, and before short greens, a CV that has to stop in any case brakes
+    early and gently instead: braking burns as little as standing, cruising twice as much. Whoever need not slow, is
+    near the stop line, or follows closely is left to IDM.
 
     Args:
         config: settings of the environment; the leader and the features ``green_s``, ``red_s``, ``speed_limit_mps``
@@ -195,13 +199,21 @@ class Glide(ScriptedDriver):
         arrival_s = self.passing_time(observation, distance, free_s)
         advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.full_like(limit, s.floor_mps))
         leads = approaching & ~(leader & (gap < s.headway_gap_s * speed))
-        wide = self._column(observation, "context_lane_count", feature("lane_count").scale) > s.max_lanes + 0.5
         early = (arrival_s - free_s >= s.late_s) & (advised < limit) & (distance >= s.near_m)
-        glides = leads & ~wide & early
+        pays = self.gliding_pays(observation)
+        glides = leads & pays & early
         glide = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
         decel, must_stop = self.stop(observation, distance, speed)
-        stops = leads & wide & must_stop
+        stops = leads & ~pays & must_stop
         return torch.where(stops, -decel, glide), ~(glides | stops)
+
+    def gliding_pays(self, observation: Tensor) -> Tensor:
+        """Return whether the approach has few enough lanes and the movement green for long enough, ``[*B, A]``."""
+        s = self.settings
+        lanes = self._column(observation, "context_lane_count", feature("lane_count").scale)
+        green = self._column(observation, "context_green_s", feature("green_s").scale)
+        red = self._column(observation, "context_red_s", feature("red_s").scale)
+        return (lanes < s.max_lanes + 0.5) & (green >= s.min_green_share * (green + red))
 
     def stop(self, observation: Tensor, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Return the deceleration that ends in each CV's stop, ``[*B, A]`` in m/s^2, and whether it is time for it.

@@ -162,6 +162,7 @@ def test_glide_waits_for_the_queue_and_skips_a_green_that_it_uses_up() -> None:
         {"leader_present": 1.0, "leader_distance": 10.0, "leader_speed": 15.0},  # following closely
         {"stop_line_distance": -320.0, "signal_time_left": 19.0},  # would be early by less than two seconds
         {"context_lane_count": 2.0},  # cannot know which lane others choose
+        {"context_green_s": 0.08, "context_red_s": 0.32},  # 20 % of green: too little is discharged
     ],
 )
 def test_glide_leaves_alone_whoever_need_not_slow(values: dict[str, float]) -> None:
@@ -170,6 +171,12 @@ def test_glide_leaves_alone_whoever_need_not_slow(values: dict[str, float]) -> N
 
 def test_glide_drives_on_wider_approaches_when_told_to() -> None:
     assert advise(observation(context_lane_count=2.0), settings=GlideConfig(max_lanes=2))[1].tolist() == [False]
+
+
+def test_glide_drives_before_short_greens_when_told_to() -> None:
+    row = observation(context_green_s=0.13, context_red_s=0.47)
+    assert advise(row)[1].tolist() == [True]
+    assert advise(row, settings=GlideConfig(min_green_share=0.2))[1].tolist() == [False]
 
 
 @pytest.mark.parametrize(
