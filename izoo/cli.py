@@ -81,7 +81,10 @@ def _is_unread(stream: TextIO | None) -> bool:
     if stream is None:
         return False
     pipe = select.poll()
-    pipe.register(stream.fileno(), select.POLLOUT)
+    try:
+        pipe.register(stream.fileno(), select.POLLOUT)
+    except OSError:  # not a file at all, as in a notebook
+        return False
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in pipe.poll(0))
 
 

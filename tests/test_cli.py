@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import subprocess
 import sys
 import time
@@ -163,7 +164,10 @@ def test_output_that_nobody_reads_ends_a_command_quietly(reader: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_broken_pipe_elsewhere_is_not_hidden() -> None:
+@pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])
+def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", stream)
+
     def broken() -> int:
         raise BrokenPipeError("a worker's socket")
 
