@@ -1,6 +1,8 @@
-"""Options of the speed benchmarks: what cannot be measured is refused, Ctrl-C ends them with its own code."""
+"""The speed benchmarks: what cannot be measured is refused, Ctrl-C ends them with its own code, rows fit together."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 
@@ -32,3 +34,20 @@ def test_an_interrupt_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     assert cli.exit_code("benchmarks.scaling", interrupted) == 130
     assert capsys.readouterr().err == "izoo benchmarks.scaling: stopped.\n"
     assert cli.exit_code("benchmarks.scaling", lambda: 7) == 7
+
+
+def test_throughput_compares_like_with_like(capsys: pytest.CaptureFixture[str]) -> None:
+    assert throughput.main(["--json", "--workers", "1", "--steps", "200", "--scenarios", "light"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    rows = {row["variant"]: row for row in result["rows"]}
+    bare = rows["bare libsumo"]
+    assert result["workers"] == 1 and len(rows) == 7 and bare["ratio_to_bare"] == 1.0
+    assert all(row["env_steps_per_s"] > 0.0 and row["ratio_to_bare"] > 0.0 for row in rows.values())
+    # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
+    assert bare["agents"] == rows["1 process, bare libsumo"]["agents"]
+    assert bare["vehicles"] == rows["1 process, bare libsumo"]["vehicles"]
+    one = rows["one environment"]
+    assert one["agents"] == rows["1 worker"]["agents"] == rows["one environment, emitting all"]["agents"]
+    assert one["vehicles"] == rows["1 worker"]["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
+    # The same policy meets the same traffic, wherever it runs.
+    assert rows["1 worker, PPO policy"]["agents"] == pytest.approx(rows["1 process, PPO policy"]["agents"], rel=0.2)

@@ -1,0 +1,309 @@
+"""What the throughput benchmark times: bare libsumo, environments and collectors, each playing the same episodes.
+
+A variant plays a scenario once per call: warm-up, some steps that are not timed, then those that are. Processes start
+at the first play and are kept, asleep, until the variant is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from izoo.algos.ppo_config import PPOConfig
+from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import procedural_context
+from izoo.contexts.source import episode_seed
+from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs.layout import observation_names
+from izoo.metrics.definitions import EPISODE_METRICS
+from izoo.training.collectors import BatchSource
+from izoo.training.interrupt import workers_ignore_interrupts
+from izoo.training.runs import make_algorithm
+
+WARMUP_S = 200.0
+"""Time in which the region fills, with nobody commanding."""
+CHUNK = 200
+"""Steps per environment in a collected batch, and before timing starts."""
+SAMPLE_STEPS = 20
+"""Agents and vehicles are counted once in so many steps, so that counting takes next to no part of the time."""
+AGENT_SLOTS = 96
+VEHICLE_STEPS = EPISODE_METRICS.index("vehicle_steps")
+_together: Any = None
+"""In a process of :class:`BareSideBySide`: the barrier that all of them share."""
+
+
+class Sample(NamedTuple):
+    """Rates of one play over all its environments, and means per environment; NaN where nothing was counted."""
+
+    env_steps_per_s: float
+    agent_steps_per_s: float
+    vehicles: float
+    agents: float
+
+
+class Variant(Protocol):
+    """One row of the table."""
+
+    def play(self, scenario: int) -> Sample:
+        """Play scenario number ``scenario`` once; scenarios come in order, each as often as the plan says."""
+        ...
+
+    def close(self) -> None:
+        """End the processes."""
+        ...
+
+
+def scenarios() -> dict[str, Context]:
+    """Contexts with about 20, 60 and 190 vehicles in the controlled region, a third of them CVs."""
+    roads = {"lane_count": 3, "phase_count": 2, "green_s": 30.0, "red_s": 24.0}
+    return {
+        "light": procedural_context(lane_count=1, inflow_vph_per_lane=500.0, lane_length_m=350.0),
+        "medium": procedural_context(**roads, inflow_vph_per_lane=430.0, lane_length_m=400.0),
+        "heavy": procedural_context(**roads, inflow_vph_per_lane=330.0, lane_length_m=400.0, approach="all"),
+    }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is played; also the schedule of the environments' episodes.
+
+    Attributes:
+        contexts: of the scenarios, in the order in which they are played.
+        rounds: plays of each scenario.
+        workers: environments side by side; number ``k`` plays an episode of seed ``k``, the same in every round.
+        steps: timed steps per environment and play.
+    """
+
+    contexts: tuple[Context, ...]
+    rounds: int
+    workers: int
+    steps: int
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        """Return context and seed of an episode; after the last play comes the last scenario again."""
+        play, worker = divmod(episode, self.workers)
+        scenario = min(play // self.rounds, len(self.contexts) - 1)
+        return self.contexts[scenario], episode_seed(0, worker)
+
+    @property
+    def batches(self) -> int:
+        """Timed batches of a play."""
+        return self.steps // CHUNK
+
+    def env(self, **options: Any) -> EnvConfig:
+        """Return settings whose episode is one play of a collector: a batch before the timed ones and one after."""
+        episode = EnvConfig(warmup_s=WARMUP_S, num_agents=AGENT_SLOTS, **options)
+        steps = episode.warmup_steps + (self.batches + 2) * CHUNK
+        return replace(episode, horizon_s=steps * episode.step_s)
+
+
+def make_variants(plan: Plan) -> dict[str, Variant]:
+    """Return every variant by the name of its row; the first is what the others are compared with."""
+    lean = plan.env(emit=())
+    workers, processes = ("worker", "process") if plan.workers == 1 else ("workers", "processes")
+    return {
+        "bare libsumo": Bare(plan),
+        f"{plan.workers} {processes}, bare libsumo": BareSideBySide(plan),
+        "one environment": Single(plan, lean),
+        "one environment, emitting all": Single(plan, plan.env()),
+        f"{plan.workers} {workers}": SideBySide(plan, lean),
+        f"{plan.workers} {workers}, PPO policy": Collected(plan, "parallel"),
+        f"{plan.workers} {processes}, PPO policy": Collected(plan, "multisync"),
+    }
+
+
+class Bare:
+    """Libsumo alone, with nobody reading or commanding, in this process."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._counts: dict[int, tuple[float, float]] = {}
+
+    def play(self, scenario: int) -> Sample:
+        context = self.plan.contexts[scenario]
+        if scenario not in self._counts:
+            self._counts[scenario] = _count(self.plan, context, 0)
+        vehicles, agents = self._counts[scenario]
+        rate = _time_bare(self.plan, context, 0)
+        return Sample(rate, rate * agents, vehicles, agents)
+
+    def close(self) -> None:
+        pass
+
+
+class BareSideBySide:
+    """Libsumo alone in several processes that know nothing of each other: what the machine's cores allow."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        spawn = multiprocessing.get_context("spawn")
+        together = spawn.Barrier(plan.workers, timeout=300.0)
+        self._pool = ProcessPoolExecutor(plan.workers, spawn, initializer=_join, initargs=(together,))
+        self._counts: dict[int, tuple[float, float]] = {}
+
+    def play(self, scenario: int) -> Sample:
+        workers = self.plan.workers
+        tasks = [self.plan] * workers, [self.plan.contexts[scenario]] * workers, range(workers)
+        if scenario not in self._counts:
+            with workers_ignore_interrupts():
+                counts = self._pool.map(_count, *tasks)
+            vehicles, agents = np.mean(list(counts), axis=0).tolist()
+            self._counts[scenario] = vehicles, agents
+        vehicles, agents = self._counts[scenario]
+        rate = sum(self._pool.map(_time_bare_together, *tasks))
+        return Sample(rate, rate * agents, vehicles, agents)
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+class Single:
+    """One environment in this process, whose CVs all accelerate as hard as they may."""
+
+    def __init__(self, plan: Plan, config: EnvConfig) -> None:
+        self.plan, self.config = plan, config
+
+    def play(self, scenario: int) -> Sample:
+        context = self.plan.contexts[scenario]
+        with contextlib.closing(EcoDrivingEnv(context, config=self.config)) as env:
+            return _step(env, env.reset(context=context, seed=episode_seed(0, 0)), self.plan.steps)
+
+    def close(self) -> None:
+        pass
+
+
+class SideBySide:
+    """Environments in processes of their own, stepped together; their CVs accelerate as hard as they may."""
+
+    def __init__(self, plan: Plan, config: EnvConfig) -> None:
+        self.plan = plan
+        self.env = SumoParallelEnv(plan.workers, plan, config=config)
+
+    def play(self, scenario: int) -> Sample:
+        workers = self.plan.workers
+        first = scenario * self.plan.rounds * workers
+        episodes = torch.arange(first, first + workers).unsqueeze(-1)
+        state = self.env.reset(TensorDict({("context", "episode"): episodes}, batch_size=[workers]))
+        return _step(self.env, state, self.plan.steps)
+
+    def close(self) -> None:
+        self.env.close()
+
+
+@dataclass
+class Collected:
+    """Batches collected with a freshly initialised PPO policy, as training does."""
+
+    plan: Plan
+    collector: Literal["parallel", "multisync"]
+    _source: BatchSource | None = field(default=None, init=False)
+
+    def play(self, scenario: int) -> Sample:
+        source = self._source = self._source or self._start()
+        source.next()
+        agents, begin = 0, time.perf_counter()
+        for _ in range(self.plan.batches):
+            agents += int(source.next()["agents", "mask"].sum())
+        elapsed = time.perf_counter() - begin
+        source.next()  # the episodes end in it
+        steps = self.plan.batches * CHUNK * self.plan.workers
+        return Sample(steps / elapsed, agents / elapsed, float("nan"), agents / steps)
+
+    def _start(self) -> BatchSource:
+        options = TrainConfig(
+            algo=PPOConfig(frames_per_batch=self.plan.workers * CHUNK),
+            collector=CollectorConfig(name=self.collector),
+            env=self.plan.env(emit=()),
+            num_workers=self.plan.workers,
+        )
+        torch.manual_seed(0)
+        learner = make_algorithm(options, len(observation_names(options.env)))
+        return BatchSource(options, learner.policy, self.plan)
+
+    def close(self) -> None:
+        if self._source is not None:
+            self._source.close()
+
+
+@contextlib.contextmanager
+def _simulation(plan: Plan, context: Context, worker: int) -> Iterator[Any]:
+    """A simulator of this process, after its warm-up."""
+    with contextlib.closing(EcoDrivingEnv(context, config=plan.env(emit=()))) as env:
+        env.reset(context=context, seed=episode_seed(0, worker))
+        yield env.simulator
+
+
+def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
+    """Return the mean vehicles and CVs of the timed steps where nobody commands."""
+    vehicles = agents = 0
+    with _simulation(plan, context, worker) as simulator:
+        simulator.frame["defer"][:] = 1
+        for step in range(CHUNK + plan.steps):
+            simulator.step()
+            if step >= CHUNK:
+                vehicles += len(simulator.rows)
+                agents += int(simulator.frame["mask"].sum())
+    return vehicles / plan.steps, agents / plan.steps
+
+
+def _time_bare(plan: Plan, context: Context, worker: int, wait: Callable[[], object] = lambda: None) -> float:
+    with _simulation(plan, context, worker) as simulator:
+        return _time_steps(simulator.session.advance, plan.steps, wait)
+
+
+def _join(together: Any) -> None:
+    global _together
+    _together = together
+
+
+def _time_bare_together(plan: Plan, context: Context, worker: int) -> float:
+    """As :func:`_time_bare`, but the timed steps begin when all processes have come so far."""
+    try:
+        return _time_bare(plan, context, worker, _together.wait)
+    except BaseException:
+        _together.abort()
+        raise
+
+
+def _time_steps(step: Callable[[], None], count: int, wait: Callable[[], object] = lambda: None) -> float:
+    """Return how many calls of ``step`` there are per second: ``count`` of them, after some more and ``wait``."""
+    for _ in range(CHUNK):
+        step()
+    wait()
+    begin = time.perf_counter()
+    for _ in range(count):
+        step()
+    return count / (time.perf_counter() - begin)
+
+
+def _step(env: EcoDrivingEnv | SumoParallelEnv, state: TensorDictBase, steps: int) -> Sample:
+    """Step an environment from ``state`` on, with the highest acceleration as every CV's action."""
+    num, taken = env.batch_size.numel(), 0
+    vehicle_steps: list[float] = []
+    agents_seen: list[float] = []
+    action = torch.full((*env.batch_size, env.config.num_agents, 1), env.action_spec["agents", "action"].high.max())
+    totals, mask = env.frames["episode_metrics"], env.frames["mask"]
+
+    def step() -> None:
+        nonlocal state, taken
+        if taken % SAMPLE_STEPS == 0 and taken >= CHUNK:
+            agents_seen.append(mask.sum() / num)
+            vehicle_steps.append(totals[:, VEHICLE_STEPS].sum() / num)
+        state.set(("agents", "action"), action)
+        _, state = env.step_and_maybe_reset(state)
+        taken += 1
+
+    rate = _time_steps(step, steps)
+    agents = float(np.mean(agents_seen))
+    vehicles = float(np.diff(vehicle_steps).mean()) / SAMPLE_STEPS
+    return Sample(rate * num, rate * num * agents, vehicles, agents)
