@@ -67,7 +67,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             nonlocal state
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
-            vehicles.append(len(simulator.rows))
+            vehicles.append(len(simulator.roster.rows))
 
         parts = _Parts(simulator)
         whole = _time(step, steps, parts.begin)

@@ -251,7 +251,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
         for step in range(CHUNK + plan.steps):
             simulator.step()
             if step >= CHUNK:
-                vehicles += len(simulator.rows)
+                vehicles += len(simulator.roster.rows)
                 agents += int(simulator.frame["mask"].sum())
     return vehicles / plan.steps, agents / plan.steps
 

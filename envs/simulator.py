@@ -1,16 +1,9 @@
-"""One environment without TorchRL: episodes of a context on SUMO, slots for vehicles and agents, frames in arrays.
-
-Slot rules: a vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. Rows
-and slots freed in a step are handed out again from the next step on, so that a newcomer never stands in a leaver's
-place.
-"""
+"""One environment without TorchRL: episodes of a context on SUMO, frames in arrays."""
 
 from __future__ import annotations
 
-import heapq
 import os
 import tempfile
-from collections.abc import Collection
 from itertools import filterfalse
 from pathlib import Path
 
@@ -25,30 +18,19 @@ from izoo.envs.fused import ClockArrays, Out, Rules, Tables, hold, make_frame
 from izoo.envs.kernels import read_clock, road_arrays
 from izoo.envs.layout import (
     ACCEL,
-    AGENT,
     APPROACH,
-    COUNTED,
     DEFERRED,
-    ELECTRIC,
-    ENTRY_M,
     EPISODE_METRIC,
     EXIT,
-    FRESH,
     IS_CV,
     JUNCTION_M,
-    LENGTH,
     METRIC,
-    MOVES_CLASS,
-    NUM_FLAGS,
-    NUM_FLOATS,
-    NUM_INTS,
-    NUMBER,
-    PRESENT,
     SPEED,
     VEHICLE_FLAGS,
     VEHICLE_FLOATS,
     VEHICLE_INTS,
 )
+from izoo.envs.roster import Roster
 from izoo.envs.sumo import SumoSession, sumo_arguments
 from izoo.envs.worker import episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
@@ -111,8 +93,8 @@ class Simulator:
             self.session.advance()
         self._register_present()
         self._started_s = self.session.time_s
-        self._list_members()
-        reading = self.session.read(self._row_names, self.lane_numbers)
+        self.roster.list_members()
+        reading = self.session.read(self.roster.row_names, self.lane_numbers)
         self._make_frame(reading, acting=np.full(config.num_agents, -1), leavers=[], measured=False)
         self._write_context(episode)
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
@@ -120,18 +102,18 @@ class Simulator:
 
     def step(self) -> bool:
         """Apply the frame's actions, simulate one step, and write the next frame; return whether the episode ended."""
-        acting = self.agent_row.copy()
+        acting = self.roster.agent_row.copy()
         self._apply_commands()
         self.session.advance()
         self.steps += 1
         leavers = self._find_leavers()
         if leavers:
-            self._list_members(set(leavers))
+            self.roster.list_members(set(leavers))
         reading = self._read_with_newcomers()
         self._count_collisions()
         self._make_frame(reading, acting, leavers, measured=True)
         if leavers:
-            self._release_rows(leavers)
+            self.roster.release(leavers)
         final = self.steps >= self.config.control_steps
         if final:
             self._finish()
@@ -156,9 +138,10 @@ class Simulator:
 
     def vehicles(self) -> dict[str, np.ndarray]:
         """Return the emitted columns of all rows, ``[C]`` each, whether or not they are emitted."""
-        columns = dict(zip(VEHICLE_FLOATS, self.floats.T, strict=False))
-        columns |= zip(VEHICLE_INTS, self.ints.T, strict=False)
-        columns |= zip(VEHICLE_FLAGS, self.flags.T.astype(bool), strict=False)
+        roster = self.roster
+        columns = dict(zip(VEHICLE_FLOATS, roster.floats.T, strict=False))
+        columns |= zip(VEHICLE_INTS, roster.ints.T, strict=False)
+        columns |= zip(VEHICLE_FLAGS, roster.flags.T.astype(bool), strict=False)
         return columns
 
     def close(self) -> None:
@@ -172,49 +155,27 @@ class Simulator:
 
     def _clear_tables(self) -> None:
         config = self.config
-        capacity = max(256, config.num_vehicles)
-        self.floats = np.zeros((capacity, NUM_FLOATS))
-        self.ints = np.zeros((capacity, NUM_INTS), np.int64)
-        self.flags = np.zeros((capacity, NUM_FLAGS), np.uint8)
-        self.terms = np.zeros((capacity, 5))
-        self.names: list[str] = [""] * capacity
-        self.row_of: dict[str, int] = {}
-        self.agent_row = np.full(config.num_agents, -1)
-        self.yields = np.zeros(capacity, np.uint8)
-        self._yielding = 0
-        self.free_rows = list(range(capacity))
-        self.free_agents = list(range(config.num_agents))
+        self.roster = Roster(config, self.road, self.traffic, electric=self.context.engine == "electric")
         self.sums = np.zeros((config.num_approaches, len(APPROACH_METRICS)))
         self.episode_sums = np.zeros(len(EPISODE_METRIC))
         self.steps = 0
         self.collided: set[tuple[str, str]] = set()
-        self.rows = _NOBODY
-        self._row_names: list[str] = []
-
-    def _grow(self) -> None:
-        """Double the capacity of the tables."""
-        old = len(self.names)
-        for name in ("floats", "ints", "flags", "terms", "yields"):
-            table = getattr(self, name)
-            setattr(self, name, np.concatenate([table, np.zeros_like(table)]))
-        self.names.extend([""] * old)
-        self.free_rows = list(range(old, 2 * old))
-        self._bind_tables()
+        self._yielding = 0
 
     def _bind_tables(self) -> None:
         """Hand the present tables and the episode's constants to compiled code."""
-        capacity = len(self.names)
+        roster = self.roster
         tables = Tables(
-            self.floats,
-            self.ints,
-            self.flags,
-            self.terms,
+            roster.floats,
+            roster.ints,
+            roster.flags,
+            roster.terms,
             self.sums,
             self.episode_sums,
-            self.agent_row,
-            np.zeros(capacity, np.int64),
+            roster.agent_row,
+            np.zeros(roster.capacity, np.int64),
             np.zeros(len(self.road.lane_ids) + 1, np.int64),
-            np.zeros(capacity, np.int64),
+            np.zeros(roster.capacity, np.int64),
         )
         self._suspects = tables.suspects
         self._world = hold(tables, self.lanes, self.clock, self._rules, self.weights, self._out)
@@ -264,107 +225,83 @@ class Simulator:
     # -- one step ------------------------------------------------------------------------------------------------------
 
     def _apply_commands(self) -> None:
-        frame = self.frame
+        frame, roster = self.frame, self.roster
         commands, releases = accounting.plan_commands(
-            self.agent_row,
+            roster.agent_row,
             frame["action"],
             frame["defer"],
-            self.yields,
+            roster.yields,
             self.config.step_s,
-            self.floats,
-            self.ints,
-            self.flags,
+            roster.floats,
+            roster.ints,
+            roster.flags,
             self.sums,
             self._command,
             self._release,
             self._target_mps,
         )
-        names = self.names
+        names = roster.names
         if releases:
             self.session.command_speeds([names[r] for r in self._release[:releases].tolist()], [-1.0] * releases)
         commanded = [names[r] for r in self._command[:commands].tolist()]
         self.session.command_speeds(commanded, self._target_mps[:commands].tolist())
         if self.config.lane_change:
-            for a in np.flatnonzero((self.agent_row >= 0) & (frame["lane_change"] != 1)):
-                row = self.agent_row[a]
-                if not self.flags[row, DEFERRED]:
+            for a in np.flatnonzero((roster.agent_row >= 0) & (frame["lane_change"] != 1)):
+                row = roster.agent_row[a]
+                if not roster.flags[row, DEFERRED]:
                     self.session.change_lane(names[row], int(frame["lane_change"][a]) - 1, self.config.step_s)
 
     def _find_leavers(self) -> list[int]:
-        row_of = self.row_of
+        row_of = self.roster.row_of
         return [row_of[name] for name in self.session.arrived() if name in row_of]
-
-    def _list_members(self, gone: Collection[int] = ()) -> None:
-        """List rows and names of the vehicles that are in the region, in the order in which they came."""
-        members = [(row, name) for name, row in self.row_of.items() if row not in gone]
-        self.rows = np.array([row for row, _ in members], np.int64)
-        self._row_names = [name for _, name in members]
 
     def _read_with_newcomers(self) -> tuple[np.ndarray, ...]:
         """Read every vehicle in the region; where the entries hold more than were known, register the others first."""
-        reading = self.session.read(self._row_names, self.lane_numbers)
-        if self.session.count_on(self.entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):
+        session, roster = self.session, self.roster
+        reading = session.read(roster.row_names, self.lane_numbers)
+        if session.count_on(self.entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):
             return reading
-        known, row_of = len(self._row_names), self.row_of
-        for edge in self.entry_edges:
-            for name in filterfalse(row_of.__contains__, self.session.on_edge(edge)):
-                self._register(name, counted=True)
-                self._row_names.append(name)
-        newcomers = self._row_names[known:]
-        self.rows = np.append(self.rows, np.array([row_of[name] for name in newcomers], np.int64))
-        return tuple(map(np.append, reading, self.session.read(newcomers, self.lane_numbers)))
+        newcomers = [
+            name for edge in self.entry_edges for name in filterfalse(roster.row_of.__contains__, session.on_edge(edge))
+        ]
+        for name in newcomers:
+            self._register(name, counted=True)
+        roster.extend_members(newcomers)
+        return tuple(map(np.append, reading, session.read(newcomers, self.lane_numbers)))
 
     def _register_present(self) -> None:
         """Register everybody in the region at the end of the warm-up, also inside the junction and behind it."""
-        road = self.road
+        road, roster = self.road, self.roster
         for edge in dict.fromkeys(lane.rsplit("_", 1)[0] for lane in road.lane_ids):
             for name in self.session.on_edge(edge):
-                self._register(name, counted=False)
-                row = self.row_of[name]
-                way = (road.lane_approach == self.ints[row, APPROACH]) & (road.lane_exit == self.ints[row, EXIT])
-                self.floats[row, JUNCTION_M] = road.inside_length_m[way].max(initial=0.0)
+                row = self._register(name, counted=False)
+                approach, leaving = roster.ints[row, APPROACH], roster.ints[row, EXIT]
+                way = (road.lane_approach == approach) & (road.lane_exit == leaving)
+                roster.floats[row, JUNCTION_M] = road.inside_length_m[way].max(initial=0.0)
 
-    def _register(self, name: str, counted: bool) -> None:
-        if not self.free_rows:
-            self._grow()
-        row, number, traffic = heapq.heappop(self.free_rows), int(name), self.traffic
-        self.names[row], self.row_of[name] = name, row
-        self.yields[row] = 0
-        is_cv = bool(traffic.is_cv[number])
-        self.flags[row] = 0
-        self.flags[row, PRESENT] = self.flags[row, FRESH] = 1
-        self.flags[row, IS_CV] = is_cv
-        self.flags[row, COUNTED] = counted
-        self.flags[row, ELECTRIC] = is_cv and self.context.engine == "electric"
-        self.floats[row] = 0.0
-        self.floats[row, LENGTH] = traffic.length_m[number]
-        self.floats[row, ACCEL] = self.session.acceleration(name)
-        self.floats[row, ENTRY_M] = -self.road.lane_length_m[traffic.approach[number]]
-        self.ints[row, NUMBER] = number
-        self.ints[row, APPROACH] = traffic.approach[number]
-        self.ints[row, EXIT] = traffic.exit[number]
-        self.ints[row, MOVES_CLASS] = traffic.moves_class[number]
-        self.ints[row, AGENT] = -1
-        accounting.book_entry(row, self.floats, self.ints, self.flags, self.sums)
-        if is_cv:
-            self._give_agent_slot(name, row)
-
-    def _give_agent_slot(self, name: str, row: int) -> None:
-        if not self.free_agents or row >= self.config.num_vehicles:
-            self.episode_sums[EPISODE_METRIC["unslotted"]] += 1
-            return
-        slot = heapq.heappop(self.free_agents)
-        self.agent_row[slot], self.ints[row, AGENT] = row, slot
-        self.session.check_all_speeds(name)
-        if self.config.lane_change:
-            self.session.take_lane_changes(name)
+    def _register(self, name: str, counted: bool) -> int:
+        """Enter a vehicle into the tables, and a CV among the agents; return its row."""
+        session, roster = self.session, self.roster
+        if roster.is_full:
+            roster.grow()
+            self._bind_tables()
+        row = roster.add(name, session.acceleration(name), counted)
+        accounting.book_entry(row, roster.floats, roster.ints, roster.flags, self.sums)
+        if roster.flags[row, IS_CV]:
+            if roster.give_slot(row):
+                session.check_all_speeds(name)
+                if self.config.lane_change:
+                    session.take_lane_changes(name)
+            else:
+                self.episode_sums[EPISODE_METRIC["unslotted"]] += 1
+        return row
 
     def _make_frame(
         self, reading: tuple[np.ndarray, ...], acting: np.ndarray, leavers: list[int], measured: bool
     ) -> None:
         """Let the compiled code turn what was read into the frame."""
         self.phase, suspects = make_frame(
-            self.rows,
+            self.roster.rows,
             reading,
             acting,
             np.array(leavers, np.int64) if leavers else _NOBODY,
@@ -376,39 +313,32 @@ class Simulator:
         self._find_yielding(suspects)
 
     def _find_yielding(self, count: int) -> None:
-        step_s = self.config.step_s
+        roster, step_s = self.roster, self.config.step_s
         if count or self._yielding:
-            self.yields[:] = 0
+            roster.yields[:] = 0
         self._yielding = count
         for row in self._suspects[:count].tolist():
-            before = self.floats[row, SPEED] - self.floats[row, ACCEL] * step_s
-            braking = (before - self.session.free_speed(self.names[row])) / step_s
-            self.yields[row] = braking > LANE_CHANGE_BRAKING_MPS2
+            before = roster.floats[row, SPEED] - roster.floats[row, ACCEL] * step_s
+            braking = (before - self.session.free_speed(roster.names[row])) / step_s
+            roster.yields[row] = braking > LANE_CHANGE_BRAKING_MPS2
 
     def _count_collisions(self) -> None:
+        roster = self.roster
         for rear, other in self.session.collisions():
-            if (rear, other) in self.collided or rear not in self.row_of:
+            if (rear, other) in self.collided or rear not in roster.row_of:
                 continue
             self.collided.add((rear, other))
-            row = self.row_of[rear]
-            column = METRIC["collisions_cv" if self.flags[row, IS_CV] else "collisions_hdv"]
-            self.sums[self.ints[row, APPROACH], column] += 1
+            row = roster.row_of[rear]
+            column = METRIC["collisions_cv" if roster.flags[row, IS_CV] else "collisions_hdv"]
+            self.sums[roster.ints[row, APPROACH], column] += 1
             self.episode_sums[EPISODE_METRIC["collisions"]] += 1
-
-    def _release_rows(self, leavers: list[int]) -> None:
-        for row in leavers:
-            slot = int(self.ints[row, AGENT])
-            if slot >= 0:
-                heapq.heappush(self.free_agents, slot)
-            del self.row_of[self.names[row]]
-            self.flags[row] = 0
-            heapq.heappush(self.free_rows, row)
 
     # -- frames --------------------------------------------------------------------------------------------------------
 
     def _finish(self) -> None:
         """Truncate everybody who is still there, and complete the metrics."""
-        accounting.book_unfinished(self.rows, self.floats, self.ints, self.flags, self.sums)
+        roster = self.roster
+        accounting.book_unfinished(roster.rows, roster.floats, roster.ints, roster.flags, self.sums)
         waiting = np.array([int(name) for name in self.session.waiting()], np.int64)
         np.add.at(self.sums[:, METRIC["waiting"]], self.traffic.approach[waiting], 1.0)
         frame = self.frame

@@ -41,7 +41,7 @@ class Recorder:
 
     def take(self, simulator: Simulator) -> None:
         """Record the present state."""
-        columns, rows = simulator.vehicles(), simulator.rows
+        columns, rows = simulator.vehicles(), simulator.roster.rows
         numbers = columns["vehicle_number"][rows]
         positions = np.rint(columns["path_position_m"][rows] * DM_PER_M).astype(int)
         starts = np.rint((columns["path_position_m"] - columns["lane_position_m"])[rows] * DM_PER_M).astype(int)

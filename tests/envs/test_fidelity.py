@@ -99,9 +99,9 @@ def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
         simulator = env.simulator
         for _ in range(env.config.control_steps - 1):
             frame, state = env.step_and_maybe_reset(defer(state))
-            for row in simulator.rows.tolist():
+            for row in simulator.roster.rows.tolist():
                 ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
-                theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(simulator.names[row]))))
+                theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(simulator.roster.names[row]))))
     finally:
         env.close()
     return np.array(ours), np.array(theirs)

@@ -168,11 +168,12 @@ def crowded() -> Iterator[EcoDrivingEnv]:
 def test_tables_grow(crowded: EcoDrivingEnv) -> None:
     """More vehicles than the tables first have room for: they grow, and nothing is lost."""
     frames = play(crowded, 380, defer)
-    assert len(crowded.simulator.names) > 256
+    roster = crowded.simulator.roster
+    assert roster.capacity > 256
     steps = frames["next", "metrics", "episode", "vehicle_steps"]
     assert steps.diff(dim=0).max() > 256
     approach = frames["next", "metrics", "approach"][-1]
-    unfinished = int((crowded.simulator.flags[crowded.simulator.rows][:, 6:8] == [1, 0]).all(-1).sum())
+    unfinished = int((roster.flags[roster.rows][:, 6:8] == [1, 0]).all(-1).sum())
     assert approach["entered"].sum() == approach["crossed"].sum() + unfinished
 
 

@@ -38,7 +38,7 @@ def test_a_recording_says_where_vehicles_were(contexts) -> None:
         state = env.reset(context=contexts[0], seed=1)
         for _ in range(180):
             recorder.take(env.simulator)
-            columns, rows = env.simulator.vehicles(), env.simulator.rows
+            columns, rows = env.simulator.vehicles(), env.simulator.roster.rows
             numbers = columns["vehicle_number"][rows].tolist()
             where = zip(
                 columns["path_position_m"][rows], columns["region_lane"][rows], columns["is_cv"][rows], strict=True
