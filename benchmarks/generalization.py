@@ -22,7 +22,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
     from rich.console import Console
 
     from izoo.benchmarks.campaign import Campaign
-    from izoo.benchmarks.outcome import outcome_table
+    from izoo.benchmarks.outcome import draw_curves, outcome_table
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"{config.protocol}-{config.scale}"
@@ -31,6 +31,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
     print(f"{campaign.plan.title}: train on {campaign.plan.train_text}; test on {campaign.plan.test_text}.", flush=True)
     with campaign.open():
         results = campaign.run()
+        draw_curves(folder, results)
     Console().print(outcome_table(results))
     print(f"Results: {folder}", flush=True)
     return folder

@@ -1,4 +1,4 @@
-"""What a finished benchmark says: aggregates over training seeds, and a leaderboard file per entry."""
+"""What a finished benchmark says: aggregates over training seeds, curves, and a leaderboard file per entry."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ from izoo.evaluation.folder import differences
 from izoo.evaluation.show import percent
 from izoo.reporting.leaderboard import make_submission, write_submission
 from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of
+from izoo.training.plots import compare_curves
+from izoo.training.records import MetricsTable
+from izoo.training.runs import METRICS_FILE
+
+CURVES_FILE = "learning_curves.png"
 
 
 def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
@@ -29,6 +34,17 @@ def sum_up(folder: Path, results: Results) -> dict[str, Any]:
     """Return the ``aggregates`` of the index (:mod:`izoo.reporting.results`)."""
     rows = {entry.name: entry_rows(folder, entry) for entry in results.entries if entry.done}
     return {"entries": {name: aggregate(table) for name, table in rows.items()}, **compare_entries(rows)}
+
+
+def draw_curves(folder: Path, results: Results) -> None:
+    """Write the learning curves of all training runs as a picture, :data:`CURVES_FILE`; without any, nothing."""
+    curves = {
+        entry.name: [MetricsTable.read(folder / run.run / METRICS_FILE) for run in entry.runs if run.run]
+        for entry in results.entries
+        if entry.kind == "trained"
+    }
+    if curves:
+        compare_curves(curves, folder / CURVES_FILE, f"{results.title}: training")
 
 
 def outcome_table(results: Results) -> Table:

@@ -16,8 +16,8 @@ Usage: python -m izoo.sweep FOLDER
 
 FOLDER holds training runs at any depth, as izoo.train -m leaves them. The table has a row for every combination of the
 options in which the runs differ: benefits over human driving (best and last validation, final evaluation), return,
-frames and hours. It is printed, and written to FOLDER/sweep.csv; FOLDER/sweep_runs.csv has a row per run. Runs that
-have not finished are counted and named.
+frames and hours. It is printed, and written to FOLDER/sweep.csv; FOLDER/sweep_runs.csv has a row per run, and
+FOLDER/sweep.png shows the learning curves. Runs that have not finished are counted and named.
 
 Example: python -m izoo.train -m algo=ppo,ddpg seed=0,1 && python -m izoo.sweep runs/DATE-sweep"""
 

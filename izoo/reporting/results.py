@@ -5,6 +5,7 @@
     RESULTS/
       settings.yaml                  every option of the benchmark, resolved; what a second start is checked against
       results.json                   the index described below
+      learning_curves.png            return and emission of all training runs; not where nothing was trained
       train/ENTRY/seedK/             a run folder of izoo.train: config.yaml, metrics.csv, checkpoints, ...
       evaluation/ENTRY/seedK/        evaluation.csv (izoo.evaluation.table), evaluation.json, summary.json
       leaderboard/ENTRY.json         one submission per entry (izoo.reporting.leaderboard)

@@ -1,9 +1,12 @@
-"""The learning curve of a run as a picture."""
+"""Learning curves as pictures: of a run, and of several runs side by side."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 
+import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -43,6 +46,39 @@ def learning_curve(table: MetricsTable, path: Path, title: str, validation: Metr
         axes.set_xlabel("environment steps")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title: str) -> None:
+    """Draw return and emission of several runs against environment steps, and save the picture as PNG.
+
+    Lines are running means over a fifth of a run's batches, at most 20, without the first of them, which would be means
+    of fewer; runs of one choice share a colour.
+
+    Args:
+        runs: metrics of the runs of every choice, such as the training seeds of an algorithm.
+        path: of the picture.
+        title: of the picture.
+    """
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    for axes, (name, label) in zip(figure.subplots(1, 2), PANELS[:2], strict=True):
+        for (choice, tables), colour in zip(runs.items(), cycle(matplotlib.color_sequences["tab10"]), strict=False):
+            for number, table in enumerate(tables):
+                frames, values = table.series(name)
+                begin = _width(values) - 1
+                legend = choice if number == 0 else None
+                axes.plot(frames[begin:], _running_mean(values)[begin:], color=colour, linewidth=1.8, label=legend)
+        axes.set_xlabel("environment steps")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside right center", frameon=False)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write the picture whole or not at all."""
     partial = path.with_suffix(".partial")
     figure.savefig(partial, format="png", dpi=110)
     partial.replace(path)
@@ -62,6 +98,10 @@ def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:
         panels[0].axvline(best[-1], color="tab:green", alpha=0.3, linestyle="--")
 
 
+def _width(values: list[float]) -> int:
+    return max(1, min(SMOOTHING_POINTS, len(values) // 5))
+
+
 def _running_mean(values: list[float]) -> list[float]:
-    width = max(1, min(SMOOTHING_POINTS, len(values) // 5))
+    width = _width(values)
     return [sum(part) / len(part) for end in range(1, len(values) + 1) if (part := values[max(0, end - width) : end])]

@@ -1,4 +1,4 @@
-"""The table of a sweep: what its runs differ in, and how well each choice did over its seeds."""
+"""A sweep as a table and a picture: what its runs differ in, and how well each choice did over its seeds."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from izoo.conf.build import to_mapping
 from izoo.errors import IzooError, check_folder
 from izoo.evaluation.table import SUMMARY_FILE, write_csv
 from izoo.metrics import statistics
-from izoo.training import runs
+from izoo.training import plots, runs
 from izoo.training.records import MetricsTable
 from izoo.training.validation import VALIDATION_FILE
 
-SWEEP_FILE, RUNS_FILE = "sweep.csv", "sweep_runs.csv"
+SWEEP_FILE, RUNS_FILE, CURVES_FILE = "sweep.csv", "sweep_runs.csv", "sweep.png"
 NOT_OPTIONS = ("seed", "run_dir", "resume")
 """Options in which repetitions of the same choice differ."""
 MEASURES = {
@@ -104,7 +104,7 @@ def aggregate(rows: Sequence[Row]) -> tuple[pd.DataFrame, list[str]]:
     options = varied(rows) or ["algo.name"]
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(tuple(_word(row.get(f"option {path}")) for path in options), []).append(row)
+        groups.setdefault(_choice(row, options), []).append(row)
     lines = []
     for choice, members in groups.items():
         line: Row = dict(zip(options, choice, strict=True))
@@ -120,13 +120,18 @@ def aggregate(rows: Sequence[Row]) -> tuple[pd.DataFrame, list[str]]:
     return pd.DataFrame(lines), options
 
 
+def _choice(row: Row, options: Sequence[str]) -> tuple[str, ...]:
+    return tuple(_word(row.get(f"option {path}")) for path in options)
+
+
 def report(folder: Path, console: Console | None = None) -> Path:
-    """Print the table of the sweep in ``folder`` and write it beside the runs; return the file of the choices.
+    """Print the table of the sweep in ``folder``; write it and the learning curves there; return the choices' file.
 
     Raises:
         IzooError: there are no runs, or the tables cannot be written.
     """
-    rows = [read_run(run_dir) for run_dir in find_runs(folder)]
+    found = find_runs(folder)
+    rows = [read_run(run_dir) for run_dir in found]
     table, options = aggregate(rows)
     console = console or Console()
     console.print(_printed(table, options))
@@ -137,6 +142,12 @@ def report(folder: Path, console: Console | None = None) -> Path:
     try:
         write_csv(pd.DataFrame(rows), folder / RUNS_FILE)
         write_csv(table, path)
+        curves: dict[str, list[MetricsTable]] = {}
+        for run_dir, row in zip(found, rows, strict=True):
+            metrics = MetricsTable.read(run_dir / runs.METRICS_FILE)
+            if metrics.rows:
+                curves.setdefault(", ".join(_choice(row, options)), []).append(metrics)
+        plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options))
     except OSError as error:
         raise IzooError(f"cannot write {path}: {error.strerror}.") from error
     return path

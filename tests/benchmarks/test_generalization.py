@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from matplotlib import image
 
 from izoo.benchmarks import campaign, generalization
 from izoo.evaluation.folder import claimed
@@ -75,6 +76,7 @@ def test_everything_is_there(done: tuple[Path, Path]) -> None:
     folder, _ = done
     results = read_results(folder)
     assert results.complete
+    assert image.imread(folder / "learning_curves.png").shape[2] == 4
     assert results.entry("ppo").runs[0].frames == 750
     table = evaluation_of(folder, results.entry("ppo").runs[0])
     assert set(table["policy"]) == {"human", "uncommanded", "ppo"}

@@ -1,4 +1,4 @@
-"""The table of a sweep, from run folders."""
+"""The table and the picture of a sweep, from run folders."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from matplotlib import image
 
 from izoo import sweep, train
 from izoo.algos.ddpg_config import DDPGConfig
@@ -56,6 +57,7 @@ def test_choices_are_averaged_over_their_seeds(folder: Path, capsys: pytest.Capt
     assert table["frames"].tolist() == [2000, 1400]
     assert table["hours_per_run"].tolist() == [1.0, 1.0]
     assert len(pd.read_csv(folder / sweeps.RUNS_FILE)) == 4
+    assert image.imread(folder / sweeps.CURVES_FILE).shape[2] == 4
     out = capsys.readouterr().out
     assert "1/2" in out and "3-run: unfinished, 400 frames" in out
     assert "4.0%" in out
