@@ -17,27 +17,32 @@ from torch import Tensor
 
 from izoo.algos.base import ACTION, MASK, OBSERVATION
 from izoo.contexts.features import feature
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
 from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
 from izoo.errors import IzooError, check_range, unknown_choice
 
-DEFER = ("agents", "defer")
+DEFER, LANE_CHANGE = ("agents", "defer"), ("agents", "lane_change")
 
 
 class UncommandedDriver(TensorDictModuleBase):
     """Every CV is left to the simulator's car-following model: what the CVs' vehicle parameters do by themselves.
 
     With adoption 0 there are no CVs, and this is human driving.
+
+    Args:
+        lane_change: whether the environment takes lane changes; all are "keep", and left to the simulator, too.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lane_change: bool = False) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [MASK], [ACTION, DEFER]
+        self.in_keys, self.out_keys = [MASK], [ACTION, DEFER, *([LANE_CHANGE] if lane_change else [])]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write accelerations of 0, ``[*B, A, 1]``, and ``defer``, all true, ``[*B, A]``."""
         mask = tensordict.get(MASK)
         tensordict.set(ACTION, torch.zeros(*mask.shape, 1))
+        if LANE_CHANGE in self.out_keys:
+            tensordict.set(LANE_CHANGE, torch.full_like(mask, KEEP_LANE, dtype=torch.int64))
         return tensordict.set(DEFER, torch.ones_like(mask))
 
 
@@ -284,8 +289,8 @@ class Glide(ScriptedDriver):
 
 
 DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
-    "human": lambda config: UncommandedDriver(),
-    "uncommanded": lambda config: UncommandedDriver(),
+    "human": lambda config: UncommandedDriver(config.lane_change),
+    "uncommanded": lambda config: UncommandedDriver(config.lane_change),
     "constant": ConstantSpeed,
     "random": lambda config: RandomDriver(seed=None),
     "glide": Glide,

@@ -8,10 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, LANE_CHANGES, EnvConfig
 from izoo.errors import IzooError
-
-KEEP_LANE, LANE_CHANGES = 1, 3
 
 
 class Commands(NamedTuple):

@@ -8,6 +8,8 @@ from izoo.contexts.features import OBSERVED, check_observed
 from izoo.errors import IzooError, check_choice, check_range
 
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
+KEEP_LANE, LANE_CHANGES = 1, 3
+"""Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 NEIGHBOURS = ("leader", "follower", "left_leader", "left_follower", "right_leader", "right_follower")
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
 
@@ -57,7 +59,7 @@ class EnvConfig:
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
         num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
         num_approaches: rows ``P`` of the per-approach metrics.
-        observed: context features that a CV observes, a subset of the observed ones of spec 2.
+        observed: context features that a CV observes, a subset of the observed ones of spec 2; always in their order.
         neighbours: which of the six neighbouring vehicles a CV sees.
         sensor_range_m: neighbours farther than this (bumper to bumper) count as absent; ``None``: the whole region.
         lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).
@@ -87,11 +89,13 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         # Hydra hands over lists; tuples keep the config hashable.
-        for name in ("observed", "neighbours", "emit"):
+        for name in ("neighbours", "emit"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_observed(self.observed)
+        object.__setattr__(self, "observed", check_observed(self.observed))
         for name in self.neighbours:
             check_choice("neighbour", name, NEIGHBOURS)
+        if len(set(self.neighbours)) != len(self.neighbours):
+            raise IzooError(f"env.neighbours is {list(self.neighbours)}; name each once.")
         for name in self.emit:
             check_choice("emit group", name, EMIT_GROUPS)
         check_range("step_s", self.step_s, 0.05, 1.0, "s")

@@ -18,8 +18,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
-from izoo.envs.commands import KEEP_LANE, Commands
-from izoo.envs.config import EnvConfig
+from izoo.envs.commands import Commands
+from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.layout import NUMBER, VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, frame_bytes, map_frames
 from izoo.envs.sumo import has_screen
 from izoo.envs.worker import Worker, WorkerLost, shared_memory_file

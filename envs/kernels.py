@@ -47,6 +47,7 @@ from izoo.networks.clock import NEVER_S
 from izoo.networks.roadnet import APPROACHING, INSIDE, LEAVING, RoadNet
 
 NO_TTC = np.inf
+LONGEST_VEHICLE_M = 30.0
 _ROUTE_LIMIT = 12  # lanes that a search along a route may visit; routes through the region are shorter
 
 
@@ -178,16 +179,41 @@ def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
+def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+    """Return who drives to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
+
+    Of several it is the one whose rear is farthest back; row -1 means that nobody is there.
+    """
+    found, nearest = -1, FAR_M
+    for q in range(road.next_lane.shape[1]):
+        beyond, turn = 0.0, road.next_lane[lane, q]
+        while q != exit_ and turn >= 0 and beyond < LONGEST_VEHICLE_M:
+            if start[turn] < start[turn + 1]:
+                other = order[start[turn]]
+                behind = beyond + floats[other, LANE_POSITION] - floats[other, LENGTH]
+                if other != me and behind < 0.0:
+                    gap = road.lane_length[lane] - position + behind
+                    if gap < nearest:
+                        found, nearest = other, gap
+                break
+            beyond += road.lane_length[turn]
+            turn = road.next_lane[turn, q]
+    return found, nearest
+
+
+@njit(cache=True)
 def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
 
-    ``first`` is the place in ``order`` where the search on ``lane`` begins. The gap in m is from ``position`` to the
-    other's rear bumper. Row -1 means that nobody is there.
+    Whoever turns off to another exit counts until its rear has left ``lane``. ``first`` is the place in ``order`` where
+    the search on ``lane`` begins. The gap in m is from ``position`` to the other's rear bumper. Row -1 means that
+    nobody is there.
     """
     if first < start[lane + 1]:
         other = order[first]
         return other, floats[other, LANE_POSITION] - floats[other, LENGTH] - position
     travelled = road.lane_length[lane] - position
+    turning, rear = rear_on(lane, position, exit_, me, floats, order, start, road)
     for _ in range(_ROUTE_LIMIT):
         lane = road.next_lane[lane, exit_]
         if lane < 0:
@@ -195,9 +221,10 @@ def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  #
         if start[lane] < start[lane + 1]:
             other = order[start[lane]]
             if other != me:
-                return other, travelled + floats[other, LANE_POSITION] - floats[other, LENGTH]
+                gap = travelled + floats[other, LANE_POSITION] - floats[other, LENGTH]
+                return (other, gap) if turning < 0 or gap <= rear else (turning, rear)
         travelled += road.lane_length[lane]
-    return -1, FAR_M
+    return turning, rear
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ import numpy as np
 from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs import accounting
-from izoo.envs.config import NEIGHBOURS, EnvConfig
+from izoo.envs.config import KEEP_LANE, NEIGHBOURS, EnvConfig
 from izoo.envs.context_table import observed_table
 from izoo.envs.fused import ClockArrays, Out, Rules, Tables, hold, make_frame
 from izoo.envs.kernels import read_clock, road_arrays
@@ -36,7 +36,7 @@ from izoo.envs.worker import episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.networks.build import build_net
-from izoo.networks.roadnet import RoadNet, read_road
+from izoo.networks.roadnet import INSIDE, RoadNet, read_road
 from izoo.traffic.episode import sample_traffic, write_routes
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -71,10 +71,11 @@ class Simulator:
         config = self.config
         net = build_net(context.intersection)
         self._road = road = read_road(net)
-        if len(road.approaches) > config.num_approaches:
+        ways = max(road.movement_turn.shape)
+        if ways > config.num_approaches:
             raise IzooError(
-                f"{context.name} has {len(road.approaches)} approaches, but env.num_approaches is "
-                f"{config.num_approaches}; set it to {len(road.approaches)} or more."
+                f"{context.name} has {len(road.approaches)} approaches and {len(road.exits)} exits, but "
+                f"env.num_approaches is {config.num_approaches}; set it to {ways} or more."
             )
         self.context, self.seed = context, seed
         self.traffic = sample_traffic(context, road, seed, config.horizon_s)
@@ -160,6 +161,7 @@ class Simulator:
         self.episode_sums = np.zeros(len(EPISODE_METRIC))
         self.steps = 0
         self.collided: set[tuple[str, str]] = set()
+        self._lanes_commanded: set[str] = set()
         self._yielding = 0
 
     def _bind_tables(self) -> None:
@@ -184,9 +186,13 @@ class Simulator:
         road, clock, config = self.road, self.road.clock, self.config
         self.lanes = road_arrays(road)
         self.lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
-        self.entry_edges = [
-            edge for name in self.context.demand_approaches for edge in road.incoming_edges[road.approaches.index(name)]
-        ]
+        entering = [road.approaches.index(name) for name in self.context.demand_approaches]
+        self.entry_edges = [edge for p in entering for edge in road.incoming_edges[p]]
+        # An approach that is passed within a step shows its vehicles inside the junction first.
+        short = [p for p in entering if road.lane_length_m[p] < road.speed_limit_mps[p] * config.step_s]
+        first_seen = (road.lane_location == INSIDE) & np.isin(road.lane_approach, short)
+        inside = [road.lane_ids[lane].rsplit("_", 1)[0] for lane in np.flatnonzero(first_seen)]
+        self.entry_edges.extend(dict.fromkeys(inside))
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self.entry_edges for name in road.lane_ids])
         shape = clock.colour.shape[:2]
         self.clock = ClockArrays(
@@ -246,10 +252,23 @@ class Simulator:
         commanded = [names[r] for r in self._command[:commands].tolist()]
         self.session.command_speeds(commanded, self._target_mps[:commands].tolist())
         if self.config.lane_change:
-            for a in np.flatnonzero((roster.agent_row >= 0) & (frame["lane_change"] != 1)):
-                row = roster.agent_row[a]
-                if not roster.flags[row, DEFERRED]:
-                    self.session.change_lane(names[row], int(frame["lane_change"][a]) - 1, self.config.step_s)
+            self._command_lanes()
+
+    def _command_lanes(self) -> None:
+        """Pass lane changes on; a CV that asks to be left to SUMO changes lanes as SUMO has it."""
+        frame, roster, session = self.frame, self.roster, self.session
+        asks = (frame["defer"] != 0) | np.isnan(frame["action"])
+        for a in np.flatnonzero(roster.agent_row >= 0).tolist():
+            row, change = roster.agent_row[a], int(frame["lane_change"][a])
+            name = roster.names[row]
+            if asks[a] and name in self._lanes_commanded:
+                self._lanes_commanded.remove(name)
+                session.give_lane_changes(name)
+            elif not asks[a] and name not in self._lanes_commanded:
+                self._lanes_commanded.add(name)
+                session.take_lane_changes(name)
+            if change != KEEP_LANE and not roster.flags[row, DEFERRED]:
+                session.change_lane(name, change - 1, self.config.step_s)
 
     def _find_leavers(self) -> list[int]:
         row_of = self.roster.row_of
@@ -290,8 +309,6 @@ class Simulator:
         if roster.flags[row, IS_CV]:
             if roster.give_slot(row):
                 session.check_all_speeds(name)
-                if self.config.lane_change:
-                    session.take_lane_changes(name)
             else:
                 self.episode_sums[EPISODE_METRIC["unslotted"]] += 1
         return row

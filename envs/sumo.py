@@ -190,6 +190,10 @@ class SumoSession:
         """Let SUMO change this vehicle's lane only where its route needs it; commands obey safety gaps."""
         self._vehicle.setLaneChangeMode(name, 0b001000000001)
 
+    def give_lane_changes(self, name: str) -> None:
+        """Let SUMO change this vehicle's lane as it does everybody's."""
+        self._vehicle.setLaneChangeMode(name, 0b011001010101)
+
     def change_lane(self, name: str, steps_left: int, duration_s: float) -> None:
         """Ask for a change by one lane (positive: to the left)."""
         self._change_lane(name, steps_left, duration_s)

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from izoo.contexts.source import ContextList
-from izoo.envs.stale import digest, kernel_sources
 from izoo.networks.cache import CACHE_ENV
 from izoo.networks.dataset import load_dataset
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes minutes; runs when IZOO_SLOW_TESTS is set")
-    _compile_afresh(config)
-
-
-def _compile_afresh(config: pytest.Config) -> None:
-    """Forget compiled kernels when any of them has changed: numba looks only at the file of the calling one."""
-    folder = Path(config.cache.mkdir("kernels"))  # type: ignore[union-attr]
-    stamp, current = folder / "stamp", digest(kernel_sources())
-    if not stamp.exists() or stamp.read_text() != current:
-        shutil.rmtree(folder)
-        folder.mkdir()
-        stamp.write_text(current)
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from izoo.contexts.spec import IntersectionSpec
+from izoo.contexts.spec import IntersectionSpec, hold_floats
 from izoo.errors import check_choice, check_range
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class Context:
     context_id: int | None = None
 
     def __post_init__(self) -> None:
+        hold_floats(self)
         if self.approach is not None:
             check_choice(f"approach of {self.intersection.name}", self.approach, self.intersection.approach_names)
         check_range("adoption", self.adoption, 0.0, 1.0)

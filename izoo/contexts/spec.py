@@ -7,13 +7,23 @@ specs also carry ``net_path``.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 from izoo.errors import IzooError, check_choice, check_range
 
 LEG_NAMES = "ABCDEF"
 SOURCES = ("procedural", "city", "osm", "dataset")
 TURNS = ("r", "s", "l")
+
+
+def hold_floats(instance: Any) -> None:
+    """Turn whole numbers in fields declared as float into floats, so that equal values hash alike (26 and 26.0)."""
+    for field in dataclasses.fields(instance):
+        value = getattr(instance, field.name)
+        if isinstance(value, int) and str(field.type).startswith("float"):
+            object.__setattr__(instance, field.name, float(value))
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,7 @@ class Approach:
     pocket_length_m: float = 0.0
 
     def __post_init__(self) -> None:
+        hold_floats(self)
         if not self.lanes or any(not turns or set(turns) - set(TURNS) for turns in self.lanes):
             raise IzooError(f"approach lanes are {self.lanes!r}; each lane needs one or more of the turns r, s, l.")
         if self.main_lane_count < 1:
@@ -81,6 +92,7 @@ class Leg:
     exit_speed_limit_mps: float
 
     def __post_init__(self) -> None:
+        hold_floats(self)
         check_choice("leg name", self.name, tuple(LEG_NAMES))
         if self.approach is None and self.exit_lanes == 0:
             raise IzooError(f"leg {self.name} has neither incoming nor outgoing lanes.")
@@ -99,6 +111,9 @@ class SignalPhase:
     duration_s: float
     states: tuple[tuple[str, str, str], ...]
 
+    def __post_init__(self) -> None:
+        hold_floats(self)
+
 
 @dataclass(frozen=True)
 class SignalPlan:
@@ -106,6 +121,9 @@ class SignalPlan:
 
     phases: tuple[SignalPhase, ...]
     offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        hold_floats(self)
 
     @property
     def cycle_s(self) -> float:
@@ -138,6 +156,9 @@ class GhostSpec:
     repeats_main: bool = False
     outer_gates: bool = True
 
+    def __post_init__(self) -> None:
+        hold_floats(self)
+
 
 @dataclass(frozen=True)
 class IntersectionSpec:
@@ -168,6 +189,7 @@ class IntersectionSpec:
     net_sha256: str | None = None
 
     def __post_init__(self) -> None:
+        hold_floats(self)
         check_choice("intersection source", self.source, SOURCES)
         names = [leg.name for leg in self.legs]
         if len(set(names)) != len(names) or len(names) < 2:

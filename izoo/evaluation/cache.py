@@ -1,7 +1,7 @@
 """Episodes that do not depend on a policy (human and uncommanded driving), kept on disk and computed once.
 
 An entry's key covers everything that decides the episode: the context's content, the seed, the environment's
-settings, the versions of SUMO and of the package, and the package's own files below the policy.
+settings, the versions of SUMO, of the surrogates and of the package, and the package's own files below the policy.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def code_digest(drivers: bool = False) -> str:
 def settings(config: EnvConfig) -> dict[str, Any]:
     """Return what, besides context, seed and policy, decides an episode; plain values for JSON."""
     env = {key: value for key, value in dataclasses.asdict(config).items() if key not in INDIFFERENT}
-    versions = {"izoo": izoo.__version__, "sumo": importlib.metadata.version("libsumo"), "code": code_digest()}
+    packages = {"sumo": "libsumo", "neuralmoves": "neuralmoves"}
+    versions = {name: importlib.metadata.version(package) for name, package in packages.items()}
+    versions |= {"izoo": izoo.__version__, "code": code_digest()}
     return json.loads(json.dumps({"env": env, "versions": versions}))
 
 

@@ -164,10 +164,17 @@ def _counts(table: pd.DataFrame) -> dict[str, int]:
     }
 
 
+def _shared(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows of the (context, seed, approach) that every policy has been evaluated on; where there are none, all rows."""
+    policies = table.groupby(list(PAIR))["policy"].transform("nunique")
+    shared = table[policies == table["policy"].nunique()]
+    return shared if len(shared) else table
+
+
 def _scores(table: pd.DataFrame) -> dict[str, dict[str, float | None]]:
-    """Scores of each policy over all its rows; counts are per episode and approach."""
+    """Scores of each policy over the rows that all of them have; counts are per episode and approach."""
     scores: dict[str, dict[str, float | None]] = {}
-    for _, row in pool(table, ["policy"]).iterrows():
+    for _, row in pool(_shared(table), ["policy"]).iterrows():
         values: dict[str, float | None] = {}
         for name, score in SCORES.items():
             value = float(row[name]) / (float(row["rows"]) if score.denominator is None else 1.0)

@@ -17,7 +17,7 @@ from typing import Any
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.contexts.spec import IntersectionSpec
-from izoo.contexts.weather import CITY_COUNTIES, WEATHER_PUBLISHED
+from izoo.contexts.weather import CITY_COUNTIES, WEATHER_PUBLISHED, weather
 from izoo.errors import IzooError, check_choice
 from izoo.networks.netspec import spec_from_net
 from izoo.networks.osm_store import CMDP_FILE, load_cmdp
@@ -47,11 +47,12 @@ def load_intersection(folder: Path | str) -> IntersectionSpec:
     net = folder / NET_FILE
     if not net.is_file():
         raise IzooError(f"{folder} has no {NET_FILE}; {_DOWNLOAD_HINT}, or remove it from the dataset.")
-    city = folder.parent.name.replace("-", "_")
+    spelt = folder.parent.name.replace("-", "_")
+    city = spelt if spelt in CITY_COUNTIES else None
     return spec_from_net(
         net,
-        name=f"{folder.parent.name}/{folder.name}",
-        city=city if city in CITY_COUNTIES else None,
+        name=f"{city or folder.parent.name}/{folder.name}",  # one name, and one split, however a city is spelt
+        city=city,
         inflows=lambda legs, incoming: read_inflows(folder / INFLOW_FILE, legs, incoming),
     )
 
@@ -67,7 +68,8 @@ def load_dataset(
         approaches: ``one``: a context per incoming approach; ``all``: one per intersection, fed from every approach.
         with_demand_only: leave out contexts without any demand.
         **context_fields: fields of every :class:`~izoo.contexts.context.Context`; the weather defaults to the
-            published values of the city, elsewhere to those of Salt Lake City (spec 11).
+            published values of the city (spec 11), in a city without them to its county's summer, elsewhere to those of
+            Salt Lake City.
 
     Raises:
         IzooError: nothing usable is there, or a folder is broken; the message names the file and the remedy.
@@ -75,7 +77,7 @@ def load_dataset(
     check_choice("approaches", approaches, APPROACH_CHOICES)
     contexts: list[Context] = []
     for spec in load_specs(path):
-        temperature, humidity = WEATHER_PUBLISHED.get(spec.city or "", WEATHER_PUBLISHED["salt_lake_city"])
+        temperature, humidity = _default_weather(spec.city)
         fields = {"temperature_c": temperature, "humidity_pct": humidity, **context_fields}
         legs: Iterable[str | None] = spec.approach_names if approaches == "one" else (None,)
         found = [Context(spec, approach=leg, **fields) for leg in legs]
@@ -83,6 +85,12 @@ def load_dataset(
     if not contexts:
         raise IzooError(f"no approach in {path} has demand; check the {INFLOW_FILE} files, or ask for all approaches.")
     return ContextList(contexts)
+
+
+def _default_weather(city: str | None) -> tuple[float, float]:
+    if city is None or city in WEATHER_PUBLISHED:
+        return WEATHER_PUBLISHED[city or "salt_lake_city"]
+    return weather(city, "summer")
 
 
 def load_specs(path: Path | str) -> list[IntersectionSpec]:

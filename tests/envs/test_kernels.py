@@ -192,6 +192,18 @@ def test_vehicles_of_another_way_are_not_in_the_way(scene: Scene) -> None:
     assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
 
 
+def test_who_turns_off_leads_until_its_rear_has_left_the_lane(scene: Scene) -> None:
+    me = scene.put("A2TL_1", 190.0, way="AC")
+    turning = scene.put("A2TL_intern_2", 3.0, speed=2.0, way="AB")  # 1 m lies between both lanes
+    assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 3.0 - 5.0, 2.0)
+    ahead = scene.put("A2TL_intern_1", 3.5, speed=6.0, way="AC")
+    assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 3.0 - 5.0, 2.0)
+    scene.move(turning, "A2TL_intern_2", 4.5, 2.0)
+    assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 3.5 - 5.0, 6.0)
+    scene.move(ahead, "A2TL_intern_1", 50.0, 6.0)
+    assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 50.0 - 5.0, 6.0)
+
+
 def test_leader_on_the_exit_that_came_from_elsewhere(scene: Scene) -> None:
     me = scene.put("A2TL_intern_0", 95.0, way="AC")
     scene.put("TL2C_0", 8.0, speed=4.0, way="BC")
