@@ -47,3 +47,9 @@ def test_contexts_do_without_torch():
 def test_what_is_no_context_is_refused_by_its_type(contexts: object, kind: str) -> None:
     with pytest.raises(IzooError, match=f"contexts is {kind}.*give a Context"):
         as_schedule(contexts, seed=0)  # type: ignore[arg-type]
+
+
+def test_whole_numbers_are_the_same_context_as_their_floats() -> None:
+    whole = procedural_context(green_s=26, adoption=1, lane_length_m=300)
+    assert whole.content_hash == procedural_context(green_s=26.0, adoption=1.0, lane_length_m=300.0).content_hash
+    assert isinstance(whole.adoption, float)

@@ -26,7 +26,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "everything": {"emit": EMIT_GROUPS, "lane_change": True},
     "lane change": {"lane_change": True},
     "no context observed": {"observed": ()},
-    "some context observed": {"observed": ("adoption", "green_s")},
+    "some context observed": {"observed": ("green_s", "adoption")},
     "blind": {"neighbours": (), "sensor_range_m": 50.0},
     "two neighbours": {"neighbours": NEIGHBOURS[:2], "sensor_range_m": 50.0},
     "few slots": {"num_agents": 1, "num_vehicles": 1, "num_approaches": 4},
@@ -345,3 +345,20 @@ def test_sharing_a_kept_frame_touches_no_other(make: Make) -> None:
         kept.append((frame, frame.clone()))
         frame["next", "agents", "mask"].share_memory_()
     assert all(same(frame, as_it_was) for frame, as_it_was in kept)
+
+
+def test_observed_features_have_one_order(make: Make) -> None:
+    for observed in (("adoption", "green_s"), ("green_s", "adoption")):
+        env = make(config=short(observed=observed))
+        state = env.reset()
+        present = state["agents", "observation"][state["agents", "mask"]]
+        columns = {name: present[:, k] for k, name in enumerate(env.observation_names)}
+        assert env.config.observed == ("adoption", "green_s")
+        assert (columns["context_adoption"] == 0.5).all() and (columns["context_green_s"] < 1.0).all()
+        env.close()
+
+
+def test_more_exits_than_rows_are_refused(make: Make, dataset: ContextList) -> None:
+    context = next(context for context in dataset if context.intersection.name.endswith("/114"))
+    with pytest.raises(IzooError, match=r"3 approaches and 4 exits, but env.num_approaches is 3; set it to 4 or more"):
+        make(contexts=context, config=short(num_approaches=3)).reset()

@@ -188,3 +188,22 @@ def with_lane_changes(tensordict):  # type: ignore[no-untyped-def]
     tensordict = at_random(int(tensordict["metrics", "episode", "steps"]))(tensordict)
     mask = tensordict["agents", "mask"]
     return tensordict.set(("agents", "lane_change"), torch.randint(0, 3, mask.shape))
+
+
+def test_a_vehicle_that_passes_its_approach_within_a_step_is_seen() -> None:
+    """At 25 m/s an approach of 8 m is passed in less than a step: such vehicles are first seen inside the junction."""
+    roads = {"lane_count": 1, "phase_count": 1, "lane_length_m": 22.0, "speed_limit_mps": 25.0}
+    context = crossing(**roads, green_s=60.0, red_s=15.0, inflow_vph_per_lane=400.0, approach="A")
+    env = EcoDrivingEnv(context, config=short(horizon_s=500.0), seed=3)
+    region: set[str] = set()
+    known: set[str] = set()
+    try:
+        state, simulator = env.reset(), env.simulator
+        edges = {lane.rsplit("_", 1)[0] for lane in simulator.road.lane_ids}
+        for _ in range(env.config.control_steps - 1):
+            _, state = env.step_and_maybe_reset(defer(state))
+            region |= {name for edge in edges for name in simulator.session.on_edge(edge)}
+            known |= set(simulator.roster.row_of)
+    finally:
+        env.close()
+    assert len(region) > 50 and known == region

@@ -16,6 +16,12 @@ def gentle(tensordict: TensorDictBase) -> TensorDictBase:
     return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), 0.5))
 
 
+def leftwards(tensordict: TensorDictBase) -> TensorDictBase:
+    """As ``gentle``, and always one lane to the left."""
+    mask = tensordict["agents", "mask"]
+    return gentle(tensordict).set(("agents", "lane_change"), torch.full(mask.shape, 2))
+
+
 def lost(tensordict: TensorDictBase) -> TensorDictBase:
     """Every action is NaN."""
     mask = tensordict["agents", "mask"]

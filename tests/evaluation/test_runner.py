@@ -289,3 +289,14 @@ def test_a_module_with_another_setting_is_another_policy() -> None:
     glides = [Glide(config), Glide(config), Glide(config, GlideConfig(floor_mps=2.0))]
     one, same, other = (fingerprint(glide) for glide in glides)
     assert one == same != other
+
+
+def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contexts: list[Context], cache: Path) -> None:
+    changing = dataclasses.replace(SHORT, lane_change=True)
+    tables = [
+        evaluate_policy(drivers.leftwards, contexts[:1], [11], config, 0, progress=False, cache=cache)
+        for config in (changing, SHORT)
+    ]
+    for name in ("human", "uncommanded"):
+        one, other = (table[table["policy"] == name].reset_index(drop=True) for table in tables)
+        assert_frame_equal(one[list(APPROACH_METRICS)], other[list(APPROACH_METRICS)])

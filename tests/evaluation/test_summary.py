@@ -114,3 +114,14 @@ def test_a_table_without_human_driving_is_refused() -> None:
         summarise(make_table().query("policy != 'human'"))
     with pytest.raises(IzooError, match="Did you mean 'ppo'"):
         approach_table(make_table(), "pop")
+
+
+def test_scores_are_those_of_the_episodes_that_all_policies_have() -> None:
+    table = make_table()
+    partial = table[(table["policy"] != "ppo") | (table["seed"] == 1)]
+    scores = summarise(partial, resamples=50)["scores"]
+    human = table[(table["policy"] == "human") & (table["seed"] == 1)]
+    assert scores["human"]["throughput"] == human["crossed"].mean()
+    assert scores["human"]["emission_g_per_vehicle"] == pytest.approx(
+        human["emission_g"].sum() / human["crossed"].sum()
+    )

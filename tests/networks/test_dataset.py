@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from izoo.contexts.spec import IntersectionSpec
+from izoo.contexts.weather import weather
 from izoo.errors import IzooError
 from izoo.networks.dataset import find_intersections, load_dataset, load_intersection, natural_key, read_inflows
 from izoo.networks.roadnet import read_road
@@ -65,7 +66,7 @@ def write(folder: Path, net: str = NET, inflows: str = "1000\n\n\n") -> Path:
 def test_reads_a_small_net_in_full(tmp_path: Path) -> None:
     spec = load_intersection(write(tmp_path / "salt-lake-city" / "7"))
     assert (spec.name, spec.city, spec.imputed, spec.right_on_red) == (
-        "salt-lake-city/7",
+        "salt_lake_city/7",
         "salt_lake_city",
         (),
         True,
@@ -300,3 +301,13 @@ def _pocket_net(main: int, turns: str, right: int) -> str:
         f'<tlLogic id="TL"><phase duration="30" state="{"G" * len(turns)}"/></tlLogic>'
         f'<junction id="TL" type="traffic_light" x="0" y="0"/>{joints}{links}</net>'
     )
+
+
+def test_a_city_is_the_same_however_it_is_spelt_and_has_its_weather(tmp_path: Path) -> None:
+    for name in ("los-angeles", "los_angeles"):
+        write(tmp_path / name / "7")
+    one, other = (load_dataset(tmp_path / name)[0] for name in ("los-angeles", "los_angeles"))
+    assert one.name == other.name == "los_angeles/7/A" and one.content_hash == other.content_hash
+    assert (one.temperature_c, one.humidity_pct) == weather("los_angeles", "summer")
+    write(tmp_path / "atlanta" / "7")
+    assert load_dataset(tmp_path / "atlanta")[0].temperature_c == 22.8

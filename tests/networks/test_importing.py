@@ -64,7 +64,7 @@ def test_copies_the_usable_folders_and_says_why_others_are_not(tmp_path: Path, s
     ]
     assert json.loads((target / "manifest.json").read_text())["intersections"] == 2
     (context,) = load_dataset(target)
-    assert context.name == "salt-lake-city/9/A" and context.intersection.city == "salt_lake_city"
+    assert context.name == "salt_lake_city/9/A" and context.intersection.city == "salt_lake_city"
 
 
 def test_zip_and_folder_give_the_same_import(tmp_path: Path, source: Path) -> None:
