@@ -103,6 +103,8 @@ class Simulator:
 
     def step(self) -> bool:
         """Apply the frame's actions, simulate one step, and write the next frame; return whether the episode ended."""
+        if self.steps >= self.config.control_steps:
+            raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
         acting = self.roster.agent_row.copy()
         self._apply_commands()
         self.session.advance()

@@ -362,3 +362,15 @@ def test_more_exits_than_rows_are_refused(make: Make, dataset: ContextList) -> N
     context = next(context for context in dataset if context.intersection.name.endswith("/114"))
     with pytest.raises(IzooError, match=r"3 approaches and 4 exits, but env.num_approaches is 3; set it to 4 or more"):
         make(contexts=context, config=short(num_approaches=3)).reset()
+
+
+@pytest.mark.parametrize("build", [(EcoDrivingEnv,), (SumoParallelEnv, None, 2)])
+def test_an_episode_that_has_ended_goes_no_further(make: Make, build: tuple[Any, ...]) -> None:
+    env = make(*build, config=short(horizon_s=6.0))
+    state = env.reset()
+    for _ in range(env.config.control_steps):
+        state = env.step(defer(state))["next"]
+    assert state["done"].all()
+    with pytest.raises(IzooError, match=r"the episode ended after 2 steps; call reset\(\)"):
+        env.step(defer(state))
+    assert not env.step(defer(env.reset()))["next", "done"].any()
