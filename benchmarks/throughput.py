@@ -100,7 +100,9 @@ def print_tables(rows: Sequence[Row]) -> None:
 
     console = Console()
     for scenario, group in groupby(rows, lambda row: row.scenario):
-        table = Table(title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD)
+        table = Table(
+            title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+        )
         table.add_column("variant", no_wrap=True)
         for heading in ("env steps/s", "to bare", "CV steps/s", "vehicles", "CVs"):
             table.add_column(heading, justify="right")

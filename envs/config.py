@@ -16,7 +16,7 @@ EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the reward (spec 7).
+    """Weights of the reward.
 
     ``r_i = (eta * fleet mean of x_j + (1 - eta) * x_i + safety * min TTC) / scale`` with
     ``x = v + alpha * stopped + beta * e - comfort * |a_t| - realism * |a_t - a_{t-1}|``, where ``v`` is in m/s, ``e``
@@ -24,11 +24,13 @@ class RewardConfig:
 
     Attributes:
         eta: share of the fleet mean; 1 pays every CV the same.
-        alpha, beta: weight of stopping and of emission.
+        alpha: weight of stopping.
+        beta: weight of emission.
         tau_mps: below this speed a vehicle counts as stopped.
         scale: the sum is divided by it.
         soft_stop: the released code's softened stop term instead of the paper's indicator.
-        comfort, realism: weights of the comfort and the kinematic-realism term.
+        comfort: weight of the comfort term.
+        realism: weight of the kinematic-realism term.
         safety: weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.
     """
 
@@ -54,12 +56,12 @@ class EnvConfig:
 
     Attributes:
         step_s: length of a simulation step.
-        horizon_s: length of an episode, warm-up included (spec 9: 1,000 s; 500 s is the paper's "1000 steps").
+        horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
         num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
         num_approaches: rows ``P`` of the per-approach metrics.
-        observed: context features that a CV observes, a subset of the observed ones of spec 2; always in their order.
+        observed: context features that a CV observes, a subset of the observable ones, in their order.
         neighbours: which of the six neighbouring vehicles a CV sees.
         sensor_range_m: neighbours farther than this (bumper to bumper) count as absent; ``None``: the whole region.
         lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).

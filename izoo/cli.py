@@ -5,6 +5,7 @@ This module imports nothing heavy, so that a command says something at once; PyT
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import inspect
 import os
@@ -12,7 +13,8 @@ import re
 import select
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -23,6 +25,10 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 HELP_WIDTH = 110
 Work = Callable[[Any, frozenset[str]], object]
+FOLDERS = ("run_dir", "out")
+"""Options that name where a command's results go."""
+stop_requested = threading.Event()
+"""Set by work that a first Ctrl-C ends in good order: a sweep then begins no other run."""
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
 
 
@@ -53,6 +59,48 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
     return exit_code(command.name, lambda: _run(command, words))
+
+
+@contextlib.contextmanager
+def unheard() -> Iterator[None]:
+    """Let work that leaves files go on where nobody reads its output any more."""
+    before = sys.stdout
+    if before is not None:
+        sys.stdout = _Unheard(before)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        sys.stdout = before
+
+
+class _Unheard:
+    """A stream that drops what nobody reads."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write; return how many characters."""
+        try:
+            return self.stream.write(text)
+        except BrokenPipeError:
+            self._give_up()
+            return len(text)
+
+    def flush(self) -> None:
+        """Flush."""
+        try:
+            self.stream.flush()
+        except BrokenPipeError:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+        with contextlib.suppress(OSError):
+            print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
 
 
 def exit_code(name: str, main: Callable[[], int]) -> int:
@@ -109,7 +157,8 @@ def _run(command: Command, words: Sequence[str]) -> int:
     if "--cfg" in flags:
         print(to_yaml(config), end="")
         return 0
-    command.work()(config, _given(options))
+    with unheard():
+        command.work()(config, _given(options))
     return 0
 
 
@@ -123,8 +172,12 @@ def _multirun(command: Command, config_class: type, options: Sequence[str]) -> i
 
     overrides = compose.parse(options, multirun=True)
     compose.check_names(command.name, overrides)
-    compose.check_combinations(command.name, config_class, overrides)
+    number = compose.check_combinations(command.name, config_class, overrides)
     given = _given(options)
+    shared = [o.key_or_group for o in overrides if o.key_or_group in FOLDERS and not o.is_sweep_override()]
+    if number > 1 and shared:
+        raise IzooError(f"{number} runs cannot share one {shared[0]}; leave it out, and each gets a folder of its own.")
+    stop_requested.clear()
 
     def job(composed: DictConfig) -> None:
         try:
@@ -132,10 +185,14 @@ def _multirun(command: Command, config_class: type, options: Sequence[str]) -> i
             if getattr(config, "run_dir", "") is None:
                 output = HydraConfig.get().runtime.output_dir
                 config = dataclasses.replace(config, run_dir=output)
-            command.work()(config, given)
+            compose.clear()  # the work may compose options, too
+            with unheard():
+                command.work()(config, given)
         except IzooError as error:
             print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
             raise SystemExit(EXIT_BAD_INPUT) from None
+        if stop_requested.is_set():
+            raise KeyboardInterrupt
 
     compose.clear()
     arguments = sys.argv

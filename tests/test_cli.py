@@ -13,6 +13,7 @@ import pytest
 
 from izoo import cli, collect, train
 from izoo.algos.ppo_config import PPOConfig
+from izoo.benchmarks import generalization
 from izoo.conf import compose
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.contexts import DatasetContexts, PcgContexts
@@ -20,6 +21,7 @@ from izoo.conf.options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.errors import IzooError
+from izoo.reporting.results import read_results
 
 
 @pytest.mark.parametrize(("name", "cls"), [("train", TrainConfig), ("collect", CollectConfig)])
@@ -162,6 +164,29 @@ def test_output_that_nobody_reads_ends_a_command_quietly(reader: str) -> None:
     command = f"{sys.executable} -m izoo.evaluate --help | {reader}; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path) -> None:
+    words = f"contexts=pcg_easy total_frames=400 num_workers=1 evaluation.contexts=0 run_dir={tmp_path / 'run'}"
+    command = f"{sys.executable} -m izoo.train {words} env.horizon_s=60 | head -n 1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=250)
+    assert done.returncode == 0 and "the work goes on" in done.stderr
+    assert max(int(line.split(",")[0]) for line in (tmp_path / "run/metrics.csv").read_text().splitlines()[1:]) >= 400
+
+
+def test_runs_of_a_sweep_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert train.main(["-m", "seed=0,1", f"run_dir={tmp_path}"]) == 2
+    assert "2 runs cannot share one run_dir; leave it out" in capsys.readouterr().err
+
+
+def test_commands_that_compose_options_can_be_swept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["protocol=systematicity", "algos=[uncommanded]", "test_limit=1", "horizon_s=60", "num_workers=0"]
+    outs = f"out={tmp_path / 'a'},{tmp_path / 'b'}"
+    assert generalization.main(["-m", *words, outs, f"cache={tmp_path / 'cache'}"]) == 0
+    assert all(read_results(tmp_path / name).complete for name in "ab")
 
 
 @pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])

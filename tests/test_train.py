@@ -111,6 +111,9 @@ def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.Cap
     assert runs.read_config(run_dir).contexts.preset == "easy"
     assert train.main([f"resume={run_dir}", "algo.lr=1e-3"]) == 2
     assert "algo.lr" in capsys.readouterr().err
+    assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
+    assert "has 800 frames already, more than total_frames=400" in capsys.readouterr().err
+    assert runs.read_config(run_dir).total_frames == 800
     # From an earlier checkpoint: what came later in the table is written again.
     assert train.main([f"resume={checkpoint.listed(run_dir)[0]}", "total_frames=600"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600]
@@ -131,11 +134,26 @@ def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     process = start(run_dir, "checkpoint.every_batches=3")
     os.killpg(process.pid, signal.SIGINT)  # a terminal reaches the whole group, workers included
-    _, error = process.communicate(timeout=120)
+    output, error = process.communicate(timeout=120)
     assert process.returncode == 0, error
     assert "Traceback" not in error
+    assert f"of 100,000,000 frames; go on with: python -m izoo.train resume={run_dir}" in output
     state = checkpoint.load(checkpoint.find(run_dir))
     assert state["frames"] == int(rows(run_dir)[-1]["frames"])
+
+
+def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "izoo.train", "-m", "seed=0,1", *TOY, "total_frames=100000000"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and process.poll() is None and not list(tmp_path.rglob("step-*.pt")):
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)
+    output, error = process.communicate(timeout=120)
+    assert process.returncode == 130 and "Traceback" not in error
+    assert len(list(tmp_path.rglob("metrics.csv"))) == 1 and "Stopped at" in output
 
 
 def test_a_killed_run_can_be_resumed(tmp_path: Path) -> None:

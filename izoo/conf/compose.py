@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any, TypeVar
@@ -17,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from izoo.conf.build import from_mapping
+from izoo.contexts.cities import CITIES
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
@@ -69,6 +71,9 @@ def check_names(config_name: str, overrides: Sequence[Override]) -> None:
     for override in chosen:
         for value in _values(override):
             if value not in groups[override.key_or_group]:
+                city = value.lower().replace("-", "_")
+                if override.key_or_group == "contexts" and city in CITIES:
+                    raise IzooError(f"{value} is a city; write contexts=city contexts.city={city}.")
                 raise unknown_choice(override.key_or_group, value, groups[override.key_or_group])
     # A sweep over a group is checked against its first choice: the options of the others differ in the algorithm's own.
     words = [f"{override.key_or_group}={_values(override)[0]}" for override in chosen]
@@ -95,8 +100,8 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
     return to_dataclass(composed, cls)
 
 
-def check_combinations(config_name: str, cls: type, overrides: Sequence[Override]) -> None:
-    """Compose every combination of a multirun, so that a sweep fails before its first run, not after hours.
+def check_combinations(config_name: str, cls: type, overrides: Sequence[Override]) -> int:
+    """Compose every combination of a multirun, so that a sweep fails before its first run; return their number.
 
     Sweeps too large to go through are checked as far as :data:`MAX_CHECKED` combinations.
     """
@@ -109,6 +114,7 @@ def check_combinations(config_name: str, cls: type, overrides: Sequence[Override
     ]
     for combination in itertools.islice(itertools.product(*words), MAX_CHECKED):
         compose_config(config_name, cls, combination)
+    return math.prod(map(len, words))
 
 
 def to_dataclass(composed: DictConfig, cls: type[T]) -> T:

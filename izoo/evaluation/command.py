@@ -52,10 +52,12 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         given: names of the options that were written on the command line; matters where a run is given.
     """
     subject = resolve(config, given)
-    contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    drawn = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    contexts = list({context.content_hash: context for context in drawn}.values())
     seeds = [episode_seed(EVALUATION_STREAM + config.seed, number) for number in range(config.seeds)]
     out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
-    print(f"Evaluating {subject.name}: {len(contexts)} contexts, {len(seeds)} seeds each. Results: {out}", flush=True)
+    number = f"{len(contexts)} context{'' if len(contexts) == 1 else 's'}, {len(seeds)} seeds each"
+    print(f"Evaluating {subject.name}: {number}. Results: {out}", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,

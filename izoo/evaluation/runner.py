@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -24,6 +25,8 @@ from izoo.evaluation.workers import Rows, Task, play_all
 
 EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
 """What plays episodes, by the option ``executor``."""
+LINE_EVERY_S = 10.0
+"""Where there is no terminal for a bar, a line says so often how far an evaluation is."""
 Key = tuple[str, str, int]
 """Policy name, content hash of the context it is evaluated in, seed."""
 
@@ -132,12 +135,16 @@ def _play(
     policies = {name: candidates[name].pack() for name in {task.policy for task in tasks}}
     with _progress_bar(progress and bool(tasks)) as bar:
         row = bar.add_task("episodes", total=len(tasks))
-        for task, rows in play(tasks, policies, config):
+        last_line = time.monotonic()
+        for number, (task, rows) in enumerate(play(tasks, policies, config), 1):
             if task.name in POLICY_FREE:
                 cached.put(task.name, task.context, task.seed, rows)
             for name, context, seed in waiting[_key(task.name, task.context, task.seed)]:
                 folder.add(_relabel(rows, name, context, seed))
             bar.update(row, advance=1)
+            if progress and not bar.console.is_terminal and time.monotonic() - last_line >= LINE_EVERY_S:
+                last_line = time.monotonic()
+                print(f"{number:>10,} / {len(tasks):,} episodes", flush=True)
 
 
 def _relabel(rows: Rows, name: str, context: Context, seed: int) -> Rows:

@@ -168,9 +168,11 @@ def _run(folder: Path) -> Material:
     brief = [folder] if (folder / MANIFEST_FILE).exists() else []
     found = [*brief, *sorted(entry.parent for entry in (folder / EVALUATIONS).glob(f"*/{MANIFEST_FILE}"))]
     entries: list[Entry] = []
-    facts: tuple[tuple[str, str], ...] = ()
+    facts: dict[str, dict[str, None]] = {}
     for place in found:
-        table, facts = read_evaluation(place)
+        table, stated = read_evaluation(place)
+        for name, text in stated:
+            facts.setdefault(name, {})[text] = None
         several = len(found) > 1
         test = BRIEF if place == folder else place.name
         named = _entries(place, table, test, path)
@@ -178,7 +180,8 @@ def _run(folder: Path) -> Material:
     curve = read_curve(folder, path.name)
     if curve is None and not entries:
         raise IzooError(f"{folder} has neither {METRICS_FILE} nor an evaluation yet; train or evaluate it first.")
-    return Material(path.name, "run", tuple(entries), (curve,) if curve else (), facts)
+    joined = tuple((name, "; ".join(texts)) for name, texts in facts.items())
+    return Material(path.name, "run", tuple(entries), (curve,) if curve else (), joined)
 
 
 def _benchmark(folder: Path, partial: bool) -> Material:

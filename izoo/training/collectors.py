@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -67,8 +68,12 @@ class BatchSource:
             self._collector.update_policy_weights_(policy)
 
     def close(self) -> None:
-        """Stop the workers."""
+        """Stop the workers; there are no batches any more."""
         self._collector.shutdown()
+        del self._collector, self._batches
+        # TorchRL's parts that hold each other would otherwise be cleaned up when the interpreter ends, and wait there
+        # for threads that can no longer start.
+        gc.collect()
 
 
 def check_collector(config: TrainConfig) -> None:

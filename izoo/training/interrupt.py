@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from types import FrameType
 
+from izoo import cli
+
 
 class Interrupt:
     """Remembers that Ctrl-C was pressed; a second time raises :class:`KeyboardInterrupt`."""
@@ -23,6 +25,7 @@ class Interrupt:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             raise KeyboardInterrupt
         self.requested = True
+        cli.stop_requested.set()
         print(
             "\nFinishing this batch and closing the run in good order. Ctrl-C again stops at once.",
             file=sys.stderr,

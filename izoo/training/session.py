@@ -94,6 +94,11 @@ def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainCon
     changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
     config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
     state = None if path is None else checkpoint.load(path)
+    if state is not None and config.total_frames < state["frames"]:
+        raise IzooError(
+            f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give more, "
+            "or leave total_frames out."
+        )
     runs.write_config(run_dir, config)
     return run_dir, config, state
 
@@ -145,6 +150,7 @@ class Session:
                 if self.frames < self.config.total_frames:
                     self._learn(interrupt, sinks)
                 else:
+                    print(f"All {self.frames:,} frames are there: nothing is left to train.", flush=True)
                     self._load(None)
                 self._save()
                 self._validate_last(interrupt, sinks)
@@ -153,6 +159,9 @@ class Session:
                 self.validator.close()
                 records.close_all(sinks)
             self._evaluate()
+        if self.frames < self.config.total_frames:
+            done = f"Stopped at {self.frames:,} of {self.config.total_frames:,} frames"
+            print(f"{done}; go on with: python -m izoo.train resume={self.run_dir}", flush=True)
         print(f"Run folder: {self.run_dir}", flush=True)
 
     def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
