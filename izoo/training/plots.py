@@ -24,6 +24,7 @@ VALIDATION_PANELS = (
     (("throughput_kept", "approaches that kept their throughput"),),
 )
 SMOOTHING_POINTS = 20
+LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def learning_curve(table: MetricsTable, path: Path, title: str, validation: MetricsTable | None = None) -> None:
@@ -53,7 +54,7 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
     """Draw return and emission of several runs against environment steps, and save the picture as PNG.
 
     Lines are running means over a fifth of a run's batches, at most 20, without the first of them, which would be means
-    of fewer; runs of one choice share a colour.
+    of fewer; runs of one choice share a colour, and their first, second, ... share a line style across choices.
 
     Args:
         runs: metrics of the runs of every choice, such as the training seeds of an algorithm.
@@ -69,7 +70,8 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
                 frames, values = table.series(name)
                 begin = _width(values) - 1
                 legend = choice if number == 0 else None
-                axes.plot(frames[begin:], _running_mean(values)[begin:], color=colour, linewidth=1.8, label=legend)
+                line = {"color": colour, "linestyle": LINE_STYLES[number % len(LINE_STYLES)], "label": legend}
+                axes.plot(frames[begin:], _running_mean(values)[begin:], linewidth=1.6, **line)
         axes.set_xlabel("environment steps")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
