@@ -71,7 +71,9 @@ def measure(names: Sequence[str], workers: int, steps: int) -> list[Row]:
         task = bar.add_task("", total=len(names) * ROUNDS * len(variants))
         for number, name in enumerate(names):
             samples: dict[str, list[Sample]] = {label: [] for label in variants}
-            for _ in range(ROUNDS):
+            for turn in range(1, ROUNDS + 1):
+                if not bar.console.is_terminal:
+                    print(f"{name}: round {turn} of {ROUNDS}", file=sys.stderr, flush=True)
                 for label, variant in variants.items():
                     bar.update(task, description=f"{name}: {label}")
                     samples[label].append(variant.play(number))

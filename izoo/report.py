@@ -77,7 +77,7 @@ def parse(words: Sequence[str]) -> Options:
 
 def _flag(name: str, value: str) -> bool:
     if value not in _WORDS:
-        raise unknown_choice(f"{name}=", value, _WORDS)
+        raise unknown_choice(f"value of {name}", value, _WORDS)
     return _WORDS[value]
 
 

@@ -145,8 +145,11 @@ def _bootstrap(values: Any, statistic: statistics.Statistic, groups: pd.Series, 
 def improvement(x: Scored, y: Scored, resamples: int = statistics.RESAMPLES) -> statistics.Estimate | None:
     """Probability that a run of ``x`` has the higher benefit (exact gate) on an approach than one of ``y``.
 
-    Ties count one half. Intersections are resampled. ``None`` without common approaches.
+    Ties count one half. Intersections are resampled. ``None`` without common approaches, and for policies of different
+    evaluations, which are not paired.
     """
+    if x.entry.test != y.entry.test:
+        return None
     a, b = x.matrix("benefit_exact"), y.matrix("benefit_exact")
     tasks = a.index.intersection(b.index)
     if tasks.empty:

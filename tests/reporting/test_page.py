@@ -14,6 +14,7 @@ import pytest
 
 from izoo.report import main, parse
 from izoo.reporting.collect import collect
+from izoo.reporting.scores import improvement, score
 from tests.reporting.folders import METRICS, benchmark, rename_policy
 
 VOID = {"meta", "link", "input"}
@@ -117,8 +118,17 @@ def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_p
     assert {entry.name for entry in material.entries} == {"glide", "uncommanded"}
     assert [curve.name for curve in material.curves] == ["run"]
     shutil.copytree(evaluation, run / "evaluations" / "other")
-    names = {entry.name for entry in collect(run).entries}
-    assert names >= {"glide on training contexts", "glide on other"}
+    manifest = run / "evaluations" / "other" / "evaluation.json"
+    content = json.loads(manifest.read_text())
+    content["settings"]["env"]["horizon_s"] = 77.0
+    manifest.write_text(json.dumps(content))
+    material = collect(run)
+    scored = {entry.name: score(entry, resamples=20) for entry in material.entries}
+    assert scored.keys() >= {"glide on training contexts", "glide on other", "uncommanded on other"}
+    assert "; 77 s" in dict(material.facts)["episode"], "the facts of each evaluation are stated"
+    # Policies of one evaluation are paired, those of different ones are not.
+    assert improvement(scored["glide on other"], scored["uncommanded on other"], resamples=20) is not None
+    assert improvement(scored["glide on other"], scored["glide on training contexts"], resamples=20) is None
 
 
 def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
