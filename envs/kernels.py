@@ -180,14 +180,15 @@ def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped
 
 @njit(cache=True)
 def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
-    """Return who drives to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
+    """Return who turns off to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
 
-    Of several it is the one whose rear is farthest back; row -1 means that nobody is there.
+    Of several it is the one whose rear is farthest back; row -1 means that nobody is there. Exits are not looked at:
+    who drives there may have come from elsewhere.
     """
     found, nearest = -1, FAR_M
     for q in range(road.next_lane.shape[1]):
         beyond, turn = 0.0, road.next_lane[lane, q]
-        while q != exit_ and turn >= 0 and beyond < LONGEST_VEHICLE_M:
+        while q != exit_ and turn >= 0 and road.lane_location[turn] != LEAVING and beyond < LONGEST_VEHICLE_M:
             if start[turn] < start[turn + 1]:
                 other = order[start[turn]]
                 behind = beyond + floats[other, LANE_POSITION] - floats[other, LENGTH]

@@ -64,13 +64,12 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
 @contextlib.contextmanager
 def unheard() -> Iterator[None]:
     """Let work that leaves files go on where nobody reads its output any more."""
-    before = sys.stdout
-    if before is not None:
-        sys.stdout = _Unheard(before)  # type: ignore[assignment]
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (None if stream is None else _Unheard(stream) for stream in before)  # type: ignore
     try:
         yield
     finally:
-        sys.stdout = before
+        sys.stdout, sys.stderr = before
 
 
 class _Unheard:
@@ -96,7 +95,7 @@ class _Unheard:
 
     def _give_up(self) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
-        with contextlib.suppress(OSError):
+        if self.stream is sys.__stdout__ and sys.stderr is not None:
             print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
 
     def __getattr__(self, name: str) -> Any:
@@ -172,11 +171,15 @@ def _multirun(command: Command, config_class: type, options: Sequence[str]) -> i
 
     overrides = compose.parse(options, multirun=True)
     compose.check_names(command.name, overrides)
-    number = compose.check_combinations(command.name, config_class, overrides)
+    combinations: list[Any] = compose.check_combinations(command.name, config_class, overrides)
     given = _given(options)
-    shared = [o.key_or_group for o in overrides if o.key_or_group in FOLDERS and not o.is_sweep_override()]
-    if number > 1 and shared:
-        raise IzooError(f"{number} runs cannot share one {shared[0]}; leave it out, and each gets a folder of its own.")
+    for name in FOLDERS:
+        folders = [folder for config in combinations if (folder := getattr(config, name, None)) is not None]
+        if len(set(folders)) < len(folders):
+            raise IzooError(
+                f"{len(folders)} runs would share the folder {folders[0]}; make {name} differ by an option that does, "
+                f"as in {name}='{folders[0]}/${{seed}}'."
+            )
     stop_requested.clear()
 
     def job(composed: DictConfig) -> None:

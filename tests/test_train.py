@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import signal
@@ -114,6 +115,10 @@ def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.Cap
     assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
     assert "has 800 frames already, more than total_frames=400" in capsys.readouterr().err
     assert runs.read_config(run_dir).total_frames == 800
+    # Its last batch went beyond its frames: the run is done, and that is no mistake.
+    runs.write_config(run_dir, dataclasses.replace(runs.read_config(run_dir), total_frames=700))
+    assert train.main([f"resume={run_dir}"]) == 0
+    assert "All 800 frames are there" in capsys.readouterr().out
     # From an earlier checkpoint: what came later in the table is written again.
     assert train.main([f"resume={checkpoint.listed(run_dir)[0]}", "total_frames=600"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any, TypeVar
@@ -100,8 +99,8 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
     return to_dataclass(composed, cls)
 
 
-def check_combinations(config_name: str, cls: type, overrides: Sequence[Override]) -> int:
-    """Compose every combination of a multirun, so that a sweep fails before its first run; return their number.
+def check_combinations(config_name: str, cls: type[T], overrides: Sequence[Override]) -> list[T]:
+    """Compose and return every combination of a multirun, so that a sweep fails before its first run.
 
     Sweeps too large to go through are checked as far as :data:`MAX_CHECKED` combinations.
     """
@@ -112,9 +111,8 @@ def check_combinations(config_name: str, cls: type, overrides: Sequence[Override
         for override in overrides
         if not override.key_or_group.startswith("hydra")
     ]
-    for combination in itertools.islice(itertools.product(*words), MAX_CHECKED):
-        compose_config(config_name, cls, combination)
-    return math.prod(map(len, words))
+    combinations = itertools.islice(itertools.product(*words), MAX_CHECKED)
+    return [compose_config(config_name, cls, combination) for combination in combinations]
 
 
 def to_dataclass(composed: DictConfig, cls: type[T]) -> T:

@@ -94,7 +94,8 @@ def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainCon
     changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
     config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
     state = None if path is None else checkpoint.load(path)
-    if state is not None and config.total_frames < state["frames"]:
+    # The last batch of a run that is done may have gone beyond its frames.
+    if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
         raise IzooError(
             f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give more, "
             "or leave total_frames out."
