@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from izoo import cli
+from izoo.benchmarks.timing import seconds_per_step
 
 SETTLE_STEPS = 400
 RESETS = 7
@@ -58,7 +59,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             begin = time.perf_counter()
             state = env.reset()
             resets.append(time.perf_counter() - begin)
-        bare = _time(simulator.session.advance, steps)
+        bare = 1e6 * seconds_per_step(simulator.session.advance, steps, SETTLE_STEPS)
         state = env.reset()
         action = torch.full((256, 1), 2.6)
         vehicles: list[int] = []
@@ -70,7 +71,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             vehicles.append(len(simulator.roster.rows))
 
         parts = _Parts(simulator)
-        whole = _time(step, steps, parts.begin)
+        whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, parts.begin)
         return {
             "vehicles": float(np.mean(vehicles[SETTLE_STEPS:])),
             "bare_us": bare,
@@ -80,16 +81,6 @@ def measure(context: Any, steps: int) -> dict[str, float]:
         }
     finally:
         env.close()
-
-
-def _time(step: Callable[[], None], steps: int, before: Callable[[], None] = lambda: None) -> float:
-    for _ in range(SETTLE_STEPS):
-        step()
-    before()
-    begin = time.perf_counter()
-    for _ in range(steps):
-        step()
-    return 1e6 * (time.perf_counter() - begin) / steps
 
 
 class _Parts:

@@ -23,14 +23,13 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from izoo import cli
+from izoo.benchmarks.timing import CHUNK
 
 if TYPE_CHECKING:
     from izoo.benchmarks.variants import Sample
 
 ROUNDS = 3
 SCENARIOS = ("light", "medium", "heavy")
-MIN_STEPS = 200
-"""Collectors are timed in batches of so many steps."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +86,12 @@ def _rows(scenario: str, samples: dict[str, list[Sample]]) -> list[Row]:
     bare = [sample.env_steps_per_s for sample in next(iter(samples.values()))]
     rows = []
     for label, values in samples.items():
-        rate, agent_rate, vehicles, agents = (statistics.median(column) for column in zip(*values, strict=True))
+        rate, agent_rate = (statistics.median(column) for column in zip(*(v[:2] for v in values), strict=True))
         ratio = statistics.median(value[0] / base for value, base in zip(values, bare, strict=True))
-        counted = None if vehicles != vehicles else vehicles
-        rows.append(Row(scenario, label, rate, agent_rate, ratio, counted, agents))
+        counted = [value.vehicles for value in values if value.vehicles is not None]
+        vehicles = statistics.median(counted) if counted else None
+        agents = statistics.median(value.agents for value in values)
+        rows.append(Row(scenario, label, rate, agent_rate, ratio, vehicles, agents))
     return rows
 
 
@@ -129,10 +130,8 @@ def main(argv: list[str] | None = None) -> int:
             parser.error(f"unknown scenario {name!r}; choose from: {', '.join(SCENARIOS)}")
     if options.workers < 1:
         parser.error(f"--workers is {options.workers}; one or more are needed")
-    if options.steps < MIN_STEPS:
-        parser.error(
-            f"--steps is {options.steps}; it must be {MIN_STEPS} or more: collectors are timed in batches of that"
-        )
+    if options.steps < CHUNK:
+        parser.error(f"--steps is {options.steps}; it must be {CHUNK} or more: collectors are timed in batches of that")
     print("izoo throughput: loading torch and SUMO", file=sys.stderr, flush=True)
     rows = measure(chosen, options.workers, options.steps)
     if options.json:

@@ -19,6 +19,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from izoo.algos.ppo_config import PPOConfig
+from izoo.benchmarks.timing import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
@@ -32,8 +33,6 @@ from izoo.training.runs import make_algorithm
 
 WARMUP_S = 200.0
 """Time in which the region fills, with nobody commanding."""
-CHUNK = 200
-"""Steps per environment in a collected batch, and before timing starts."""
 SAMPLE_STEPS = 20
 """Agents and vehicles are counted once in so many steps, so that counting takes next to no part of the time."""
 AGENT_SLOTS = 96
@@ -43,11 +42,11 @@ _together: Any = None
 
 
 class Sample(NamedTuple):
-    """Rates of one play over all its environments, and means per environment; NaN where nothing was counted."""
+    """Rates of one play over all its environments, and means per environment; ``None`` where nothing was counted."""
 
     env_steps_per_s: float
     agent_steps_per_s: float
-    vehicles: float
+    vehicles: float | None
     agents: float
 
 
@@ -217,7 +216,7 @@ class Collected:
         elapsed = time.perf_counter() - begin
         source.next()  # the episodes end in it
         steps = self.plan.batches * CHUNK * self.plan.workers
-        return Sample(steps / elapsed, agents / elapsed, float("nan"), agents / steps)
+        return Sample(steps / elapsed, agents / elapsed, None, agents / steps)
 
     def _start(self) -> BatchSource:
         options = TrainConfig(
@@ -258,7 +257,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
 
 def _time_bare(plan: Plan, context: Context, worker: int, wait: Callable[[], object] = lambda: None) -> float:
     with _simulation(plan, context, worker) as simulator:
-        return _time_steps(simulator.session.advance, plan.steps, wait)
+        return 1.0 / seconds_per_step(simulator.session.advance, plan.steps, CHUNK, wait)
 
 
 def _join(together: Any) -> None:
@@ -273,17 +272,6 @@ def _time_bare_together(plan: Plan, context: Context, worker: int) -> float:
     except BaseException:
         _together.abort()
         raise
-
-
-def _time_steps(step: Callable[[], None], count: int, wait: Callable[[], object] = lambda: None) -> float:
-    """Return how many calls of ``step`` there are per second: ``count`` of them, after some more and ``wait``."""
-    for _ in range(CHUNK):
-        step()
-    wait()
-    begin = time.perf_counter()
-    for _ in range(count):
-        step()
-    return count / (time.perf_counter() - begin)
 
 
 def _step(env: EcoDrivingEnv | SumoParallelEnv, state: TensorDictBase, steps: int) -> Sample:
@@ -303,7 +291,7 @@ def _step(env: EcoDrivingEnv | SumoParallelEnv, state: TensorDictBase, steps: in
         _, state = env.step_and_maybe_reset(state)
         taken += 1
 
-    rate = _time_steps(step, steps)
+    rate = 1.0 / seconds_per_step(step, steps, CHUNK)
     agents = float(np.mean(agents_seen))
     vehicles = float(np.diff(vehicle_steps).mean()) / SAMPLE_STEPS
     return Sample(rate * num, rate * num * agents, vehicles, agents)

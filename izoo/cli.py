@@ -94,7 +94,7 @@ class _Unheard:
             self._give_up()
 
     def _give_up(self) -> None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+        _mute(self.stream)
         if self.stream is sys.__stdout__ and sys.stderr is not None:
             print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
 
@@ -119,8 +119,15 @@ def exit_code(name: str, main: Callable[[], int]) -> int:
         if not _is_unread(sys.stdout):
             raise
         # Whoever read the output, such as `head`, has had enough; what is left to flush must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute(sys.stdout)
         return 0
+
+
+def _mute(stream: TextIO) -> None:
+    """Drop what is left to be written to a stream, and what follows."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def _is_unread(stream: TextIO | None) -> bool:

@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from izoo.conf.build import from_mapping
-from izoo.contexts.cities import CITIES
+from izoo.contexts.cities import CITIES, city_name
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
@@ -70,9 +70,8 @@ def check_names(config_name: str, overrides: Sequence[Override]) -> None:
     for override in chosen:
         for value in _values(override):
             if value not in groups[override.key_or_group]:
-                city = value.lower().replace("-", "_")
-                if override.key_or_group == "contexts" and city in CITIES:
-                    raise IzooError(f"{value} is a city; write contexts=city contexts.city={city}.")
+                if override.key_or_group == "contexts" and value.lower().replace("-", "_") in CITIES:
+                    raise IzooError(f"{value} is a city; write contexts=city contexts.city={city_name(value)}.")
                 raise unknown_choice(override.key_or_group, value, groups[override.key_or_group])
     # A sweep over a group is checked against its first choice: the options of the others differ in the algorithm's own.
     words = [f"{override.key_or_group}={_values(override)[0]}" for override in chosen]

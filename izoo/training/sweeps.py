@@ -147,7 +147,8 @@ def report(folder: Path, console: Console | None = None) -> Path:
             metrics = MetricsTable.read(run_dir / runs.METRICS_FILE)
             if metrics.rows:
                 curves.setdefault(", ".join(_choice(row, options)), []).append(metrics)
-        plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options))
+        if curves:
+            plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options))
     except OSError as error:
         raise IzooError(f"cannot write {path}: {error.strerror}.") from error
     return path

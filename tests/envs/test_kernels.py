@@ -204,6 +204,13 @@ def test_who_turns_off_leads_until_its_rear_has_left_the_lane(scene: Scene) -> N
     assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 50.0 - 5.0, 6.0)
 
 
+def test_who_enters_another_exit_from_elsewhere_does_not_lead(scene: Scene) -> None:
+    """Not even where its rear reaches as far back as a vehicle's that came over the own lane."""
+    me = scene.put("A2TL_intern_0", 95.0, way="AB")
+    scene.put("TL2C_0", 2.0, way="BC", length=25.0)
+    assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
+
+
 def test_leader_on_the_exit_that_came_from_elsewhere(scene: Scene) -> None:
     me = scene.put("A2TL_intern_0", 95.0, way="AC")
     scene.put("TL2C_0", 8.0, speed=4.0, way="BC")
