@@ -118,7 +118,7 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
         flags[r, WRONG_LANE] = location == APPROACHING and road.next_lane[new_lane, ints[r, EXIT]] < 0
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def grade_under(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
     """Grade in percent under a vehicle, positive uphill: the mean over its length, as SUMO takes it from back to front.
 
@@ -165,7 +165,7 @@ def sort_lanes(rows, floats, ints, num_lanes, order, start):  # type: ignore[no-
         fill[k] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped-def]
     """Return the place in ``order`` of the first vehicle on ``lane`` at or beyond ``position`` (its end if none)."""
     low, high = start[lane], start[lane + 1]
@@ -178,7 +178,7 @@ def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped
     return low
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return who turns off to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
 
@@ -202,7 +202,7 @@ def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ign
     return found, nearest
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
 
@@ -228,7 +228,7 @@ def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  #
     return turning, rear
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def find_behind(lane, position, last, length, approach, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle behind ``position`` along the way from ``approach`` and its gap.
 
@@ -302,6 +302,10 @@ def observe(agent_row, floats, ints, flags, order, start, road, clock, features,
             seen (0 to 5), in this order.
     """
     colour, left, next2, next3 = clock
+    columns = np.full(6, -1)
+    for j in range(neighbours.shape[0]):
+        columns[neighbours[j]] = 15 + 6 * j
+    first_feature = 15 + 6 * neighbours.shape[0]
     for a in range(agent_row.shape[0]):
         r = agent_row[a]
         line = out[a]
@@ -320,47 +324,54 @@ def observe(agent_row, floats, ints, flags, order, start, road, clock, features,
         line[12] = left[p, q] / TIME_SCALE_S
         line[13] = next2[p, q] / TIME_SCALE_S
         line[14] = next3[p, q] / TIME_SCALE_S
-        column = 15
-        for j in range(neighbours.shape[0]):
-            _see(neighbours[j], r, lane, p, q, floats, ints, flags, order, start, road, sensor_range_m, line, column)
-            column += 6
+        for side in range(3):
+            lead_column, follow_column = columns[2 * side], columns[2 * side + 1]
+            if lead_column < 0 and follow_column < 0:
+                continue
+            seen_lane, position, ahead = _beside(side, r, floats, ints, order, start, road)
+            if lead_column >= 0:
+                seen = line[lead_column : lead_column + 6]
+                seen[1], seen[5] = FAR_M / DISTANCE_SCALE_M, seen_lane >= 0
+                if seen_lane >= 0:
+                    other, gap = find_ahead(seen_lane, position, ahead, q, r, floats, order, start, road)
+                    _see(other, gap, sensor_range_m, floats, flags, seen)
+            if follow_column >= 0:
+                seen = line[follow_column : follow_column + 6]
+                seen[1], seen[5] = FAR_M / DISTANCE_SCALE_M, seen_lane >= 0
+                if seen_lane >= 0:
+                    last = ahead - 2 if side == 0 else ahead - 1
+                    length = floats[r, LENGTH]
+                    other, gap = find_behind(seen_lane, position, last, length, p, r, floats, order, start, road)
+                    _see(other, gap, sensor_range_m, floats, flags, seen)
         for j in range(features.shape[2]):
-            line[column + j] = features[p, q, j]
+            line[first_feature + j] = features[p, q, j]
 
 
-@njit(cache=True)
-def _see(which, r, lane, p, q, floats, ints, flags, order, start, road, sensor_range_m, line, column):  # type: ignore[no-untyped-def]
-    """Write the six numbers of one neighbour."""
-    side = which // 2
-    seen_lane = lane
-    position = floats[r, LANE_POSITION]
-    if side == 1:
-        seen_lane = road.lane_left[lane]
-    elif side == 2:
-        seen_lane = road.lane_right[lane]
-    line[column + 1] = FAR_M / DISTANCE_SCALE_M
+@njit(cache=True, forceinline=True)
+def _beside(side, r, floats, ints, order, start, road):  # type: ignore[no-untyped-def]
+    """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), where ``r`` would be on it, and the
+    place in ``order`` of the first vehicle ahead."""
+    lane, position = ints[r, REGION_LANE], floats[r, LANE_POSITION]
+    if side == 0:
+        return lane, position, ints[r, PLACE] + 1
+    seen_lane = road.lane_left[lane] if side == 1 else road.lane_right[lane]
     if seen_lane < 0:
-        return
-    line[column + 5] = 1.0
+        return seen_lane, position, 0
     # Lanes of one edge end together, so positions on them compare from the end.
     position += road.lane_length[seen_lane] - road.lane_length[lane]
-    if side == 0:
-        ahead, behind = ints[r, PLACE] + 1, ints[r, PLACE] - 1
-    else:
-        ahead = first_from(seen_lane, position, floats, order, start)
-        behind = ahead - 1
-    if which % 2 == 0:
-        other, gap = find_ahead(seen_lane, position, ahead, q, r, floats, order, start, road)
-    else:
-        length = floats[r, LENGTH]
-        other, gap = find_behind(seen_lane, position, behind, length, p, r, floats, order, start, road)
+    return seen_lane, position, first_from(seen_lane, position, floats, order, start)
+
+
+@njit(cache=True, forceinline=True)
+def _see(other, gap, sensor_range_m, floats, flags, seen):  # type: ignore[no-untyped-def]
+    """Write what is seen of a neighbour, if there is one in range."""
     if other < 0 or gap > sensor_range_m:
         return
-    line[column] = floats[other, SPEED] / SPEED_SCALE_MPS
-    line[column + 1] = gap / DISTANCE_SCALE_M
-    line[column + 2] = flags[other, BLINKER_LEFT]
-    line[column + 3] = flags[other, BLINKER_RIGHT]
-    line[column + 4] = 1.0
+    seen[0] = floats[other, SPEED] / SPEED_SCALE_MPS
+    seen[1] = gap / DISTANCE_SCALE_M
+    seen[2] = flags[other, BLINKER_LEFT]
+    seen[3] = flags[other, BLINKER_RIGHT]
+    seen[4] = 1.0
 
 
 @njit(cache=True)
