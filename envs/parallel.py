@@ -16,7 +16,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.layout import frame_bytes
-from izoo.envs.worker import Worker, WorkerLost, shared_memory_file
+from izoo.envs.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
 from izoo.errors import IzooError
 
 
@@ -51,6 +51,7 @@ class SumoParallelEnv(EcoDrivingBase):
         self.restarts = 0
         self._restart_episodes()
         self._workers: list[Worker | None] = [None] * num_workers
+        self._awake_s = [AWAKE_S * stays_awake(index, num_workers) for index in range(num_workers)]
         self._started = False
         self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
 
@@ -113,7 +114,7 @@ class SumoParallelEnv(EcoDrivingBase):
         failures: list[Exception] = []
         for index in waiting:
             try:
-                self._workers[index].wait()  # type: ignore[union-attr]
+                self._workers[index].wait(self._awake_s[index])  # type: ignore[union-attr]
             except WorkerLost as error:
                 lost[index] = error
             except (IzooError, RuntimeError) as error:
@@ -126,10 +127,11 @@ class SumoParallelEnv(EcoDrivingBase):
         self.reader.write_action(tensordict)
         lost: dict[int, WorkerLost] = {}
         waiting = []
-        for index, worker in enumerate(self._workers):
+        # The first is asked last: it may have to wait for this core, which is given up with the first wait.
+        for index in reversed(range(self.num_workers)):
             try:
-                worker.step()  # type: ignore[union-attr]
-                waiting.append(index)
+                self._workers[index].step()  # type: ignore[union-attr]
+                waiting.insert(0, index)
             except WorkerLost as error:
                 lost[index] = error
         failures = self._collect(waiting, lost)

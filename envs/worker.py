@@ -30,9 +30,9 @@ from izoo.networks.cache import is_running
 STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
 DONE, FAILED = b"k", b"e"
 _STARTUP_S = 300.0
-SPIN_S = 400e-6
-"""For so long a worker asks again for its next command before it sleeps, if every worker has a core: being woken
-takes some 50 us, a tenth of a step. It yields its core at every turn, so that the parent can have it."""
+AWAKE_S = 1e-3
+"""For so long a process asks again for what it waits for before it sleeps, where it has a core for that: being woken by
+another core takes 5 to 90 us, up to a fifth of a step."""
 ABANDONED_S = 24 * 3600.0
 """An episode's folder that is older than this, and whose process is gone, is removed."""
 _LENGTH = struct.Struct("!Q")
@@ -119,8 +119,8 @@ class Worker:
         except OSError as error:
             raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
 
-    def wait(self) -> None:
-        """Wait for the answer.
+    def wait(self, awake_s: float = 0.0) -> None:
+        """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
 
         Raises:
             WorkerLost: the process ended or did not answer in time.
@@ -132,12 +132,14 @@ class Worker:
             patience_s = max(patience_s, _STARTUP_S)
             self._answer(patience_s)
             self._ready = True
-        self._answer(patience_s)
+        self._answer(patience_s, awake_s)
 
-    def _answer(self, timeout_s: float) -> None:
-        self._socket.settimeout(timeout_s)
+    def _answer(self, timeout_s: float, awake_s: float = 0.0) -> None:
         try:
-            answer = self._socket.recv(1)
+            answer = _receive_awake(self._socket, awake_s) if awake_s > 0.0 else None
+            if answer is None:
+                self._socket.settimeout(timeout_s)
+                answer = self._socket.recv(1)
             if answer == DONE:
                 return
             if answer == FAILED:
@@ -192,10 +194,11 @@ def main(descriptor: int, memory: int) -> None:
     """Serve one parent until it says goodbye or is gone."""
     connection = socket.socket(fileno=descriptor)
     simulator: Any = None
-    spin_s = 0.0
+    awake_s = 0.0
     try:
         while True:
-            kind = _next_command(connection, spin_s)
+            kind = _receive_awake(connection, awake_s, yields=True) if awake_s > 0.0 else None
+            kind = connection.recv(1) if kind is None else kind
             if kind in (b"", CLOSE):
                 return
             try:
@@ -206,7 +209,7 @@ def main(descriptor: int, memory: int) -> None:
                 elif kind == INIT:
                     config, index, num_workers, weights = pickle.loads(_receive(connection))
                     simulator = _make_simulator(memory, config, index, num_workers, weights)
-                    spin_s = SPIN_S if num_workers <= usable_cores() else 0.0
+                    awake_s = AWAKE_S if stays_awake(index, num_workers) else 0.0
                 connection.send(DONE)
             except Exception as error:
                 is_users = isinstance(error, IzooError)
@@ -224,16 +227,33 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _next_command(connection: socket.socket, spin_s: float) -> bytes:
-    """Wait for one byte; awake for ``spin_s`` seconds, then asleep."""
-    if spin_s > 0.0 and hasattr(os, "sched_yield"):
-        end = time.perf_counter() + spin_s
-        while time.perf_counter() < end:
-            try:
-                return connection.recv(1, socket.MSG_DONTWAIT)
-            except BlockingIOError:
+def stays_awake(index: int, num_workers: int) -> bool:
+    """Whether a worker, and the parent that waits for its answer, stay awake for :data:`AWAKE_S` before they sleep.
+
+    They do if there are cores enough. With one core per worker and none for the parent, the parent shares that of the
+    first worker: there, going to sleep hands the core over at once, and who polls would only stand in the way.
+    """
+    spare = usable_cores() - num_workers
+    return spare > 0 or (spare == 0 and index > 0)
+
+
+def _receive_awake(connection: socket.socket, awake_s: float, yields: bool = False) -> bytes | None:
+    """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
+
+    Args:
+        connection: the socket.
+        awake_s: for how long.
+        yields: let others who want this core have it in between.
+    """
+    connection.settimeout(None)  # or Python itself would sleep in recv()
+    end = time.perf_counter() + awake_s
+    while time.perf_counter() < end:
+        try:
+            return connection.recv(1, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            if yields and hasattr(os, "sched_yield"):
                 os.sched_yield()
-    return connection.recv(1)
+    return None
 
 
 def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int, weights: Any) -> Any:
