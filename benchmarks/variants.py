@@ -17,7 +17,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
+from izoo.algos.base import ACTION, MASK
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks.timing import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
@@ -25,6 +27,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.layout import observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource
@@ -116,6 +119,7 @@ def make_variants(plan: Plan) -> dict[str, Variant]:
         "one environment": Single(plan, lean),
         "one environment, emitting all": Single(plan, plan.env()),
         f"{plan.workers} {workers}": SideBySide(plan, lean),
+        f"{plan.workers} {processes}": Collected(plan, "multisync", FullAcceleration()),
         f"{plan.workers} {workers}, PPO policy": Collected(plan, "parallel"),
         f"{plan.workers} {processes}, PPO policy": Collected(plan, "multisync"),
     }
@@ -199,12 +203,25 @@ class SideBySide:
         self.env.close()
 
 
+class FullAcceleration(TensorDictModuleBase):
+    """No policy: what every CV is told costs nothing to find out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the highest acceleration, ``[*B, A, 1]``."""
+        return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
+
+
 @dataclass
 class Collected:
-    """Batches collected with a freshly initialised PPO policy, as training does."""
+    """Batches collected as training does, by default with a freshly initialised PPO policy."""
 
     plan: Plan
     collector: Literal["parallel", "multisync"]
+    policy: TensorDictModuleBase | None = None
     _source: BatchSource | None = field(default=None, init=False)
 
     def play(self, scenario: int) -> Sample:
@@ -226,8 +243,8 @@ class Collected:
             num_workers=self.plan.workers,
         )
         torch.manual_seed(0)
-        learner = make_algorithm(options, len(observation_names(options.env)))
-        return BatchSource(options, learner.policy, self.plan)
+        policy = self.policy or make_algorithm(options, len(observation_names(options.env))).policy
+        return BatchSource(options, policy, self.plan)
 
     def close(self) -> None:
         if self._source is not None:

@@ -15,7 +15,7 @@ from numba.core import types
 from numba.experimental import structref
 
 from izoo.emissions.kernel import emission_rate_kernel
-from izoo.envs.accounting import account, pay, reward_terms, sum_episode
+from izoo.envs.accounting import account, pay, plan_commands, reward_terms, sum_episode
 from izoo.envs.kernels import (
     agent_vehicles,
     emit_vehicles,
@@ -46,8 +46,9 @@ class Tables(NamedTuple):
     """The simulator's tables (columns in :mod:`izoo.envs.layout`) and the working memory of the sort.
 
     ``floats [C, *]``, ``ints [C, *]``, ``flags [C, *]``, ``terms [C, 5]`` (individual reward terms), ``sums [P, M]``
-    and ``episode [E]`` (metrics), ``agent_row [A]`` (-1: empty), ``order [C]``, ``lane_start [L + 1]``, and ``suspects
-    [C]`` (agents' rows on a lane that does not lead to their exit).
+    and ``episode [E]`` (metrics), ``agent_row [A]`` (-1: empty), ``order [C]``, ``lane_start [L + 1]``, ``suspects
+    [C]`` (agents' rows on a lane that does not lead to their exit), ``yields [C]`` (rows that SUMO slows for a lane
+    change), and the orders of the coming step: ``command [A]`` and ``release [A]`` (rows), ``target_mps [A]``.
     """
 
     floats: np.ndarray
@@ -60,6 +61,10 @@ class Tables(NamedTuple):
     order: np.ndarray
     lane_start: np.ndarray
     suspects: np.ndarray
+    yields: np.ndarray
+    command: np.ndarray
+    release: np.ndarray
+    target_mps: np.ndarray
 
 
 class ClockArrays(NamedTuple):
@@ -99,9 +104,11 @@ class Rules(NamedTuple):
     emit_metrics: bool
 
 
-class Out(NamedTuple):
-    """The frame's arrays that are written in every step."""
+class Frame(NamedTuple):
+    """The frame's arrays that compiled code reads or writes in every step."""
 
+    action: np.ndarray
+    defer: np.ndarray
     observation: np.ndarray
     mask: np.ndarray
     agent_vehicle: np.ndarray
@@ -127,13 +134,33 @@ class World(structref.StructRefProxy):  # type: ignore[misc]
     """An episode's tables, road, clock, rules, surrogates and frame, as compiled code holds them; a copy of none."""
 
 
-structref.define_proxy(World, WorldType, ["tables", "road", "clock", "rules", "surrogate", "out"])
+structref.define_proxy(World, WorldType, ["tables", "road", "clock", "rules", "surrogate", "frame"])
 
 
 @njit(cache=True)
-def hold(tables, road, clock, rules, surrogate, out):  # type: ignore[no-untyped-def]
+def hold(tables, road, clock, rules, surrogate, frame):  # type: ignore[no-untyped-def]
     """Return a :class:`World`."""
-    return World(tables, road, clock, rules, surrogate, out)
+    return World(tables, road, clock, rules, surrogate, frame)
+
+
+@njit(cache=True)
+def command_agents(world):  # type: ignore[no-untyped-def]
+    """Turn the frame's actions into the orders of the coming step; return how many commands and releases there are."""
+    tables, frame = world.tables, world.frame
+    return plan_commands(
+        tables.agent_row,
+        frame.action,
+        frame.defer,
+        tables.yields,
+        world.rules.step_s,
+        tables.floats,
+        tables.ints,
+        tables.flags,
+        tables.sums,
+        tables.command,
+        tables.release,
+        tables.target_mps,
+    )
 
 
 @njit(cache=True)
@@ -180,7 +207,7 @@ def make_frame(rows, reading, acting, leavers, time_s, phase, measured, world): 
     Returns:
         The phase in force from now on, and the number of suspects.
     """
-    tables, road, clock, rules, out = world.tables, world.road, world.clock, world.rules, world.out
+    tables, road, clock, rules, out = world.tables, world.road, world.clock, world.rules, world.frame
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     lane, position, speed, signals = reading
     place(rows, lane, position, speed, signals, floats, ints, flags, road, rules.step_s)

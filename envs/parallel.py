@@ -114,7 +114,7 @@ class SumoParallelEnv(EcoDrivingBase):
         failures: list[Exception] = []
         for index in waiting:
             try:
-                self._workers[index].wait(self._awake_s[index])  # type: ignore[union-attr]
+                self._workers[index].wait(self._awake_s[index], self.reader.prepare)  # type: ignore[union-attr]
             except WorkerLost as error:
                 lost[index] = error
             except (IzooError, RuntimeError) as error:

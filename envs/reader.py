@@ -49,11 +49,13 @@ class FrameReader:
             self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
         self._agent_keys = (*_AGENT_LEAVES, *_AGENT_COLUMNS)
         self._root_keys = (*DONE, *leaves)
-        self._sources = [self.tensors[name] for name in _AGENT_LEAVES.values()]
-        self._sources += [self.tensors[name].unsqueeze(-1) for name in _AGENT_COLUMNS.values()]
-        self._sources += [self.tensors[name] for name in self._root_keys]
+        sources = [self.tensors[name] for name in _AGENT_LEAVES.values()]
+        sources += [self.tensors[name].unsqueeze(-1) for name in _AGENT_COLUMNS.values()]
+        sources += [self.tensors[name] for name in self._root_keys]
+        self._sources = [tensor.numpy() for tensor in sources]
         self.action_shape = torch.Size((*self.agents_batch, 1))
         self._action = self.tensors["action"].unsqueeze(-1)
+        self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
 
     def write_action(self, tensordict: TensorDict) -> None:
         """Copy the action keys into the frames.
@@ -100,30 +102,55 @@ class FrameReader:
             )
         return lanes
 
+    def prepare(self) -> None:
+        """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
+        if self._prepared is None:
+            blanks = [np.empty_like(source) for source in self._sources]
+            self._prepared = blanks, *self._assemble([torch.from_numpy(blank) for blank in blanks])
+
     def read(self) -> tuple[TensorDict, TensorDict]:
         """Return what a step leads to, with the reward, and the same without it: the state to act on next.
 
         Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
         """
-        copies, count = _clone_all(self._sources), len(self._agent_keys)
-        agents = dict(zip(self._agent_keys, copies[:count], strict=True))
-        root: dict[str, Tensor | TensorDict] = dict(zip(self._root_keys, copies[count:], strict=True))
-        t, emit = self.tensors, self.config.emit
-        if "reward_vector" in emit:
-            agents["reward_vector"] = t["reward_vector"].clone()
-        if "vehicles" in emit:
-            root["vehicles"] = self._vehicles()
-        if "signal" in emit:
-            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
-            root["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
-        if "context" in emit:
-            root["context"] = self.context()
-        if "metrics" in emit:
-            root["metrics"] = self.metrics()
+        if self._prepared is None:
+            following, state = self._assemble([torch.from_numpy(source.copy()) for source in self._sources])
+        else:
+            blanks, following, state = self._prepared
+            self._prepared = None
+            for blank, source in zip(blanks, self._sources, strict=True):
+                np.copyto(blank, source)
+        if self.config.emit:
+            self._add_groups(following, state)
+        return following, state
+
+    def _assemble(self, leaves: Sequence[Tensor]) -> tuple[TensorDict, TensorDict]:
+        """Return the two TensorDicts of a step, without the groups of ``config.emit``, from copies of the sources."""
+        count = len(self._agent_keys)
+        agents = dict(zip(self._agent_keys, leaves[:count], strict=True))
+        root: dict[str, Tensor | TensorDict] = dict(zip(self._root_keys, leaves[count:], strict=True))
         following = _new({**root, "agents": _new({**agents}, self.agents_batch)}, self.batch)
         del agents["reward"]
         root["agents"] = _new(agents, self.agents_batch)
         return following, _new(root, self.batch)
+
+    def _add_groups(self, following: TensorDict, state: TensorDict) -> None:
+        t, emit = self.tensors, self.config.emit
+        groups: dict[str, TensorDict] = {}
+        if "reward_vector" in emit:
+            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = t["reward_vector"].clone()
+        if "vehicles" in emit:
+            groups["vehicles"] = self._vehicles()
+        if "signal" in emit:
+            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
+            groups["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
+        if "context" in emit:
+            groups["context"] = self.context()
+        if "metrics" in emit:
+            groups["metrics"] = self.metrics()
+        for name, group in groups.items():
+            for tensordict in (following, state):
+                tensordict._set_str(name, group, validated=True, inplace=False, non_blocking=False)
 
     def context(self) -> TensorDict:
         """Read the context group."""
@@ -146,12 +173,6 @@ class FrameReader:
         episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
         p = torch.Size((*self.batch, self.config.num_approaches))
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
-
-
-def _clone_all(tensors: list[Tensor]) -> tuple[Tensor, ...]:
-    """Return a copy of each; many small tensors are copied faster in one call."""
-    copies: tuple[Tensor, ...] = torch._foreach_clone(tensors)
-    return copies
 
 
 def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:

@@ -14,7 +14,7 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs import accounting
 from izoo.envs.config import KEEP_LANE, NEIGHBOURS, EnvConfig
 from izoo.envs.context_table import observed_table
-from izoo.envs.fused import ClockArrays, Out, Rules, Tables, hold, make_frame
+from izoo.envs.fused import ClockArrays, Frame, Rules, Tables, command_agents, hold, make_frame
 from izoo.envs.kernels import read_clock, road_arrays
 from izoo.envs.layout import (
     ACCEL,
@@ -59,10 +59,7 @@ class Simulator:
         self.session = SumoSession(gui=config.gui)
         self._road: RoadNet | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._out = Out(*(frame[name] for name in Out._fields))
-        count = config.num_agents
-        self._command, self._release = np.empty(count, np.int64), np.empty(count, np.int64)
-        self._target_mps = np.empty(count)
+        self._arrays = Frame(*(frame[name] for name in Frame._fields))
 
     # -- episodes ------------------------------------------------------------------------------------------------------
 
@@ -168,8 +165,8 @@ class Simulator:
 
     def _bind_tables(self) -> None:
         """Hand the present tables and the episode's constants to compiled code."""
-        roster = self.roster
-        tables = Tables(
+        roster, count = self.roster, self.config.num_agents
+        self._tables = tables = Tables(
             roster.floats,
             roster.ints,
             roster.flags,
@@ -180,9 +177,12 @@ class Simulator:
             np.zeros(roster.capacity, np.int64),
             np.zeros(len(self.road.lane_ids) + 1, np.int64),
             np.zeros(roster.capacity, np.int64),
+            roster.yields,
+            np.empty(count, np.int64),
+            np.empty(count, np.int64),
+            np.empty(count),
         )
-        self._suspects = tables.suspects
-        self._world = hold(tables, self.lanes, self.clock, self._rules, self.weights, self._out)
+        self._world = hold(tables, self.lanes, self.clock, self._rules, self.weights, self._arrays)
 
     def _prepare_road(self) -> None:
         road, clock, config = self.road, self.road.clock, self.config
@@ -233,26 +233,12 @@ class Simulator:
     # -- one step ------------------------------------------------------------------------------------------------------
 
     def _apply_commands(self) -> None:
-        frame, roster = self.frame, self.roster
-        commands, releases = accounting.plan_commands(
-            roster.agent_row,
-            frame["action"],
-            frame["defer"],
-            roster.yields,
-            self.config.step_s,
-            roster.floats,
-            roster.ints,
-            roster.flags,
-            self.sums,
-            self._command,
-            self._release,
-            self._target_mps,
-        )
-        names = roster.names
+        commands, releases = command_agents(self._world)
+        names, tables = self.roster.names, self._tables
         if releases:
-            self.session.command_speeds([names[r] for r in self._release[:releases].tolist()], [-1.0] * releases)
-        commanded = [names[r] for r in self._command[:commands].tolist()]
-        self.session.command_speeds(commanded, self._target_mps[:commands].tolist())
+            self.session.command_speeds([names[r] for r in tables.release[:releases].tolist()], [-1.0] * releases)
+        commanded = [names[r] for r in tables.command[:commands].tolist()]
+        self.session.command_speeds(commanded, tables.target_mps[:commands].tolist())
         if self.config.lane_change:
             self._command_lanes()
 
@@ -336,7 +322,7 @@ class Simulator:
         if count or self._yielding:
             roster.yields[:] = 0
         self._yielding = count
-        for row in self._suspects[:count].tolist():
+        for row in self._tables.suspects[:count].tolist():
             before = roster.floats[row, SPEED] - roster.floats[row, ACCEL] * step_s
             braking = (before - self.session.free_speed(roster.names[row])) / step_s
             roster.yields[row] = braking > LANE_CHANGE_BRAKING_MPS2

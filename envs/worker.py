@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -119,8 +120,12 @@ class Worker:
         except OSError as error:
             raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
 
-    def wait(self, awake_s: float = 0.0) -> None:
+    def wait(self, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
+
+        Args:
+            awake_s: for so long.
+            meanwhile: called once if there is time: who stays awake and has no answer yet.
 
         Raises:
             WorkerLost: the process ended or did not answer in time.
@@ -132,11 +137,13 @@ class Worker:
             patience_s = max(patience_s, _STARTUP_S)
             self._answer(patience_s)
             self._ready = True
-        self._answer(patience_s, awake_s)
+        self._answer(patience_s, awake_s, meanwhile)
 
-    def _answer(self, timeout_s: float, awake_s: float = 0.0) -> None:
+    def _answer(self, timeout_s: float, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         try:
-            answer = _receive_awake(self._socket, awake_s) if awake_s > 0.0 else None
+            answer = None
+            if awake_s > 0.0:
+                answer = _receive_awake(self._socket, awake_s, meanwhile)
             if answer is None:
                 self._socket.settimeout(timeout_s)
                 answer = self._socket.recv(1)
@@ -237,12 +244,15 @@ def stays_awake(index: int, num_workers: int) -> bool:
     return spare > 0 or (spare == 0 and index > 0)
 
 
-def _receive_awake(connection: socket.socket, awake_s: float, yields: bool = False) -> bytes | None:
+def _receive_awake(
+    connection: socket.socket, awake_s: float, meanwhile: Callable[[], None] | None = None, yields: bool = False
+) -> bytes | None:
     """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
 
     Args:
         connection: the socket.
         awake_s: for how long.
+        meanwhile: called once, unless a byte is there already.
         yields: let others who want this core have it in between.
     """
     connection.settimeout(None)  # or Python itself would sleep in recv()
@@ -251,7 +261,10 @@ def _receive_awake(connection: socket.socket, awake_s: float, yields: bool = Fal
         try:
             return connection.recv(1, socket.MSG_DONTWAIT)
         except BlockingIOError:
-            if yields and hasattr(os, "sched_yield"):
+            if meanwhile is not None:
+                meanwhile()
+                meanwhile = None
+            elif yields and hasattr(os, "sched_yield"):
                 os.sched_yield()
     return None
 
