@@ -126,7 +126,7 @@ class SumoParallelEnv(EcoDrivingBase):
             raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
         self.reader.write_action(tensordict)
         lost: dict[int, WorkerLost] = {}
-        waiting = []
+        waiting: list[int] = []
         # The first is asked last: it may have to wait for this core, which is given up with the first wait.
         for index in reversed(range(self.num_workers)):
             try:
