@@ -125,7 +125,7 @@ class Worker:
 
         Args:
             awake_s: for so long.
-            meanwhile: called once if there is time: who stays awake and has no answer yet.
+            meanwhile: called once if there is time: where it stays awake and no answer is there yet.
 
         Raises:
             WorkerLost: the process ended or did not answer in time.
@@ -150,12 +150,13 @@ class Worker:
             if answer == DONE:
                 return
             if answer == FAILED:
+                self._socket.settimeout(timeout_s)
                 is_users, text = pickle.loads(_receive(self._socket))
                 raise IzooError(text) if is_users else RuntimeError(f"a simulation worker failed:\n{text}")
         except TimeoutError as error:
             raise WorkerLost(f"no answer for {timeout_s:g} s") from error
-        except OSError as error:
-            raise WorkerLost(str(error)) from error
+        except (OSError, EOFError) as error:
+            raise WorkerLost(str(error) or "it ended while it answered") from error
         raise WorkerLost(f"its process has ended ({self.process.poll()})")
 
     def _send(self, kind: bytes, message: Any) -> None:
@@ -204,7 +205,7 @@ def main(descriptor: int, memory: int) -> None:
     awake_s = 0.0
     try:
         while True:
-            kind = _receive_awake(connection, awake_s, yields=True) if awake_s > 0.0 else None
+            kind = _receive_awake(connection, awake_s) if awake_s > 0.0 else None
             kind = connection.recv(1) if kind is None else kind
             if kind in (b"", CLOSE):
                 return
@@ -245,15 +246,11 @@ def stays_awake(index: int, num_workers: int) -> bool:
 
 
 def _receive_awake(
-    connection: socket.socket, awake_s: float, meanwhile: Callable[[], None] | None = None, yields: bool = False
+    connection: socket.socket, awake_s: float, meanwhile: Callable[[], None] | None = None
 ) -> bytes | None:
     """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
 
-    Args:
-        connection: the socket.
-        awake_s: for how long.
-        meanwhile: called once, unless a byte is there already.
-        yields: let others who want this core have it in between.
+    Others who want this core have it in between. ``meanwhile`` is called once, unless a byte is there already.
     """
     connection.settimeout(None)  # or Python itself would sleep in recv()
     end = time.perf_counter() + awake_s
@@ -264,7 +261,7 @@ def _receive_awake(
             if meanwhile is not None:
                 meanwhile()
                 meanwhile = None
-            elif yields and hasattr(os, "sched_yield"):
+            elif hasattr(os, "sched_yield"):
                 os.sched_yield()
     return None
 

@@ -7,6 +7,7 @@ and keeps its traceback.
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -41,6 +42,13 @@ def check_range(what: str, value: float, low: float, high: float, unit: str = ""
     if not low <= value <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
+
+
+def os_reason(error: OSError) -> str:
+    """Return why a file or folder could not be made or written, where the system's "File exists" would mislead."""
+    if error.errno in (errno.EEXIST, errno.ENOTDIR):
+        return "it, or a folder of its path, is a file"
+    return error.strerror or str(error)
 
 
 def check_folder(folder: Path, remedy: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.cli import exit_code
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 
 EXIT_MARKED = 1
 
@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         write_text(arguments.out, json.dumps(merged, indent=1, allow_nan=False) + "\n")
     except OSError as error:
-        raise IzooError(f"cannot write {arguments.out}: {error.strerror}; choose another file with --out.") from error
+        raise IzooError(f"cannot write {arguments.out}: {os_reason(error)}; choose another file with --out.") from error
     _print_leaderboard(merged)
     print(f"Leaderboard: {arguments.out}", flush=True)
     return 0

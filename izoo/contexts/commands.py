@@ -15,7 +15,7 @@ from izoo.contexts.compare import compare_cities, format_distances, write_csv, w
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.contexts.timing import measure
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 
@@ -173,6 +173,6 @@ def main(argv: Sequence[str] | None = None, commands: Sequence[Command] = COMMAN
     except OSError as error:
         if error.filename is None:
             raise
-        print(f"error: cannot use {error.filename}: {error.strerror}; choose another path.", file=sys.stderr)
+        print(f"error: cannot use {error.filename}: {os_reason(error)}; choose another path.", file=sys.stderr)
         return EXIT_BAD_INPUT
     return 0

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 from izoo.evaluation.table import (
     CSV_FILE,
     EPISODE_KEY,
@@ -40,7 +40,7 @@ def claimed(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise IzooError(f"cannot use the folder {folder}: {error.strerror}; choose another one.") from error
+        raise IzooError(f"cannot use the folder {folder}: {os_reason(error)}; choose another one.") from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import platformdirs
 
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 
 CACHE_ENV = "IZOO_CACHE_DIR"
 MAX_ENTRIES = 20_000
@@ -120,7 +120,7 @@ def _digest(body: bytes) -> bytes:
 
 def _unwritable(folder: Path, error: OSError) -> IzooError:
     return IzooError(
-        f"cannot write to the cache folder {folder} ({error.strerror or error}); set {CACHE_ENV} to a folder that can "
+        f"cannot write to the cache folder {folder} ({os_reason(error)}); set {CACHE_ENV} to a folder that can "
         "be written to."
     )
 

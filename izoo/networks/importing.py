@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
 from izoo.contexts.spec import IntersectionSpec
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 from izoo.networks.archive import Archive, open_archive
 from izoo.networks.dataset import INFLOW_FILE, MARKER, NET_FILE, load_intersection, natural_key
 from izoo.networks.roadnet import read_road
@@ -105,9 +105,7 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
             if fresh and target.is_dir() and not any(target.iterdir()):
                 target.rmdir()
             if isinstance(error, OSError):
-                raise IzooError(
-                    f"cannot write to {target}: {error.strerror or error}; choose another target."
-                ) from error
+                raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
             raise
     return ImportReport(target, tuple(rows), unusable)
 

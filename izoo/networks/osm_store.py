@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 from izoo.networks.cache import is_running
 
 CMDP_FILE = "cmdp.json"
@@ -62,7 +62,7 @@ def save_cmdp(
         staging.replace(target)
     except OSError as error:
         shutil.rmtree(staging, ignore_errors=True)
-        raise IzooError(f"cannot write to {target}: {error.strerror}; choose another target.") from error
+        raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise

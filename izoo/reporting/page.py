@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from izoo import __version__
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import percent, score_rows
 from izoo.evaluation.summary import summarise
@@ -83,13 +83,21 @@ def write_report(
     path = out or results / PAGE_FILE
     if path.is_dir():
         raise IzooError(f"{path} is a folder; name a file: out={path / PAGE_FILE}.")
+    if path.is_file() and not _is_report(path):
+        raise IzooError(f"{path} exists and is no report; it is not overwritten. Choose another file with out=FILE.")
     text = render(material, replay=replay, imports=imports, note=note)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
     except OSError as error:
-        raise IzooError(f"cannot write {path}: {error.strerror}; choose another place with out=FILE.") from error
+        raise IzooError(f"cannot write {path}: {os_reason(error)}; choose another place with out=FILE.") from error
     return path
+
+
+def _is_report(path: Path) -> bool:
+    """Whether a file was written by :func:`write_report`."""
+    with path.open("rb") as file:
+        return b'name="generator" content="izoo.report"' in file.read(4096)
 
 
 def render(material: Material, *, replay: bool = True, imports: bool = False, note: Note = lambda _: None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import functools
 from collections.abc import Callable
 from datetime import datetime
@@ -23,7 +22,7 @@ from izoo.algos.ppo import PPO
 from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.envs.layout import observation_names
-from izoo.errors import IzooError
+from izoo.errors import IzooError, os_reason
 from izoo.evaluation.table import write_text
 from izoo.training import checkpoint
 
@@ -64,8 +63,7 @@ def ensure_empty(folder: Path, option: str, instead: str = "remove its content")
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
     except OSError as error:
-        reason = "it is a file" if error.errno in (errno.EEXIST, errno.ENOTDIR) else error.strerror
-        raise IzooError(f"cannot use {option}={folder}: {reason}; choose another folder.") from error
+        raise IzooError(f"cannot use {option}={folder}: {os_reason(error)}; choose another folder.") from error
     if occupied:
         raise IzooError(f"{option}={folder} is not empty; choose another folder, or {instead}.")
 

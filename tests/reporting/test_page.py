@@ -179,6 +179,17 @@ def _drop_rows(folder: Path, policy: str) -> None:
     (folder / "evaluation.csv").write_text("\n".join(line for line in lines if not line.startswith(policy)) + "\n")
 
 
+def test_a_foreign_file_is_not_overwritten_but_a_report_is(evaluation: Path, tmp_path: Path, capsys) -> None:
+    thesis, page = tmp_path / "thesis.html", tmp_path / "page.html"
+    thesis.write_text("<!doctype html>\nfour years of work")
+    assert main([str(evaluation), f"out={thesis}", "replay=false"]) == 2
+    assert "thesis.html exists and is no report" in capsys.readouterr().err
+    assert "four years of work" in thesis.read_text()
+    for title in ("one", "two"):
+        assert main([str(evaluation), f"out={page}", f"title={title}", "replay=false"]) == 0
+    assert "<title>two" in page.read_text()
+
+
 def test_an_unfinished_benchmark_is_refused_unless_asked_for(evaluation: Path, tmp_path: Path, capsys) -> None:
     folder = benchmark(evaluation, tmp_path / "results", status="training")
     assert main([str(folder)]) == 2
