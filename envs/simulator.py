@@ -274,7 +274,7 @@ class Simulator:
         for name in newcomers:
             self._register(name, counted=True)
         roster.extend_members(newcomers)
-        return tuple(map(np.append, reading, session.read(newcomers, self.lane_numbers)))
+        return tuple(map(np.concatenate, zip(reading, session.read(newcomers, self.lane_numbers), strict=True)))
 
     def _register_present(self) -> None:
         """Register everybody in the region at the end of the warm-up, also inside the junction and behind it."""
