@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
 import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,8 +26,9 @@ class SumoParallelEnv(EcoDrivingBase):
     """``N`` intersections, each simulated by a process of its own; batch size ``[N]``.
 
     It offers what TorchRL's ``ParallelEnv`` does and replaces its inside: workers write their frames into shared
-    arrays, the parent sleeps while it waits, and a worker that dies or hangs is replaced alone: its step is reported
-    as truncated, with the observation it last had, and the others do not notice. Workers start at the first reset.
+    arrays, the parent stays awake for them only where it has a core for that, and a worker that dies or hangs is
+    replaced alone: its step is reported as truncated, with the observation it last had, and the others do not notice.
+    Workers start at the first reset.
 
     Args:
         num_workers: ``N``.
@@ -93,12 +96,13 @@ class SumoParallelEnv(EcoDrivingBase):
         """Start the planned episodes ``{worker: episode}`` side by side; a worker lost meanwhile gets a second try."""
         for attempt in range(2):
             lost: dict[int, WorkerLost] = {}
-            for index, episode in plan.items():
-                try:
-                    self._worker(index).reset(*self.schedule(episode), episode)
-                except WorkerLost as error:
-                    lost[index] = error
-            failures = self._collect([index for index in plan if index not in lost], lost)
+            with self._answers_read():
+                for index, episode in plan.items():
+                    try:
+                        self._worker(index).reset(*self.schedule(episode), episode)
+                    except WorkerLost as error:
+                        lost[index] = error
+                failures = self._collect([index for index in plan if index not in lost], lost)
             for index, reason in lost.items():
                 self._replace(index, reason)
             if failures:
@@ -108,6 +112,19 @@ class SumoParallelEnv(EcoDrivingBase):
                     raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {reason}")
             plan = {index: plan[index] for index in lost}
         self._started = True
+
+    @contextlib.contextmanager
+    def _answers_read(self) -> Iterator[None]:
+        """End the workers that still owe an answer when something breaks in, as Ctrl-C does: it would come too late."""
+        try:
+            yield
+        except BaseException:
+            for index, worker in enumerate(self._workers):
+                if worker is not None and worker.busy:
+                    worker.kill()
+                    self._workers[index] = None
+                    self._started = False
+            raise
 
     def _collect(self, waiting: list[int], lost: dict[int, WorkerLost]) -> list[Exception]:
         """Wait for every worker, whatever happens to the others, so that none is left with an unread answer."""
@@ -127,14 +144,15 @@ class SumoParallelEnv(EcoDrivingBase):
         self.reader.write_action(tensordict)
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
-        # The first is asked last: it may have to wait for this core, which is given up with the first wait.
-        for index in reversed(range(self.num_workers)):
-            try:
-                self._workers[index].step()  # type: ignore[union-attr]
-                waiting.insert(0, index)
-            except WorkerLost as error:
-                lost[index] = error
-        failures = self._collect(waiting, lost)
+        with self._answers_read():
+            # The first is asked last: it may have to wait for this core, which is given up with the first wait.
+            for index in reversed(range(self.num_workers)):
+                try:
+                    self._workers[index].step()  # type: ignore[union-attr]
+                    waiting.insert(0, index)
+                except WorkerLost as error:
+                    lost[index] = error
+            failures = self._collect(waiting, lost)
         for index, reason in lost.items():
             self._replace(index, reason)
             self._truncate(index, tensordict)

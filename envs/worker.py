@@ -96,7 +96,12 @@ def kill_process(process: subprocess.Popen[bytes]) -> None:
 
 
 class Worker:
-    """Parent's handle on one worker process, which starts at once and in the background."""
+    """Parent's handle on one worker process, which starts at once and in the background.
+
+    Attributes:
+        episodes: how many it was asked for.
+        busy: whether it owes an answer.
+    """
 
     def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
         self._socket, child = socket.socketpair()
@@ -104,17 +109,19 @@ class Worker:
         self.process = start_process(call, child.fileno(), memory)
         child.close()
         self._watchdog_s = watchdog_s
-        self.episodes = 0
+        self.episodes, self.busy = 0, False
         self._send(INIT, setup)
         self._ready = False
 
     def reset(self, context: Any, seed: int, episode: int) -> None:
         """Ask for a new episode; :meth:`wait` for its first frame."""
         self.episodes += 1
+        self.busy = True
         self._send(RESET, (context, seed, episode))
 
     def step(self) -> None:
         """Ask for a step; :meth:`wait` for its frame."""
+        self.busy = True
         try:
             self._socket.send(STEP)
         except OSError as error:
@@ -148,10 +155,12 @@ class Worker:
                 self._socket.settimeout(timeout_s)
                 answer = self._socket.recv(1)
             if answer == DONE:
+                self.busy = not self._ready
                 return
             if answer == FAILED:
                 self._socket.settimeout(timeout_s)
                 is_users, text = pickle.loads(_receive(self._socket))
+                self.busy = not self._ready
                 raise IzooError(text) if is_users else RuntimeError(f"a simulation worker failed:\n{text}")
         except TimeoutError as error:
             raise WorkerLost(f"no answer for {timeout_s:g} s") from error
@@ -238,11 +247,12 @@ def usable_cores() -> int:
 def stays_awake(index: int, num_workers: int) -> bool:
     """Whether a worker, and the parent that waits for its answer, stay awake for :data:`AWAKE_S` before they sleep.
 
-    They do if there are cores enough. With one core per worker and none for the parent, the parent shares that of the
-    first worker: there, going to sleep hands the core over at once, and who polls would only stand in the way.
+    They do if there are cores enough; the parents of single views always sleep. With one core per worker and none for
+    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and who
+    polls would only stand in the way.
     """
     spare = usable_cores() - num_workers
-    return spare > 0 or (spare == 0 and index > 0)
+    return hasattr(os, "sched_yield") and (spare > 0 or (spare == 0 and index > 0))
 
 
 def _receive_awake(
@@ -261,7 +271,7 @@ def _receive_awake(
             if meanwhile is not None:
                 meanwhile()
                 meanwhile = None
-            elif hasattr(os, "sched_yield"):
+            else:
                 os.sched_yield()
     return None
 

@@ -46,8 +46,11 @@ def check_range(what: str, value: float, low: float, high: float, unit: str = ""
 
 def os_reason(error: OSError) -> str:
     """Return why a file or folder could not be made or written, where the system's "File exists" would mislead."""
-    if error.errno in (errno.EEXIST, errno.ENOTDIR):
-        return "it, or a folder of its path, is a file"
+    if error.errno == errno.ENOTDIR:
+        return "a folder of its path is a file"
+    if error.errno == errno.EEXIST and error.filename is not None and not Path(error.filename).is_dir():
+        what = "a link that leads nowhere" if Path(error.filename).is_symlink() else "a file"
+        return f"{error.filename} is {what}"
     return error.strerror or str(error)
 
 

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,7 @@ from tensordict import TensorDict
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
 from izoo.envs import EnvConfig, SumoParallelEnv
-from izoo.envs.worker import ABANDONED_S, episode_folder_prefix, remove_abandoned_folders
+from izoo.envs.worker import ABANDONED_S, AWAKE_S, episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.networks.build import build_net
 from tests.envs.worlds import crossing, defer, digest, play, play_on, same, short, steer
@@ -68,37 +69,64 @@ def undisturbed(steps: int) -> TensorDict:
         env.close()
 
 
+@pytest.mark.parametrize("awake_s", [0.0, AWAKE_S])
+def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s: float) -> None:
+    prepare, prepared = pair.reader.prepare, []
+    pair._awake_s = [awake_s, awake_s]
+    pair.reader.prepare = lambda: prepared.append(prepare())
+    played = play(pair, 101)
+    assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
+    assert bool(prepared) == (awake_s > 0.0)
+
+
 # -- workers -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("number", "limit_s"), [(signal.SIGKILL, 1.0), (signal.SIGSTOP, 4.0)])
-def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: int, limit_s: float) -> None:
+@pytest.mark.parametrize(
+    ("number", "limit_s", "index"), [(signal.SIGKILL, 1.0, 0), (signal.SIGSTOP, 4.0, 0), (signal.SIGSTOP, 4.0, 1)]
+)
+def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
-    lost = process_of(pair, 0)
+    lost, other = process_of(pair, index), 1 - index
     os.kill(lost, number)
     began = time.monotonic()
     frame = pair.step(steer(state.clone()))
     assert time.monotonic() - began < limit_s
     # The lost step: truncated, nothing terminated, nobody paid, the last observation once more.
-    row = frame["next"][0]
+    row = frame["next"][index]
     assert row["truncated"].item() and row["done"].item() and not row["terminated"].item()
-    mask = state["agents", "mask"][0]
+    mask = state["agents", "mask"][index]
     assert mask.any() and torch.equal(row["agents", "mask"], mask)
     assert torch.equal(row["agents", "truncated"].squeeze(-1), mask)
     assert not row["agents", "terminated"].any() and not row["agents", "reward"].any()
-    assert torch.equal(row["agents", "observation"], state["agents", "observation"][0])
-    assert not frame["next"][1]["done"].item()
+    assert torch.equal(row["agents", "observation"], state["agents", "observation"][index])
+    assert not frame["next"][other]["done"].item()
     assert pair.restarts == 1 and not alive(lost)
     for name, value in frame["next"].items(True, True):
         assert torch.isfinite(value.float()).all(), name
     # The run goes on: the lost worker with its next episode, the other as if nothing had been.
     state = pair.maybe_reset(frame["next"].exclude("reward", ("agents", "reward")))
-    assert state["context", "episode"].flatten().tolist() == [2, 1]
+    assert state["context", "episode"].flatten().tolist() == [[2, 1], [0, 3]][index]
     after, _ = play_on(pair, 40, steer, state)
-    assert after["context", "episode"][0].unique().tolist() == [2]
-    assert not after["next", "done"][0].any()
-    whole = torch.cat([before[1], frame[1].unsqueeze(0), after[1]], 0)
-    assert digest(whole) == digest(undisturbed(101)[1])
+    assert after["context", "episode"][index].unique().tolist() == [index + 2]
+    assert not after["next", "done"][index].any()
+    whole = torch.cat([before[other], frame[other].unsqueeze(0), after[other]], 0)
+    assert digest(whole) == digest(undisturbed(101)[other])
+
+
+def test_ctrl_c_in_a_step_leaves_no_answer_unread(pair: SumoParallelEnv) -> None:
+    _, state = play_on(pair, 10, steer, pair.reset())
+    stopped = process_of(pair, 0)
+    os.kill(stopped, signal.SIGSTOP)
+    threading.Timer(0.3, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        pair.step(steer(state.clone()))
+    assert not alive(stopped)
+    with pytest.raises(IzooError, match=r"before reset\(\)"):
+        pair.step(steer(state.clone()))
+    again = pair.reset(TensorDict({("context", "episode"): torch.tensor([[0], [1]])}, batch_size=[2]))
+    played, _ = play_on(pair, 101, steer, again)
+    assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
 
 
 def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
