@@ -114,6 +114,15 @@ def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: in
     assert digest(whole) == digest(undisturbed(101)[other])
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C raises, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_in_a_step_leaves_no_answer_unread(pair: SumoParallelEnv) -> None:
     _, state = play_on(pair, 10, steer, pair.reset())
     stopped = process_of(pair, 0)
