@@ -325,24 +325,24 @@ def observe(agent_row, floats, ints, flags, order, start, road, clock, features,
         line[13] = next2[p, q] / TIME_SCALE_S
         line[14] = next3[p, q] / TIME_SCALE_S
         for side in range(3):
-            lead_column, follow_column = columns[2 * side], columns[2 * side + 1]
-            if lead_column < 0 and follow_column < 0:
+            if columns[2 * side] < 0 and columns[2 * side + 1] < 0:
                 continue
             seen_lane, position, ahead = _beside(side, r, floats, ints, order, start, road)
-            if lead_column >= 0:
-                seen = line[lead_column : lead_column + 6]
+            for back in range(2):
+                column = columns[2 * side + back]
+                if column < 0:
+                    continue
+                seen = line[column : column + 6]
                 seen[1], seen[5] = FAR_M / DISTANCE_SCALE_M, seen_lane >= 0
-                if seen_lane >= 0:
+                if seen_lane < 0:
+                    continue
+                if back == 0:
                     other, gap = find_ahead(seen_lane, position, ahead, q, r, floats, order, start, road)
-                    _see(other, gap, sensor_range_m, floats, flags, seen)
-            if follow_column >= 0:
-                seen = line[follow_column : follow_column + 6]
-                seen[1], seen[5] = FAR_M / DISTANCE_SCALE_M, seen_lane >= 0
-                if seen_lane >= 0:
+                else:
                     last = ahead - 2 if side == 0 else ahead - 1
                     length = floats[r, LENGTH]
                     other, gap = find_behind(seen_lane, position, last, length, p, r, floats, order, start, road)
-                    _see(other, gap, sensor_range_m, floats, flags, seen)
+                _see(other, gap, sensor_range_m, floats, flags, seen)
         for j in range(features.shape[2]):
             line[first_feature + j] = features[p, q, j]
 

@@ -102,11 +102,9 @@ class SumoParallelEnv(EcoDrivingBase):
                         self._worker(index).reset(*self.schedule(episode), episode)
                     except WorkerLost as error:
                         lost[index] = error
-                failures = self._collect([index for index in plan if index not in lost], lost)
+                self._collect([index for index in plan if index not in lost], lost)
             for index, reason in lost.items():
                 self._replace(index, reason)
-            if failures:
-                raise failures[0]
             for index, reason in lost.items():
                 if attempt == 1:
                     raise RuntimeError(f"worker {index} was lost twice while starting episode {plan[index]}: {reason}")
@@ -115,7 +113,7 @@ class SumoParallelEnv(EcoDrivingBase):
 
     @contextlib.contextmanager
     def _answers_read(self) -> Iterator[None]:
-        """End the workers that still owe an answer when something breaks in, as Ctrl-C does: it would come too late."""
+        """End the workers that still owe an answer when a step or reset breaks off, as at Ctrl-C."""
         try:
             yield
         except BaseException:
@@ -126,8 +124,8 @@ class SumoParallelEnv(EcoDrivingBase):
                     self._started = False
             raise
 
-    def _collect(self, waiting: list[int], lost: dict[int, WorkerLost]) -> list[Exception]:
-        """Wait for every worker, whatever happens to the others, so that none is left with an unread answer."""
+    def _collect(self, waiting: list[int], lost: dict[int, WorkerLost]) -> None:
+        """Wait for every worker, also when one of them fails; then raise the first failure."""
         failures: list[Exception] = []
         for index in waiting:
             try:
@@ -136,7 +134,8 @@ class SumoParallelEnv(EcoDrivingBase):
                 lost[index] = error
             except (IzooError, RuntimeError) as error:
                 failures.append(error)
-        return failures
+        if failures:
+            raise failures[0]
 
     def _simulate(self, tensordict: TensorDictBase) -> None:
         if not self._started:
@@ -152,12 +151,10 @@ class SumoParallelEnv(EcoDrivingBase):
                     waiting.insert(0, index)
                 except WorkerLost as error:
                     lost[index] = error
-            failures = self._collect(waiting, lost)
+            self._collect(waiting, lost)
         for index, reason in lost.items():
             self._replace(index, reason)
             self._truncate(index, tensordict)
-        if failures:
-            raise failures[0]
 
     def _replace(self, index: int, reason: Exception) -> None:
         logger.warning("simulation worker %d is replaced: %s", index, reason)

@@ -148,9 +148,7 @@ class Worker:
 
     def _answer(self, timeout_s: float, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         try:
-            answer = None
-            if awake_s > 0.0:
-                answer = _receive_awake(self._socket, awake_s, meanwhile)
+            answer = _receive_awake(self._socket, awake_s, meanwhile)
             if answer is None:
                 self._socket.settimeout(timeout_s)
                 answer = self._socket.recv(1)
@@ -214,8 +212,9 @@ def main(descriptor: int, memory: int) -> None:
     awake_s = 0.0
     try:
         while True:
-            kind = _receive_awake(connection, awake_s) if awake_s > 0.0 else None
-            kind = connection.recv(1) if kind is None else kind
+            kind = _receive_awake(connection, awake_s)
+            if kind is None:
+                kind = connection.recv(1)
             if kind in (b"", CLOSE):
                 return
             try:
@@ -262,6 +261,8 @@ def _receive_awake(
 
     Others who want this core have it in between. ``meanwhile`` is called once, unless a byte is there already.
     """
+    if awake_s <= 0.0:
+        return None
     connection.settimeout(None)  # or Python itself would sleep in recv()
     end = time.perf_counter() + awake_s
     while time.perf_counter() < end:

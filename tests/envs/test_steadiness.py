@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -22,11 +21,11 @@ from tensordict import TensorDict
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
-from izoo.envs import EnvConfig, SumoParallelEnv
+from izoo.envs import SumoParallelEnv
 from izoo.envs.worker import ABANDONED_S, AWAKE_S, episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.networks.build import build_net
-from tests.envs.worlds import crossing, defer, digest, play, play_on, same, short, steer
+from tests.envs.worlds import crossing, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -36,12 +35,6 @@ def pair() -> Iterator[SumoParallelEnv]:
     env = SumoParallelEnv(2, crossing(), config=short(watchdog_s=2.0), seed=6)
     yield env
     env.close()
-
-
-def process_of(env: SumoParallelEnv, index: int) -> int:
-    worker = env._workers[index]
-    assert worker is not None
-    return worker.process.pid
 
 
 def alive(pid: int) -> bool:
@@ -363,46 +356,3 @@ def test_no_orphans_and_no_shared_memory(ending: str) -> None:
     assert not wait_until_gone(pids), "workers have outlived their parent"
     assert not any(path.exists() for path in segments)
     assert not folders_of(pids)
-
-
-# -- long runs ---------------------------------------------------------------------------------------------------------
-
-
-def resident_kib(pid: int) -> int:
-    line = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmRSS"))
-    return int(line.split()[1])
-
-
-def memory_growth(episodes: int, warm: int, config: EnvConfig, **changes: Any) -> float:
-    """Resident memory of one worker after ``episodes`` over that after ``warm``."""
-    env = SumoParallelEnv(1, crossing(**changes), config=config)
-    try:
-        state, begin = env.reset(), 0
-        for number in range(episodes):
-            _, state = play_on(env, config.control_steps, defer, state)
-            if number + 1 == warm:
-                begin = resident_kib(process_of(env, 0))
-        assert env.restarts == 0
-        return resident_kib(process_of(env, 0)) / begin
-    finally:
-        env.close()
-
-
-def test_memory_stays_over_some_episodes() -> None:
-    assert memory_growth(40, 10, short(horizon_s=20.0)) < 1.1
-
-
-@pytest.mark.slow
-def test_memory_stays_over_300_episodes() -> None:
-    assert memory_growth(300, 30, EnvConfig(horizon_s=200.0)) < 1.1
-
-
-@pytest.mark.slow
-def test_sixteen_workers() -> None:
-    env = SumoParallelEnv(16, crossing(), config=short())
-    try:
-        frames = play(env, env.config.control_steps + 5)
-        assert frames.shape[0] == 16 and env.restarts == 0
-        assert frames["context", "episode"][:, 0].flatten().tolist() == list(range(16))
-    finally:
-        env.close()

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
-from izoo.envs import EnvConfig
+from izoo.envs import EnvConfig, SumoParallelEnv
 from izoo.envs.env import EcoDrivingBase
 
 Driver = Callable[[TensorDictBase], TensorDictBase]
@@ -127,3 +127,10 @@ def _feed(result: Any, value: torch.Tensor) -> None:
 def same(one: TensorDictBase, other: TensorDictBase) -> bool:
     """Whether two TensorDicts hold the same keys and numbers."""
     return bool((one == other).all())
+
+
+def process_of(env: SumoParallelEnv, index: int) -> int:
+    """Return the process number of a worker."""
+    worker = env._workers[index]
+    assert worker is not None
+    return worker.process.pid
