@@ -131,6 +131,28 @@ def test_ctrl_c_in_a_step_leaves_no_answer_unread(pair: SumoParallelEnv) -> None
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
 
 
+def run_out_of_memory() -> None:
+    raise RuntimeError("no memory")
+
+
+def test_a_failure_of_the_parent_leaves_no_answer_unread(
+    pair: SumoParallelEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It looks like one of a worker's, but no answer was read."""
+    _, state = play_on(pair, 10, steer, pair.reset())
+    pair._awake_s = [AWAKE_S, AWAKE_S]
+    stopped = process_of(pair, 0)
+    os.kill(stopped, signal.SIGSTOP)
+    with monkeypatch.context() as patch:
+        patch.setattr(pair.reader, "prepare", run_out_of_memory)
+        with pytest.raises(RuntimeError, match="no memory"):
+            pair.step(steer(state.clone()))
+    assert not alive(stopped)
+    again = pair.reset(TensorDict({("context", "episode"): torch.tensor([[0], [1]])}, batch_size=[2]))
+    played, _ = play_on(pair, 101, steer, again)
+    assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
+
+
 def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
     """The environment's own stepping begins the lost worker's next episode, and keeps the other's state."""
     _, state = play_on(pair, 30, steer, pair.reset())
