@@ -7,7 +7,9 @@ agent is computed alone, so what one of them does depends on no other's presence
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,6 +26,9 @@ forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
+Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
+
+
 class Arrays:
     """The linear layers of a network as arrays that share their memory, in the order in which they are applied.
 
@@ -36,13 +41,26 @@ class Arrays:
         places = {kind: place for place, kind in enumerate(ACTIVATIONS.values())}
         self.activation = next(places[type(module)] for module in network.modules() if type(module) in places)
 
-    def layers(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now."""
+        self._layers: Layers = ((), ())
+        self._places: list[int] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        # In another process another network may lie where these arrays were.
+        return {**self.__dict__, "_layers": ((), ()), "_places": []}
+
+    def layers(self) -> Layers:
+        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, wherever they now lie."""
         parameters = [layer._parameters for layer in self.linears]
-        return (
-            tuple(own["weight"].detach().numpy() for own in parameters),  # type: ignore[union-attr]
-            tuple(own["bias"].detach().numpy() for own in parameters),  # type: ignore[union-attr]
-        )
+        weights, biases = ([own[name] for own in parameters] for name in ("weight", "bias"))
+        places = [parameter.data_ptr() for parameter in (*weights, *biases)]  # type: ignore[union-attr]
+        if places != self._places:
+            self._layers = _arrays(weights), _arrays(biases)
+            self._places = places
+        return self._layers
+
+
+def _arrays(parameters: Sequence[nn.Parameter | None]) -> tuple[np.ndarray, ...]:
+    return tuple(parameter.detach().numpy() for parameter in parameters if parameter is not None)
 
 
 def compilable(observation: Tensor) -> bool:

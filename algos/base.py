@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
@@ -19,6 +21,8 @@ LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
+Arrays = Mapping[tuple[str, ...], np.ndarray]
+"""Arrays by the key of the leaf that they are."""
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
 
 
@@ -46,6 +50,25 @@ class Algorithm(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned."""
         ...
+
+
+@runtime_checkable
+class InPlace(Protocol):
+    """A policy that can act on arrays: what it does in a step costs only its arithmetic."""
+
+    def in_place(self, frame: Arrays, told: Arrays) -> Callable[[int], None]:
+        """Return what acts in a step of a batch, to the same effect as calling the policy.
+
+        Args:
+            frame: by key, ``[*B, ...]``: always the state to act on.
+            told: by key, ``[T, *B, ...]``: where the outputs of each step go.
+        """
+        ...
+
+
+def explores() -> bool:
+    """Return whether TorchRL's exploration type asks policies to draw their actions."""
+    return exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float) -> nn.Sequential:

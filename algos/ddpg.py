@@ -15,7 +15,6 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
@@ -95,7 +94,7 @@ class ExploringPolicy(TensorDictModuleBase):
         agents = tensordict.get("agents")
         mask = agents.get("mask")
         action = self.mean(agents.get("observation"), mask)
-        if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
+        if base.explores():
             action = self._explore(action, mask.unsqueeze(-1))
         agents._set_str("action", action, validated=True, inplace=False, non_blocking=False)  # its shape is right
         return tensordict

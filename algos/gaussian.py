@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from izoo.algos import acting, base
@@ -73,10 +72,10 @@ class SamplingPolicy(TensorDictModuleBase):
         observation, mask = agents.get("observation"), agents.get("mask", None)
         if mask is None:
             mask = torch.ones(observation.shape[:-1], dtype=torch.bool, device=observation.device)
-        if exploration_type() in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
-            noise = torch.zeros_like(mask, dtype=observation.dtype)
-        else:
+        if base.explores():
             noise = torch.randn(mask.shape, dtype=observation.dtype, device=observation.device)
+        else:
+            noise = torch.zeros_like(mask, dtype=observation.dtype)
         loc, scale, action, log_prob = self.sample(observation, mask, noise).unbind(0)
         one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
         for key, value in (*one.items(), ("action_log_prob", log_prob)):
@@ -119,6 +118,24 @@ class CompiledPolicy(SamplingPolicy):
             out,
         )
         return torch.from_numpy(out).view(4, *mask.shape)
+
+    def in_place(self, frame: base.Arrays, told: base.Arrays) -> Callable[[int], None]:
+        """Return what acts in a step of a batch; see :class:`izoo.algos.base.InPlace`."""
+        observation, mask = frame[base.OBSERVATION], frame[base.MASK]
+        rows, present = observation.reshape(-1, observation.shape[-1]), mask.reshape(-1, mask.shape[-1]).view(np.uint8)
+        out, explores = np.empty((4, mask.size), np.float32), base.explores()
+        noise = torch.zeros(mask.shape)
+        targets = [told[base.LOC], told[base.SCALE], told[base.ACTION], told[base.LOG_PROB]]
+        outputs = [(target, part.reshape(target.shape[1:])) for target, part in zip(targets, out, strict=True)]
+
+        def act(step: int) -> None:
+            if explores:
+                torch.randn(noise.shape, out=noise)
+            self.act(rows, present, noise.numpy().reshape(-1), out)
+            for target, part in outputs:
+                np.copyto(target[step], part)
+
+        return act
 
     def act(self, observation: np.ndarray, mask: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
         """Fill ``out [4, M * A]`` for ``observation [M * A, F]``, ``mask [M, A]`` and ``noise [M * A]``."""

@@ -19,7 +19,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.base import ACTION, MASK
+from izoo.algos.base import ACTION, MASK, Arrays
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks.timing import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
@@ -213,6 +213,11 @@ class FullAcceleration(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the highest acceleration, ``[*B, A, 1]``."""
         return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
+
+    def in_place(self, frame: Arrays, told: Arrays) -> Callable[[int], None]:
+        """Write all actions at once; see :class:`izoo.algos.base.InPlace`."""
+        told[ACTION].fill(ACTION_HIGH_MPS2)
+        return lambda step: None
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from izoo.envs import specs
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import frame_bytes, map_frames, observation_names
 from izoo.envs.reader import FrameReader
+from izoo.envs.recorder import BatchRecorder
 from izoo.envs.simulator import Simulator
 from izoo.errors import IzooError
 
@@ -64,13 +65,29 @@ class EcoDrivingBase(EnvBase):
             self.schedule = reseed(self.schedule, seed)
             self._restart_episodes()
 
+    @property
+    def started(self) -> bool:
+        """Whether the episodes are running."""
+        raise NotImplementedError
+
     def _restart_episodes(self) -> None:
         """Number episodes from the first again."""
         raise NotImplementedError
 
+    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
+        """Bring the frames, which hold the commands, to what follows.
+
+        Args:
+            state: returns what was acted on.
+        """
+        raise NotImplementedError
+
     def _simulate(self, tensordict: TensorDictBase) -> None:
         """Take the actions and bring the frames to what follows."""
-        raise NotImplementedError
+        if not self.started:
+            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
+        self.reader.write_action(tensordict)
+        self._advance(lambda: tensordict)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)
@@ -93,11 +110,28 @@ class EcoDrivingBase(EnvBase):
         self._simulate(tensordict)
         following, state = self.reader.read()
         _set(tensordict, "next", following)
-        if b"\1" in self.frames["done"].tobytes():
-            # Not reset(): given the mask alone, it would blank the rows that go on.
-            ended = following._get_str("done", None)
-            return tensordict, self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
-        return tensordict, state
+        begun = self._begin_where_ended()
+        return tensordict, state if begun is None else begun
+
+    def step_recorded(self, recorder: BatchRecorder, step: int) -> None:
+        """Take the commands of a step from a recorder's batch, and write what follows into it.
+
+        Does what :meth:`step_and_maybe_reset` does, without TensorDicts.
+        """
+        self.reader.write_commands(recorder.commands, step)
+        self._advance(lambda: recorder.state(step))
+        recorder.write_following(step)
+        self._begin_where_ended()
+        recorder.write_state(step + 1)
+
+    def _begin_where_ended(self) -> TensorDictBase | None:
+        """Begin new episodes where one has ended; return the state to act on if there was any."""
+        done = self.frames["done"]
+        if b"\1" not in done.tobytes():
+            return None
+        ended = torch.from_numpy(done.astype(bool)).view(*self.batch_size, 1)
+        # Not reset(): given the mask alone, it would blank the rows that go on.
+        return self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
 
 
 def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
@@ -169,11 +203,13 @@ class EcoDrivingEnv(EcoDrivingBase):
         self.simulator.reset(planned, planned_seed if seed is None else seed, episode)
         return self._frame()
 
-    def _simulate(self, tensordict: TensorDictBase) -> None:
-        if self._simulator is None or not self._simulator.started:
-            raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
-        self.reader.write_action(tensordict)
-        self._simulator.step()
+    @property
+    def started(self) -> bool:
+        """Whether an episode is running."""
+        return self._simulator is not None and self._simulator.started
+
+    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
+        self.simulator.step()
 
     def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
         """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.

@@ -6,7 +6,7 @@ import contextlib
 import mmap
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -137,10 +137,12 @@ class SumoParallelEnv(EcoDrivingBase):
         if failures:
             raise failures[0]
 
-    def _simulate(self, tensordict: TensorDictBase) -> None:
-        if not self._started:
-            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
-        self.reader.write_action(tensordict)
+    @property
+    def started(self) -> bool:
+        """Whether the episodes are running."""
+        return self._started
+
+    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
         with self._answers_read():
@@ -154,7 +156,7 @@ class SumoParallelEnv(EcoDrivingBase):
             self._collect(waiting, lost)
         for index, reason in lost.items():
             self._replace(index, reason)
-            self._truncate(index, tensordict)
+            self._truncate(index, state())
 
     def _replace(self, index: int, reason: Exception) -> None:
         logger.warning("simulation worker %d is replaced: %s", index, reason)

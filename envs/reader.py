@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -20,10 +20,14 @@ from izoo.envs.specs import CONTEXT_IDS, DONE
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
+COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change")}
+"""What can be commanded: the key of each array of a frame that the parent writes."""
 _AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent_vehicle"}
 """Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
+Own = Callable[[Tensor], Tensor]
+"""Returns a block of the frames, or a copy of it."""
 
 
 class FrameReader:
@@ -41,7 +45,7 @@ class FrameReader:
     ) -> None:
         self.config, self.batch = config, batch
         self.agents_batch = torch.Size((*batch, config.num_agents))
-        self._defer = arrays["defer"]
+        self._commanded, self._defer = arrays["action"], arrays["defer"]
         self._deferring = True
         self.tensors: dict[str, Tensor] = {}
         for name, array in arrays.items():
@@ -57,7 +61,7 @@ class FrameReader:
         self._action = self.tensors["action"].unsqueeze(-1)
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
 
-    def write_action(self, tensordict: TensorDict) -> None:
+    def write_action(self, tensordict: TensorDictBase) -> None:
         """Copy the action keys into the frames.
 
         Raises:
@@ -73,13 +77,29 @@ class FrameReader:
             )
         self._action.copy_(action)
         defer = agents._get_str("defer", None)
+        self._write_defer(None if defer is None else self._flags(defer).numpy())
+        if self.config.lane_change:
+            self._write_lane_change(agents._get_str("lane_change", None))
+
+    def write_commands(self, commands: Mapping[str, np.ndarray], step: int) -> None:
+        """Copy the commands of a step into the frames.
+
+        Args:
+            commands: ``[T, *B, A]``, by the names of :data:`COMMANDS`, of the shapes that :meth:`write_action` accepts.
+            step: which of them.
+        """
+        np.copyto(self._commanded, commands["action"][step])
+        defer = commands.get("defer")
+        self._write_defer(None if defer is None else defer[step])
+        if self.config.lane_change:
+            self._write_lane_change(torch.from_numpy(commands["lane_change"][step]))
+
+    def _write_defer(self, defer: np.ndarray | None) -> None:
         if defer is not None:
-            self.tensors["defer"].copy_(self._flags(defer))
+            np.copyto(self._defer, defer)
         elif self._deferring:
             self._defer.fill(0)
         self._deferring = defer is not None
-        if self.config.lane_change:
-            self.tensors["lane_change"].copy_(self._lane_change(agents))
 
     def _flags(self, defer: Tensor) -> Tensor:
         """Return the defer flags ``[*B, A]``, checked."""
@@ -88,19 +108,18 @@ class FrameReader:
             raise IzooError(f"('agents', 'defer') is of shape {list(defer.shape)}; give flags of shape {shape}.")
         return defer.reshape(self.agents_batch)
 
-    def _lane_change(self, agents: TensorDictBase) -> Tensor:
-        """Return the lane changes ``[*B, A]``, checked."""
-        lanes, legal = agents.get("lane_change", None), self.tensors["lane_change"].shape
-        whole = lanes is not None and lanes.shape == legal and not lanes.is_floating_point()
+    def _write_lane_change(self, lanes: Tensor | None) -> None:
+        legal = self.tensors["lane_change"]
+        whole = lanes is not None and lanes.shape == legal.shape and not lanes.is_floating_point()
         if lanes is None or not whole or not ((lanes >= 0) & (lanes <= 2)).all():
             got = "missing" if lanes is None else f"{lanes.dtype} of shape {list(lanes.shape)}"
             values = "" if lanes is None else f" with the values {lanes.unique()[:5].tolist()}"
             raise IzooError(
                 f"('agents', 'lane_change') is {got}{values}; with lane_change=True, give whole numbers of shape "
-                f"{list(legal)}: 0 right, 1 keep, 2 left. izoo's own learners and drivers command accelerations alone; "
-                "for them leave lane_change off."
+                f"{list(legal.shape)}: 0 right, 1 keep, 2 left. izoo's own learners and drivers command accelerations "
+                "alone; for them leave lane_change off."
             )
-        return lanes
+        legal.copy_(lanes)
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
@@ -121,8 +140,14 @@ class FrameReader:
             for blank, source in zip(blanks, self._sources, strict=True):
                 np.copyto(blank, source)
         if self.config.emit:
-            self._add_groups(following, state)
+            self._add_groups(following, state, torch.clone)
         return following, state
+
+    def views(self) -> TensorDict:
+        """Return what :meth:`read` returns first, but in the memory of the frames: the next step changes it."""
+        following, state = self._assemble([torch.from_numpy(source) for source in self._sources])
+        self._add_groups(following, state, lambda block: block)
+        return following
 
     def _assemble(self, leaves: Sequence[Tensor]) -> tuple[TensorDict, TensorDict]:
         """Return the two TensorDicts of a step, without the groups of ``config.emit``, from copies of the sources."""
@@ -134,43 +159,44 @@ class FrameReader:
         root["agents"] = _new(agents, self.agents_batch)
         return following, _new(root, self.batch)
 
-    def _add_groups(self, following: TensorDict, state: TensorDict) -> None:
+    def _add_groups(self, following: TensorDict, state: TensorDict, own: Own) -> None:
+        """Add the groups of ``config.emit``, of blocks of the frames as ``own`` returns them."""
         t, emit = self.tensors, self.config.emit
         groups: dict[str, TensorDict] = {}
         if "reward_vector" in emit:
-            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = t["reward_vector"].clone()
+            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = own(t["reward_vector"])
         if "vehicles" in emit:
-            groups["vehicles"] = self._vehicles()
+            groups["vehicles"] = self._vehicles(own)
         if "signal" in emit:
-            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
+            signal = {"colour": own(t["signal_colour"]), "time_left_s": own(t["signal_time_left_s"])}
             groups["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
         if "context" in emit:
-            groups["context"] = self.context()
+            groups["context"] = self.context(own)
         if "metrics" in emit:
-            groups["metrics"] = self.metrics()
+            groups["metrics"] = self.metrics(own)
         for name, group in groups.items():
             for tensordict in (following, state):
                 tensordict._set_str(name, group, validated=True, inplace=False, non_blocking=False)
 
-    def context(self) -> TensorDict:
+    def context(self, own: Own = torch.clone) -> TensorDict:
         """Read the context group."""
-        values, ids = self.tensors["context_values"].clone(), self.tensors["context_ids"].clone()
+        values, ids = own(self.tensors["context_values"]), own(self.tensors["context_ids"])
         columns = dict(zip(CONTEXT_VALUES, values.split(1, -1), strict=True))
         columns |= dict(zip(CONTEXT_IDS, ids.split(1, -1), strict=True))
         return _new(columns, self.batch)
 
-    def _vehicles(self) -> TensorDict:
+    def _vehicles(self, own: Own) -> TensorDict:
         t = self.tensors
-        columns = dict(zip(VEHICLE_FLOATS, t["vehicle_floats"].clone().unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_INTS, t["vehicle_ints"].clone().unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_FLAGS, t["vehicle_flags"].clone().unbind(-1), strict=True))
+        columns = dict(zip(VEHICLE_FLOATS, own(t["vehicle_floats"]).unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_INTS, own(t["vehicle_ints"]).unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_FLAGS, own(t["vehicle_flags"]).unbind(-1), strict=True))
         return _new(columns, torch.Size((*self.batch, self.config.num_vehicles)))
 
-    def metrics(self) -> TensorDict:
+    def metrics(self, own: Own = torch.clone) -> TensorDict:
         """Read the metrics group: sums of the episode so far."""
-        approach = dict(zip(APPROACH_METRICS, self.tensors["approach_metrics"].clone().unbind(-1), strict=True))
-        approach["mask"] = self.tensors["approach_mask"].clone()
-        episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
+        approach = dict(zip(APPROACH_METRICS, own(self.tensors["approach_metrics"]).unbind(-1), strict=True))
+        approach["mask"] = own(self.tensors["approach_mask"])
+        episode = dict(zip(EPISODE_METRICS, own(self.tensors["episode_metrics"]).split(1, -1), strict=True))
         p = torch.Size((*self.batch, self.config.num_approaches))
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
 

@@ -14,11 +14,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from izoo.algos.base import ACTION, MASK
+from izoo.algos.base import MASK
+from izoo.envs.reader import COMMANDS
 from izoo.errors import IzooError
-
-COMMANDS = {"action": ACTION, "defer": ("agents", "defer"), "lane_change": ("agents", "lane_change")}
-"""What can be commanded, by the name it has in a checkpoint; leaves that a policy does not write are absent."""
 
 
 @dataclass
@@ -28,8 +26,8 @@ class EpisodePast:
     Attributes:
         episode: its number in the schedule.
         counts: per part, ``[steps]``: controlled vehicles per step.
-        commands: per part, by the names of :data:`COMMANDS`, ``[counts.sum()]``: what they were commanded, step after
-            step, by ascending slot.
+        commands: per part, by the names of :data:`~izoo.envs.reader.COMMANDS`, ``[counts.sum()]``: what they were
+            commanded, step after step, by ascending slot. What a policy does not write is absent.
     """
 
     episode: int

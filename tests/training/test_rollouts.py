@@ -2,53 +2,183 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
-from izoo.algos.ppo import PPO
-from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.action import ResidualAction
+from izoo.algos.base import ACTION, MASK, InPlace
+from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.conf.options import TrainConfig
 from izoo.envs import EnvConfig
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2
+from izoo.envs.config import KEEP_LANE
 from izoo.envs.layout import observation_names
-from izoo.training.environments import TrainingParallelEnv
+from izoo.errors import IzooError
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.rollouts import RolloutCollector
+from izoo.training.runs import make_algorithm
 from tests.envs.worlds import crossing
 
+GROUPS = ("vehicles", "signal", "context", "reward_vector", "metrics")
 CONFIG = EnvConfig(emit=("context",), horizon_s=60.0, num_agents=16)
 STEPS = 50  # episodes take 70 steps, so that one ends within the second batch
+OPTIONS = {
+    "ppo": TrainConfig(algo=PPOConfig(hidden=(8,))),
+    "mappo": TrainConfig(algo=MAPPOConfig()),
+    "gcrl": TrainConfig(algo=GCRLConfig()),
+    "ddpg": TrainConfig(algo=DDPGConfig()),
+    "residual": TrainConfig(algo=PPOConfig(hidden=(8,)), action=ResidualAction()),
+}
 
 
-def collect(kind: type[Collector]) -> list[TensorDict]:
-    """Two batches ``[2, STEPS]`` of an untrained policy."""
-    env = TrainingParallelEnv(2, contexts=crossing(), config=CONFIG)
+def policy_of(options: TrainConfig) -> TensorDictModuleBase:
     torch.manual_seed(0)
-    ppo = PPO(PPOConfig(hidden=(8,)), len(observation_names(CONFIG)), ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+    return make_algorithm(options, len(observation_names(CONFIG))).policy
+
+
+@contextmanager
+def collecting(
+    kind: type[Collector],
+    policy: TensorDictModuleBase,
+    config: EnvConfig = CONFIG,
+    exploration: ExplorationType = ExplorationType.RANDOM,
+    workers: int = 2,
+) -> Iterator[Collector]:
+    """A collector of batches ``[workers, STEPS]``, or ``[STEPS]`` where one environment is in this process."""
+    contexts = crossing()
+    env = TrainingParallelEnv(workers, contexts, config=config) if workers > 1 else TrainingEnv(contexts, config=config)
     collector = kind(
         env,
-        ppo.policy,
-        frames_per_batch=2 * STEPS,
+        policy,
+        frames_per_batch=workers * STEPS,
         total_frames=-1,
-        exploration_type=ExplorationType.RANDOM,
+        exploration_type=exploration,
+        return_same_td=True,
         track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,
     )
     torch.manual_seed(1)
     try:
-        batches = iter(collector)
-        return [next(batches).clone() for _ in range(2)]
+        yield collector
     finally:
         collector.shutdown()
 
 
-def test_batches_equal_those_of_the_stock_collector() -> None:
-    ours, stock = collect(RolloutCollector), collect(Collector)
-    assert stock[1]["next", "done"].any() and stock[1]["agents", "mask"].any()
+def assert_same(one: TensorDictBase, other: TensorDictBase) -> None:
+    keys = set(other.keys(True, True))
+    assert one.shape == other.shape and set(one.keys(True, True)) == keys
+    for key in keys:
+        torch.testing.assert_close(one[key], other[key], rtol=0.0, atol=0.0, msg=str(key))
+
+
+def assert_collects_the_same(options: TrainConfig, **settings: object) -> list[TensorDict]:
+    """Compare two batches with those of TorchRL's collector; return them."""
+    batches: list[list[TensorDict]] = []
+    for kind in (RolloutCollector, Collector):
+        with collecting(kind, policy_of(options), **settings) as collector:  # type: ignore[arg-type]
+            batches.append([next(iter(collector)).clone() for _ in range(2)])
+    ours, stock = batches
+    assert stock[1]["next", "done"].any() and stock[1][MASK].any()
     for one, other in zip(ours, stock, strict=True):
-        assert one.shape == other.shape == (2, STEPS)
-        keys = set(other.keys(True, True))
-        assert set(one.keys(True, True)) == keys
-        for key in keys:
-            torch.testing.assert_close(one[key], other[key], rtol=0.0, atol=0.0, msg=str(key))
+        assert_same(one, other)
+    return ours
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_batches_equal_those_of_the_stock_collector(name: str) -> None:
+    assert_collects_the_same(OPTIONS[name])
+
+
+def test_batches_without_exploration_and_with_all_groups() -> None:
+    config = EnvConfig(emit=GROUPS, horizon_s=60.0, num_agents=16)
+    settings = {"config": config, "exploration": ExplorationType.DETERMINISTIC, "workers": 1}
+    (batch, _) = assert_collects_the_same(OPTIONS["ppo"], **settings)
+    assert batch.shape == (STEPS,) and batch["vehicles", "present"].any()
+
+
+def test_which_policies_act_in_place() -> None:
+    found = {name for name, options in OPTIONS.items() if isinstance(policy_of(options), InPlace)}
+    assert found == {"ppo", "mappo", "gcrl"}
+
+
+def test_new_weights_and_moved_memory_are_noticed() -> None:
+    policy = policy_of(OPTIONS["ppo"])
+    with collecting(RolloutCollector, policy, exploration=ExplorationType.DETERMINISTIC) as collector:
+        first = next(iter(collector)).clone()
+        with torch.no_grad():
+            for parameter in policy.parameters():
+                parameter.data = torch.zeros_like(parameter)
+        collector._final_rollout.share_memory_()
+        second = next(iter(collector))
+        assert (first[ACTION][first[MASK]] != 0.0).all()
+        action = second[ACTION][second[MASK]]
+        assert len(action) > 0 and (action == action[0]).all()
+        assert (second[MASK][:, 1:] == second["next"][MASK][:, :-1])[~second["next", "done"][:, :-1, 0]].all()
+
+
+class Changing(TensorDictModuleBase):
+    """Drives on, and changes lanes to ``lane_change``."""
+
+    def __init__(self, lane_change: int) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "lane_change")]
+        self.lane_change = lane_change
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get(MASK)
+        tensordict.set(("agents", "lane_change"), torch.full(mask.shape, KEEP_LANE).masked_fill(mask, self.lane_change))
+        return tensordict.set(ACTION, torch.ones(*mask.shape, 1))
+
+
+def test_lane_changes_are_commanded_and_checked() -> None:
+    config = EnvConfig(horizon_s=60.0, num_agents=16, lane_change=True)
+    batches = []
+    for kind in (RolloutCollector, Collector):
+        with collecting(kind, Changing(2), config) as collector:
+            batches.append(next(iter(collector)).clone())
+    assert_same(*batches)
+    illegal = pytest.raises(IzooError, match=r"'lane_change'\) is torch.int64 of shape .* with the values")
+    with collecting(RolloutCollector, Changing(7), config) as collector, illegal:
+        list(zip(range(2), collector, strict=False))
+
+
+class Misshapen(TensorDictModuleBase):
+    """Its flags are of a wrong shape."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "defer")]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get(MASK)
+        tensordict.set(("agents", "defer"), mask.unsqueeze(-1).expand(*mask.shape, 2))
+        return tensordict.set(ACTION, torch.ones(*mask.shape, 1))
+
+
+def test_commands_of_a_wrong_shape_are_refused() -> None:
+    refused = pytest.raises(IzooError, match=r"'defer'\) is of shape \[2, 16, 2\]")
+    with collecting(RolloutCollector, Misshapen()) as collector, refused:
+        next(iter(collector))
+
+
+def test_a_worker_lost_in_a_batch() -> None:
+    """Its step is reported as truncated, from and to the same state; the other goes on."""
+    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"])) as collector:
+        next(iter(collector))
+        os.kill(collector.env._workers[1].process.pid, signal.SIGKILL)
+        batch = next(iter(collector))
+        assert batch["next", "truncated"][1, 0].all() and not batch["next", "truncated"][0, 0].any()
+        following = batch["next"]
+        for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
+            assert torch.equal(following[key][1, 0], batch[key][1, 0])
+        assert batch["context", "episode"][:, 1].flatten().tolist() == [0, 3]

@@ -1,0 +1,99 @@
+"""Frames straight into a batch: no TensorDict per step, and no stacking at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from izoo.envs.reader import COMMANDS, FrameReader
+
+Path = tuple[str, ...]
+
+
+class BatchRecorder:
+    """Writes what an environment emits into a batch ``[*B, T]`` while it is collected, and holds what is told there.
+
+    Args:
+        reader: of the environment's frames.
+        batch: with every leaf of a rollout, allocated. A recorder serves for as long as it stays where it is in memory.
+
+    Attributes:
+        frame: arrays ``[*B, ...]`` of the environment, by key: always the state to act on.
+        told: arrays ``[T, *B, ...]`` of the batch, by key: every leaf at its root that the environment does not emit,
+            for the policy to write.
+        commands: those of ``told`` that are commands, ``[T, *B, A]`` by name.
+
+    Raises:
+        IzooError: as :meth:`izoo.envs.reader.FrameReader.write_action`, for the leaves of commands.
+    """
+
+    def __init__(self, reader: FrameReader, batch: TensorDictBase) -> None:
+        self._batch, self._place = batch, _place(batch)
+        self.frame = {key: leaf.numpy() for key, leaf in _leaves(reader.views()).items()}
+        root = {key: _by_step(leaf, batch) for key, leaf in _leaves(batch.exclude("next", "collector")).items()}
+        following = {key: _by_step(leaf, batch) for key, leaf in _leaves(batch.get("next")).items()}
+        self.told = {key: rows for key, rows in root.items() if key not in self.frame}
+        self._state = [(rows, self.frame[key]) for key, rows in root.items() if key in self.frame]
+        self._following = [(rows, self.frame[key]) for key, rows in following.items()]
+        reader.write_action(batch[..., 0])
+        dimensions = 1 + len(reader.agents_batch)
+        self.commands = {
+            name: rows if rows.ndim == dimensions else rows[..., 0]
+            for name, rows in ((name, self.told.get(key)) for name, key in COMMANDS.items())
+            if rows is not None
+        }
+        self._states: tuple[TensorDictBase, ...] = ()
+
+    def serves(self, batch: TensorDictBase) -> bool:
+        """Return whether this is the batch, still where it was."""
+        return batch is self._batch and _place(batch) == self._place
+
+    def state(self, step: int) -> TensorDictBase:
+        """Return what is to be acted on in a step, in the memory of the batch."""
+        if not self._states:
+            self._states = self._batch.exclude("next", "collector", *self.told).unbind(-1)
+        return self._states[step]
+
+    def by_calling(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> Callable[[int], None]:
+        """Return what calls a policy with the state of a step, and moves what it adds to that into ``told``."""
+
+        def act(step: int) -> None:
+            state = self.state(step)
+            policy(state)
+            for (*path, name), rows in self.told.items():
+                holder = state
+                for key in path:
+                    holder = holder._get_str(key, None)
+                np.copyto(rows[step], holder._tensordict.pop(name).numpy())
+
+        return act
+
+    def write_state(self, step: int) -> None:
+        """Write the frames as what is to be acted on in a step; past the end of the batch there is no place for it."""
+        if step < self._batch.shape[-1]:
+            for rows, source in self._state:
+                np.copyto(rows[step], source)
+
+    def write_following(self, step: int) -> None:
+        """Write the frames as what a step led to."""
+        for rows, source in self._following:
+            np.copyto(rows[step], source)
+
+
+def _place(batch: TensorDictBase) -> int:
+    return batch.get(("next", "done")).data_ptr()
+
+
+def _leaves(tensordict: TensorDictBase) -> dict[Path, Tensor]:
+    return {
+        key if isinstance(key, tuple) else (key,): leaf
+        for key, leaf in tensordict.items(include_nested=True, leaves_only=True)
+    }
+
+
+def _by_step(leaf: Tensor, batch: TensorDictBase) -> np.ndarray:
+    """Return a leaf ``[*B, T, ...]`` of a batch as ``[T, *B, ...]``, in the same memory."""
+    return leaf.movedim(batch.ndim - 1, 0).numpy()
