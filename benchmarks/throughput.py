@@ -2,11 +2,14 @@
 
 ``python -m izoo.benchmarks.throughput [--json] [--workers N] [--scenarios light,medium,heavy] [--steps N]``
 
-Every row plays the same episode: same net, same arrivals; where there are several workers, the next episodes besides.
-Bare libsumo is also run in several processes at once, which shows what the machine's cores allow. CVs are commanded to
-accelerate at their limit, which SUMO's checks turn into driving as fast as is safe, so that commands are given in every
-step and traffic stays close to that of the bare simulation; the vehicles that were in the region are printed with each
-row. All rows of a scenario are measured in turn, several times, so that a machine whose speed drifts slows them alike;
+Every row plays the same episodes, as many as there are workers: same nets, same arrivals; one after the other where
+there is one environment, side by side where there are several. Bare libsumo is also run in several processes at once,
+which shows what the machine's cores allow. Environments are timed as training collects from them: one in this process,
+workers that step together (``collector=parallel``), processes that each go at their own pace within a batch
+(``collector=multisync``); rows named ``step()`` step by hand. Without a policy CVs are commanded to accelerate at their
+limit, which SUMO's checks turn into driving as fast as is safe, so that commands are given in every step and traffic
+stays close to that of the bare simulation; the vehicles that were in the region are printed with each row.
+All rows of a scenario are measured in turn, several times, so that a machine whose speed drifts slows them alike;
 medians are reported.
 """
 
@@ -41,7 +44,7 @@ class Row:
     env_steps_per_s: float
     agent_steps_per_s: float
     ratio_to_bare: float
-    vehicles: float | None
+    vehicles: float
     agents: float
 
 
@@ -88,9 +91,7 @@ def _rows(scenario: str, samples: dict[str, list[Sample]]) -> list[Row]:
     for label, values in samples.items():
         rate, agent_rate = (statistics.median(column) for column in zip(*(v[:2] for v in values), strict=True))
         ratio = statistics.median(value[0] / base for value, base in zip(values, bare, strict=True))
-        counted = [value.vehicles for value in values if value.vehicles is not None]
-        vehicles = statistics.median(counted) if counted else None
-        agents = statistics.median(value.agents for value in values)
+        vehicles, agents = (statistics.median(column) for column in zip(*(v[2:] for v in values), strict=True))
         rows.append(Row(scenario, label, rate, agent_rate, ratio, vehicles, agents))
     return rows
 
@@ -111,8 +112,7 @@ def print_tables(rows: Sequence[Row]) -> None:
             table.add_column(heading, justify="right")
         for row in group:
             rates = f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"
-            vehicles = "" if row.vehicles is None else f"{row.vehicles:.0f}"
-            table.add_row(row.variant, *rates, vehicles, f"{row.agents:.0f}")
+            table.add_row(row.variant, *rates, f"{row.vehicles:.0f}", f"{row.agents:.0f}")
         console.print(table)
 
 
@@ -121,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser("python -m izoo.benchmarks.throughput", description=__doc__.split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.add_argument("--workers", type=int, default=2, help="worker processes (default 2)")
-    parser.add_argument("--steps", type=int, default=600, help="timed steps per row and round (default 600)")
+    parser.add_argument("--steps", type=int, default=400, help="timed steps per row and round (default 400)")
     parser.add_argument("--scenarios", default="light,medium,heavy", help="comma-separated (default all three)")
     options = parser.parse_args(argv)
     chosen = options.scenarios.split(",")

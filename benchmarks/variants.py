@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, Protocol
@@ -25,12 +26,12 @@ from izoo.benchmarks.timing import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
-from izoo.contexts.source import episode_seed
+from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import observation_names
+from izoo.envs.layout import TOTALS, observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
-from izoo.training.collectors import BatchSource
+from izoo.training.collectors import BatchSource, ShiftedSchedule
 from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.runs import make_algorithm
 
@@ -45,11 +46,11 @@ _together: Any = None
 
 
 class Sample(NamedTuple):
-    """Rates of one play over all its environments, and means per environment; ``None`` where nothing was counted."""
+    """Rates of one play over all its environments, and means per environment."""
 
     env_steps_per_s: float
     agent_steps_per_s: float
-    vehicles: float | None
+    vehicles: float
     agents: float
 
 
@@ -116,28 +117,30 @@ def make_variants(plan: Plan) -> dict[str, Variant]:
     return {
         "bare libsumo": Bare(plan),
         f"{plan.workers} {processes}, bare libsumo": BareSideBySide(plan),
-        "one environment": Single(plan, lean),
-        "one environment, emitting all": Single(plan, plan.env()),
-        f"{plan.workers} {workers}": SideBySide(plan, lean),
+        "one environment": Collected(plan, "single", FullAcceleration()),
+        f"{plan.workers} {workers}": Collected(plan, "parallel", FullAcceleration()),
         f"{plan.workers} {processes}": Collected(plan, "multisync", FullAcceleration()),
         f"{plan.workers} {workers}, PPO policy": Collected(plan, "parallel"),
         f"{plan.workers} {processes}, PPO policy": Collected(plan, "multisync"),
+        "one environment, step()": Single(plan, lean),
+        f"{plan.workers} {workers}, step()": SideBySide(plan, lean),
+        "one, all groups, step()": Single(plan, plan.env()),
     }
 
 
 class Bare:
-    """Libsumo alone, with nobody reading or commanding, in this process."""
+    """Libsumo alone, with nobody reading or commanding, in this process; one episode after the other."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self._counts: dict[int, tuple[float, float]] = {}
 
     def play(self, scenario: int) -> Sample:
-        context = self.plan.contexts[scenario]
+        context, workers = self.plan.contexts[scenario], range(self.plan.workers)
         if scenario not in self._counts:
-            self._counts[scenario] = _count(self.plan, context, 0)
+            self._counts[scenario] = _mean([_count(self.plan, context, worker) for worker in workers])
         vehicles, agents = self._counts[scenario]
-        rate = _time_bare(self.plan, context, 0)
+        rate = statistics.harmonic_mean([_time_bare(self.plan, context, worker) for worker in workers])
         return Sample(rate, rate * agents, vehicles, agents)
 
     def close(self) -> None:
@@ -159,9 +162,7 @@ class BareSideBySide:
         tasks = [self.plan] * workers, [self.plan.contexts[scenario]] * workers, range(workers)
         if scenario not in self._counts:
             with workers_ignore_interrupts():
-                counts = self._pool.map(_count, *tasks)
-            vehicles, agents = np.mean(list(counts), axis=0).tolist()
-            self._counts[scenario] = vehicles, agents
+                self._counts[scenario] = _mean(list(self._pool.map(_count, *tasks)))
         vehicles, agents = self._counts[scenario]
         rate = sum(self._pool.map(_time_bare_together, *tasks))
         return Sample(rate, rate * agents, vehicles, agents)
@@ -171,22 +172,25 @@ class BareSideBySide:
 
 
 class Single:
-    """One environment in this process, whose CVs all accelerate as hard as they may."""
+    """One environment in this process, stepped by hand, one episode after the other; its CVs accelerate fully."""
 
     def __init__(self, plan: Plan, config: EnvConfig) -> None:
         self.plan, self.config = plan, config
 
     def play(self, scenario: int) -> Sample:
-        context = self.plan.contexts[scenario]
+        context, samples = self.plan.contexts[scenario], []
         with contextlib.closing(EcoDrivingEnv(context, config=self.config)) as env:
-            return _step(env, env.reset(context=context, seed=episode_seed(0, 0)), self.plan.steps)
+            for worker in range(self.plan.workers):
+                state = env.reset(context=context, seed=episode_seed(0, worker))
+                samples.append(_step(env, state, self.plan.steps))
+        return _in_turn(samples)
 
     def close(self) -> None:
         pass
 
 
 class SideBySide:
-    """Environments in processes of their own, stepped together; their CVs accelerate as hard as they may."""
+    """Environments in processes of their own, stepped together by hand; their CVs accelerate fully."""
 
     def __init__(self, plan: Plan, config: EnvConfig) -> None:
         self.plan = plan
@@ -222,34 +226,55 @@ class FullAcceleration(TensorDictModuleBase):
 
 @dataclass
 class Collected:
-    """Batches collected as training does, by default with a freshly initialised PPO policy."""
+    """Batches collected as training does, by default with a freshly initialised PPO policy.
+
+    One environment plays the episodes one after the other, several play them side by side.
+    """
 
     plan: Plan
-    collector: Literal["parallel", "multisync"]
+    collector: Literal["single", "parallel", "multisync"]
     policy: TensorDictModuleBase | None = None
     _source: BatchSource | None = field(default=None, init=False)
 
     def play(self, scenario: int) -> Sample:
-        source = self._source = self._source or self._start()
+        """Play the next scenario; with several environments, episodes follow the plan's order, whatever its number."""
+        if self.collector != "single":
+            self._source = self._source or self._start(self.plan)
+            return self._collect(self._source)
+        # Libsumo in this process belongs to the other variants as well, so this one does not keep it.
+        first = scenario * self.plan.rounds * self.plan.workers
+        with contextlib.closing(self._start(ShiftedSchedule(self.plan, first))) as source:
+            return _in_turn([self._collect(source) for _ in range(self.plan.workers)])
+
+    @property
+    def _envs(self) -> int:
+        return 1 if self.collector == "single" else self.plan.workers
+
+    def _collect(self, source: BatchSource) -> Sample:
+        """Time the batches of the next episodes, but for the first and the last."""
         source.next()
-        agents, begin = 0, time.perf_counter()
+        agents, vehicle_steps, begin = 0, 0.0, time.perf_counter()
         for _ in range(self.plan.batches):
-            agents += int(source.next()["agents", "mask"].sum())
+            batch = source.next()
+            agents += int(batch["agents", "mask"].sum())
+            counted = batch["next", TOTALS][..., VEHICLE_STEPS]
+            vehicle_steps += float((counted[:, -1] - counted[:, 0]).sum())
         elapsed = time.perf_counter() - begin
         source.next()  # the episodes end in it
-        steps = self.plan.batches * CHUNK * self.plan.workers
-        return Sample(steps / elapsed, agents / elapsed, None, agents / steps)
+        steps = self.plan.batches * CHUNK * self._envs
+        vehicles = vehicle_steps / (self.plan.batches * (CHUNK - 1) * self._envs)
+        return Sample(steps / elapsed, agents / elapsed, vehicles, agents / steps)
 
-    def _start(self) -> BatchSource:
+    def _start(self, schedule: Schedule) -> BatchSource:
         options = TrainConfig(
-            algo=PPOConfig(frames_per_batch=self.plan.workers * CHUNK),
+            algo=PPOConfig(frames_per_batch=self._envs * CHUNK),
             collector=CollectorConfig(name=self.collector),
             env=self.plan.env(emit=()),
             num_workers=self.plan.workers,
         )
         torch.manual_seed(0)
         policy = self.policy or make_algorithm(options, len(observation_names(options.env))).policy
-        return BatchSource(options, policy, self.plan)
+        return BatchSource(options, policy, schedule)
 
     def close(self) -> None:
         if self._source is not None:
@@ -280,6 +305,18 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
 def _time_bare(plan: Plan, context: Context, worker: int, wait: Callable[[], object] = lambda: None) -> float:
     with _simulation(plan, context, worker) as simulator:
         return 1.0 / seconds_per_step(simulator.session.advance, plan.steps, CHUNK, wait)
+
+
+def _mean(counts: list[tuple[float, float]]) -> tuple[float, float]:
+    vehicles, agents = np.mean(counts, axis=0).tolist()
+    return vehicles, agents
+
+
+def _in_turn(samples: Sequence[Sample]) -> Sample:
+    """Return the rates and means of episodes of the same number of steps that were played one after the other."""
+    env_steps, _, vehicles, agents = zip(*samples, strict=True)
+    rate = statistics.harmonic_mean(env_steps)
+    return Sample(rate, rate * statistics.mean(agents), statistics.mean(vehicles), statistics.mean(agents))
 
 
 def _join(together: Any) -> None:

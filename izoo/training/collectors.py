@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import BaseCollector, MultiSyncCollector
+from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
@@ -21,7 +21,7 @@ from izoo.contexts.source import Schedule
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.past import EpisodePast
-from izoo.training.rollouts import RolloutCollector
+from izoo.training.rollouts import ProcessesCollector, RolloutCollector
 
 
 @dataclass(frozen=True)
@@ -120,21 +120,19 @@ def _multisync(
     schedule: Schedule,
     pasts: Sequence[EpisodePast],
     frames: int,
-) -> MultiSyncCollector:
+) -> ProcessesCollector:
     makers = [
         functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
         for worker in range(config.num_workers)
     ]
-    return MultiSyncCollector(
+    return ProcessesCollector(
         makers,
         policy,
-        frames_per_batch=frames,
-        total_frames=-1,
+        TrainingEnv(schedule, config=config.env),
+        frames,
         exploration_type=ExplorationType.RANDOM,
         trust_policy=True,
         auto_register_policy_transforms=False,
-        cat_results="stack",
-        collector_class=RolloutCollector,
     )
 
 

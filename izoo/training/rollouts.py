@@ -1,14 +1,26 @@
-"""A collector whose rollouts do per step only what izoo's environments and policies need."""
+"""Collectors whose rollouts do per step only what izoo's environments and policies need."""
 
 from __future__ import annotations
 
+import copy
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from queue import Empty
+from typing import Any
+
 import torch
-from tensordict import TensorDictBase
-from torchrl.collectors import Collector
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl._utils import _check_for_faulty_process
+from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import set_exploration_type
 
 from izoo.algos.base import InPlace
 from izoo.envs.recorder import BatchRecorder
+
+CHECK_S = 1.0
+"""How often a parent that waits looks whether its processes live."""
 
 
 class RolloutCollector(Collector):
@@ -17,9 +29,23 @@ class RolloutCollector(Collector):
     It expects izoo's environments, a policy that writes into the TensorDict it is given, everything on the CPU, and no
     replay buffer. Frames are copied straight into the batch, whose memory the next batch re-uses; a policy that has a
     method ``in_place`` (:class:`izoo.algos.base.InPlace`) reads and writes there without TensorDicts.
+
+    Args:
+        batches: ``[N, *B, T]``: memory for the batch of each of ``N`` collectors; ``None``: memory of its own.
+        worker_idx: which of them it is.
     """
 
-    _recorder: BatchRecorder | None = None
+    def __init__(
+        self, *args: Any, batches: TensorDictBase | None = None, worker_idx: int | None = None, **options: Any
+    ) -> None:
+        self._given = None if batches is None else batches[worker_idx or 0]
+        self._recorder: BatchRecorder | None = None
+        super().__init__(*args, worker_idx=worker_idx, **options)
+
+    def _maybe_make_final_rollout(self, make_rollout: bool) -> None:
+        super()._maybe_make_final_rollout(make_rollout)
+        if self._given is not None:
+            self._final_rollout = self._given
 
     @torch.no_grad()
     def rollout(self) -> TensorDictBase:
@@ -36,3 +62,54 @@ class RolloutCollector(Collector):
                 act(step)
                 env.step_recorded(recorder, step)
         return batch
+
+
+class ProcessesCollector(MultiSyncCollector):
+    """TorchRL's collector with a process per environment; all of them write into one batch ``[N, T]``.
+
+    Each process is a :class:`RolloutCollector`. The batch is valid until the next one is asked for.
+
+    Args:
+        makers: of the environments, one per process.
+        policy: what acts in all of them.
+        example: such an environment; it is not started.
+        frames_per_batch: ``N * T``.
+        options: of :class:`torchrl.collectors.MultiSyncCollector`.
+    """
+
+    def __init__(
+        self,
+        makers: Sequence[Callable[[], EnvBase]],
+        policy: TensorDictModuleBase,
+        example: EnvBase,
+        frames_per_batch: int,
+        **options: Any,
+    ) -> None:
+        self._batch = _empty_batch(example, policy, len(makers), frames_per_batch // len(makers)).share_memory_()
+        collector = functools.partial(RolloutCollector, batches=self._batch)
+        super().__init__(
+            makers, policy, frames_per_batch=frames_per_batch, total_frames=-1, collector_class=collector, **options
+        )
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Yield the batch again and again, each time with new steps."""
+        while True:
+            for pipe in self.pipes:
+                pipe.send((None, "continue"))
+            collecting = self.num_workers
+            while collecting > 0:
+                try:
+                    self.queue_out.get(timeout=CHECK_S)
+                    collecting -= 1
+                except Empty:
+                    _check_for_faulty_process(self.procs)
+            self._iter += 1
+            self._frames += self._batch.numel()
+            yield self._batch
+
+
+def _empty_batch(env: EnvBase, policy: TensorDictModuleBase, workers: int, steps: int) -> TensorDict:
+    """Return a batch ``[workers, steps]`` of zeros, with what an environment emits and what a policy adds."""
+    with torch.no_grad(), torch.random.fork_rng():
+        step = copy.deepcopy(policy)(env.fake_tensordict())
+    return step.expand(workers, steps).clone().zero_()

@@ -1,0 +1,106 @@
+"""Processes that collect into one batch: each row is what one environment with its own generator would yield."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+
+from izoo.algos.ppo_config import PPOConfig
+from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.contexts.source import as_schedule
+from izoo.envs import EnvConfig
+from izoo.envs.layout import observation_names
+from izoo.training import collectors
+from izoo.training.collectors import BatchSource
+from izoo.training.runs import make_algorithm
+from tests.envs.worlds import crossing
+
+STEPS = 50  # episodes take 70 steps, so that one ends within the second batch
+CONFIG = TrainConfig(
+    algo=PPOConfig(hidden=(8,), frames_per_batch=2 * STEPS),
+    collector=CollectorConfig(name="multisync"),
+    env=EnvConfig(emit=("context",), horizon_s=60.0, num_agents=16),
+    num_workers=2,
+)
+SCHEDULE = as_schedule(crossing(), 0)
+
+
+@pytest.fixture(autouse=True)
+def start_method() -> Iterator[None]:
+    """TorchRL chooses one for the whole process."""
+    before = multiprocessing.get_start_method(allow_none=True)
+    yield
+    multiprocessing.set_start_method(before, force=True)
+
+
+@pytest.fixture
+def policy() -> TensorDictModuleBase:
+    torch.manual_seed(0)
+    return make_algorithm(CONFIG, len(observation_names(CONFIG.env))).policy
+
+
+def learn(policy: TensorDictModuleBase) -> None:
+    """Change the weights in place, as an optimiser does."""
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(0.5)
+
+
+def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
+    """Collect what a worker should, in this process: two batches ``[STEPS]``, of old and new weights."""
+    env = collectors._worker_env(CONFIG, SCHEDULE, (), worker, CONFIG.num_workers)
+    collector = collectors._collector(env, policy, STEPS)
+    try:
+        first = next(iter(collector)).clone()
+        learn(policy)
+        return [first, next(iter(collector)).clone()]
+    finally:
+        collector.shutdown()
+
+
+def test_rows_are_those_of_single_environments(policy: TensorDictModuleBase) -> None:
+    expected = [alone(worker, copy.deepcopy(policy)) for worker in range(2)]
+    before = torch.get_rng_state()
+    source = BatchSource(CONFIG, policy, SCHEDULE)
+    assert torch.equal(torch.get_rng_state(), before)
+    try:
+        first = source.next()
+        batches = [first.clone()]
+        learn(policy)
+        source.synchronise(policy)
+        second = source.next()
+        batches.append(second)
+        assert second["agents", "mask"].data_ptr() == first["agents", "mask"].data_ptr()
+        assert batches[1]["next", "done"].any() and not torch.equal(*(b["agents", "action"] for b in batches))
+        for turn, batch in enumerate(batches):
+            assert batch.shape == (2, STEPS)
+            for worker in range(2):
+                one = expected[worker][turn]
+                keys = set(one.keys(True, True))
+                assert keys == set(batch.keys(True, True))
+                for key in keys:
+                    torch.testing.assert_close(batch[key][worker], one[key], rtol=0.0, atol=0.0, msg=str(key))
+    finally:
+        source.close()
+
+
+def test_a_process_that_dies_is_noticed(policy: TensorDictModuleBase) -> None:
+    source = BatchSource(CONFIG, policy, SCHEDULE)
+    try:
+        source.next()
+        os.kill(source._collector.procs[1].pid, signal.SIGKILL)  # type: ignore[union-attr]
+        begin = time.monotonic()
+        with pytest.raises(RuntimeError):
+            source.next()
+        assert time.monotonic() - begin < 10.0
+    finally:
+        source.close()
