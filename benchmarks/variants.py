@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.base import ACTION, MASK, Arrays
@@ -27,7 +27,7 @@ from izoo.conf.options import CollectorConfig, TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
-from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.layout import TOTALS, observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
@@ -35,7 +35,7 @@ from izoo.training.collectors import BatchSource, ShiftedSchedule
 from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.runs import make_algorithm
 
-WARMUP_S = 200.0
+WARMUP_S = 350.0
 """Time in which the region fills, with nobody commanding."""
 SAMPLE_STEPS = 20
 """Agents and vehicles are counted once in so many steps, so that counting takes next to no part of the time."""
@@ -123,7 +123,6 @@ def make_variants(plan: Plan) -> dict[str, Variant]:
         f"{plan.workers} {workers}, PPO policy": Collected(plan, "parallel"),
         f"{plan.workers} {processes}, PPO policy": Collected(plan, "multisync"),
         "one environment, step()": Single(plan, lean),
-        f"{plan.workers} {workers}, step()": SideBySide(plan, lean),
         "one, all groups, step()": Single(plan, plan.env()),
     }
 
@@ -187,24 +186,6 @@ class Single:
 
     def close(self) -> None:
         pass
-
-
-class SideBySide:
-    """Environments in processes of their own, stepped together by hand; their CVs accelerate fully."""
-
-    def __init__(self, plan: Plan, config: EnvConfig) -> None:
-        self.plan = plan
-        self.env = SumoParallelEnv(plan.workers, plan, config=config)
-
-    def play(self, scenario: int) -> Sample:
-        workers = self.plan.workers
-        first = scenario * self.plan.rounds * workers
-        episodes = torch.arange(first, first + workers).unsqueeze(-1)
-        state = self.env.reset(TensorDict({("context", "episode"): episodes}, batch_size=[workers]))
-        return _step(self.env, state, self.plan.steps)
-
-    def close(self) -> None:
-        self.env.close()
 
 
 class FullAcceleration(TensorDictModuleBase):
@@ -333,24 +314,24 @@ def _time_bare_together(plan: Plan, context: Context, worker: int) -> float:
         raise
 
 
-def _step(env: EcoDrivingEnv | SumoParallelEnv, state: TensorDictBase, steps: int) -> Sample:
+def _step(env: EcoDrivingEnv, state: TensorDictBase, steps: int) -> Sample:
     """Step an environment from ``state`` on, with the highest acceleration as every CV's action."""
-    num, taken = env.batch_size.numel(), 0
+    taken = 0
     vehicle_steps: list[float] = []
     agents_seen: list[float] = []
-    action = torch.full((*env.batch_size, env.config.num_agents, 1), env.action_spec["agents", "action"].high.max())
+    action = torch.full((env.config.num_agents, 1), ACTION_HIGH_MPS2)
     totals, mask = env.frames["episode_metrics"], env.frames["mask"]
 
     def step() -> None:
         nonlocal state, taken
         if taken % SAMPLE_STEPS == 0 and taken >= CHUNK:
-            agents_seen.append(mask.sum() / num)
-            vehicle_steps.append(totals[:, VEHICLE_STEPS].sum() / num)
-        state.set(("agents", "action"), action)
+            agents_seen.append(mask.sum())
+            vehicle_steps.append(totals[0, VEHICLE_STEPS])
+        state.set(ACTION, action)
         _, state = env.step_and_maybe_reset(state)
         taken += 1
 
     rate = 1.0 / seconds_per_step(step, steps, CHUNK)
     agents = float(np.mean(agents_seen))
     vehicles = float(np.diff(vehicle_steps).mean()) / SAMPLE_STEPS
-    return Sample(rate * num, rate * num * agents, vehicles, agents)
+    return Sample(rate, rate * agents, vehicles, agents)

@@ -41,14 +41,14 @@ def test_throughput_compares_like_with_like(capsys: pytest.CaptureFixture[str]) 
     result = json.loads(capsys.readouterr().out)
     rows = {row["variant"]: row for row in result["rows"]}
     bare = rows["bare libsumo"]
-    assert result["workers"] == 1 and len(rows) == 8 and bare["ratio_to_bare"] == 1.0
+    assert result["workers"] == 1 and len(rows) == 9 and bare["ratio_to_bare"] == 1.0
     assert all(row["env_steps_per_s"] > 0.0 and row["ratio_to_bare"] > 0.0 for row in rows.values())
     # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
-    assert bare["agents"] == rows["1 process, bare libsumo"]["agents"]
-    assert bare["vehicles"] == rows["1 process, bare libsumo"]["vehicles"]
-    one = rows["one environment"]
-    assert one["agents"] == rows["1 worker"]["agents"] == rows["one environment, emitting all"]["agents"]
-    assert one["vehicles"] == rows["1 worker"]["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
-    assert rows["1 process"]["agents"] == pytest.approx(one["agents"], rel=0.05)
+    one, stepped = rows["one environment"], rows["one environment, step()"]
+    for counted in ("agents", "vehicles"):
+        assert bare[counted] == rows["1 process, bare libsumo"][counted]
+        assert one[counted] == rows["1 worker"][counted] == rows["1 process"][counted]
+        assert stepped[counted] == rows["one, all groups, step()"][counted] == pytest.approx(one[counted], rel=0.05)
+    assert one["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
     # The same policy meets the same traffic, wherever it runs.
     assert rows["1 worker, PPO policy"]["agents"] == pytest.approx(rows["1 process, PPO policy"]["agents"], rel=0.2)
