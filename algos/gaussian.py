@@ -133,7 +133,7 @@ class CompiledPolicy(SamplingPolicy):
                 torch.randn(noise.shape, out=noise)
             self.act(rows, present, noise.numpy().reshape(-1), out)
             for target, part in outputs:
-                np.copyto(target[step], part)
+                target[step] = part
 
         return act
 

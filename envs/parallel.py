@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import os
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -96,13 +95,16 @@ class SumoParallelEnv(EcoDrivingBase):
         """Start the planned episodes ``{worker: episode}`` side by side; a worker lost meanwhile gets a second try."""
         for attempt in range(2):
             lost: dict[int, WorkerLost] = {}
-            with self._answers_read():
+            try:
                 for index, episode in plan.items():
                     try:
                         self._worker(index).reset(*self.schedule(episode), episode)
                     except WorkerLost as error:
                         lost[index] = error
                 self._collect([index for index in plan if index not in lost], lost)
+            except BaseException:
+                self._end_busy()
+                raise
             for index, reason in lost.items():
                 self._replace(index, reason)
             for index, reason in lost.items():
@@ -111,18 +113,13 @@ class SumoParallelEnv(EcoDrivingBase):
             plan = {index: plan[index] for index in lost}
         self._started = True
 
-    @contextlib.contextmanager
-    def _answers_read(self) -> Iterator[None]:
-        """End the workers that still owe an answer when a step or reset breaks off, as at Ctrl-C."""
-        try:
-            yield
-        except BaseException:
-            for index, worker in enumerate(self._workers):
-                if worker is not None and worker.busy:
-                    worker.kill()
-                    self._workers[index] = None
-                    self._started = False
-            raise
+    def _end_busy(self) -> None:
+        """End the workers that still owe an answer where a step or reset breaks off, as at Ctrl-C."""
+        for index, worker in enumerate(self._workers):
+            if worker is not None and worker.busy:
+                worker.kill()
+                self._workers[index] = None
+                self._started = False
 
     def _collect(self, waiting: list[int], lost: dict[int, WorkerLost]) -> None:
         """Wait for every worker, also when one of them fails; then raise the first failure."""
@@ -145,7 +142,7 @@ class SumoParallelEnv(EcoDrivingBase):
     def _advance(self, state: Callable[[], TensorDictBase]) -> None:
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
-        with self._answers_read():
+        try:
             # The first is asked last: it may have to wait for this core, which is given up with the first wait.
             for index in reversed(range(self.num_workers)):
                 try:
@@ -154,6 +151,9 @@ class SumoParallelEnv(EcoDrivingBase):
                 except WorkerLost as error:
                     lost[index] = error
             self._collect(waiting, lost)
+        except BaseException:
+            self._end_busy()
+            raise
         for index, reason in lost.items():
             self._replace(index, reason)
             self._truncate(index, state())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from izoo.envs.reader import COMMANDS, FrameReader
@@ -51,23 +51,19 @@ class BatchRecorder:
         """Return whether this is the batch, still where it was."""
         return batch is self._batch and _place(batch) == self._place
 
-    def state(self, step: int) -> TensorDictBase:
-        """Return what is to be acted on in a step, in the memory of the batch."""
+    def state(self, step: int) -> TensorDict:
+        """Return what is to be acted on in a step; its tensors are the batch's, what is set in it stays there."""
         if not self._states:
             self._states = self._batch.exclude("next", "collector", *self.told).unbind(-1)
-        return self._states[step]
+        return _shallow(self._states[step])
 
     def by_calling(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> Callable[[int], None]:
-        """Return what calls a policy with the state of a step, and moves what it adds to that into ``told``."""
+        """Return what calls a policy with the state of a step, and copies what it answers into ``told``."""
 
         def act(step: int) -> None:
-            state = self.state(step)
-            policy(state)
-            for (*path, name), rows in self.told.items():
-                holder = state
-                for key in path:
-                    holder = holder._get_str(key, None)
-                np.copyto(rows[step], holder._tensordict.pop(name).numpy())
+            answer = policy(self.state(step))
+            for key, rows in self.told.items():
+                rows[step] = answer.get(key).numpy()
 
         return act
 
@@ -75,16 +71,22 @@ class BatchRecorder:
         """Write the frames as what is to be acted on in a step; past the end of the batch there is no place for it."""
         if step < self._batch.shape[-1]:
             for rows, source in self._state:
-                np.copyto(rows[step], source)
+                rows[step] = source
 
     def write_following(self, step: int) -> None:
         """Write the frames as what a step led to."""
         for rows, source in self._following:
-            np.copyto(rows[step], source)
+            rows[step] = source
 
 
 def _place(batch: TensorDictBase) -> int:
     return batch.get(("next", "done")).data_ptr()
+
+
+def _shallow(tensordict: TensorDict) -> TensorDict:
+    entries = tensordict._tensordict.items()
+    own = {key: _shallow(value) if isinstance(value, TensorDict) else value for key, value in entries}
+    return TensorDict._new_unsafe(own, batch_size=tensordict.batch_size)
 
 
 def _leaves(tensordict: TensorDictBase) -> dict[Path, Tensor]:

@@ -126,6 +126,28 @@ def test_new_weights_and_moved_memory_are_noticed() -> None:
         assert (second[MASK][:, 1:] == second["next"][MASK][:, :-1])[~second["next", "done"][:, :-1, 0]].all()
 
 
+class Careless(TensorDictModuleBase):
+    """Answers with a TensorDict of its own, and leaves marks in the one that it was given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [("agents", "observation")], [ACTION]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        speed = tensordict.get(("agents", "observation"))[..., :1]
+        tensordict.set(("agents", "observation"), torch.full_like(speed, torch.nan))
+        tensordict.set(("agents", "mark"), speed)
+        return TensorDict({"agents": {"action": 1.0 - speed}}, tensordict.batch_size)
+
+
+def test_what_a_policy_does_to_its_input_stays_there() -> None:
+    with collecting(RolloutCollector, Careless()) as collector:
+        for _ in range(2):
+            batch = next(iter(collector))
+            assert ("agents", "mark") not in batch.keys(True)
+            torch.testing.assert_close(batch[ACTION], 1.0 - batch["agents", "observation"][..., :1])
+
+
 class Changing(TensorDictModuleBase):
     """Drives on, and changes lanes to ``lane_change``."""
 
