@@ -157,6 +157,7 @@ def _ray(
         total_frames=2**62,
         exploration_type=ExplorationType.RANDOM,
         trust_policy=True,
+        collector_class=RolloutCollector,
         collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
         remote_configs=cluster.WORKER_RESOURCES,
         sync=True,

@@ -110,6 +110,6 @@ class ProcessesCollector(MultiSyncCollector):
 
 def _empty_batch(env: EnvBase, policy: TensorDictModuleBase, workers: int, steps: int) -> TensorDict:
     """Return a batch ``[workers, steps]`` of zeros, with what an environment emits and what a policy adds."""
-    with torch.no_grad(), torch.random.fork_rng():
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
         step = copy.deepcopy(policy)(env.fake_tensordict())
     return step.expand(workers, steps).clone().zero_()
