@@ -27,6 +27,7 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
+"""Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
 
 
 class Arrays:
@@ -40,12 +41,11 @@ class Arrays:
         self.linears = [module for module in network.modules() if isinstance(module, nn.Linear)]
         places = {kind: place for place, kind in enumerate(ACTIVATIONS.values())}
         self.activation = next(places[type(module)] for module in network.modules() if type(module) in places)
-
         self._layers: Layers = ((), ())
         self._places: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        # In another process another network may lie where these arrays were.
+        # Where the parameters of a copy lie, in this process or another, other things may have lain before.
         return {**self.__dict__, "_layers": ((), ()), "_places": []}
 
     def layers(self) -> Layers:
@@ -60,7 +60,7 @@ class Arrays:
 
 
 def _arrays(parameters: Sequence[nn.Parameter | None]) -> tuple[np.ndarray, ...]:
-    return tuple(parameter.detach().numpy() for parameter in parameters if parameter is not None)
+    return tuple(parameter.detach().numpy() for parameter in parameters)  # type: ignore[union-attr]
 
 
 def compilable(observation: Tensor) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import final
 
 import numpy as np
 import torch
@@ -97,7 +98,10 @@ class SamplingPolicy(TensorDictModuleBase):
 
 
 class CompiledPolicy(SamplingPolicy):
-    """:class:`SamplingPolicy`, compiled where it acts on the CPU without gradients; here, a fully connected network."""
+    """:class:`SamplingPolicy`, compiled where it acts on the CPU without gradients; here, a fully connected network.
+
+    Other networks override :meth:`act`, which both calls and collection in place come to.
+    """
 
     def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
         super().__init__(actor, low, high)
@@ -106,6 +110,7 @@ class CompiledPolicy(SamplingPolicy):
         mapping = extract.scale_mapping
         self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
 
+    @final
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
         if not acting.compilable(observation):
@@ -119,7 +124,7 @@ class CompiledPolicy(SamplingPolicy):
         )
         return torch.from_numpy(out).view(4, *mask.shape)
 
-    def in_place(self, frame: base.Arrays, told: base.Arrays) -> Callable[[int], None]:
+    def in_place(self, frame: base.Leaves, told: base.Leaves) -> Callable[[int], None]:
         """Return what acts in a step of a batch; see :class:`izoo.algos.base.InPlace`."""
         observation, mask = frame[base.OBSERVATION], frame[base.MASK]
         rows, present = observation.reshape(-1, observation.shape[-1]), mask.reshape(-1, mask.shape[-1]).view(np.uint8)

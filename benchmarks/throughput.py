@@ -130,8 +130,10 @@ def main(argv: list[str] | None = None) -> int:
             parser.error(f"unknown scenario {name!r}; choose from: {', '.join(SCENARIOS)}")
     if options.workers < 1:
         parser.error(f"--workers is {options.workers}; one or more are needed")
-    if options.steps < CHUNK:
-        parser.error(f"--steps is {options.steps}; it must be {CHUNK} or more: collectors are timed in batches of that")
+    if options.steps < CHUNK or options.steps % CHUNK:
+        parser.error(
+            f"--steps is {options.steps}; it must be a multiple of {CHUNK}: collectors are timed in such batches"
+        )
     print("izoo throughput: loading torch and SUMO", file=sys.stderr, flush=True)
     rows = measure(chosen, options.workers, options.steps)
     if options.json:

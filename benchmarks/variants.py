@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.base import ACTION, MASK, Arrays
+from izoo.algos.base import ACTION, MASK, Leaves
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks.timing import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
@@ -147,7 +147,10 @@ class Bare:
 
 
 class BareSideBySide:
-    """Libsumo alone in several processes that know nothing of each other: what the machine's cores allow."""
+    """Libsumo alone in several processes that know nothing of each other: what the machine's cores allow.
+
+    The rate is the sum of theirs. Collectors also wait for the episode with the most traffic.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -189,7 +192,7 @@ class Single:
 
 
 class FullAcceleration(TensorDictModuleBase):
-    """No policy: what every CV is told costs nothing to find out."""
+    """No policy: what every CV is told costs next to nothing to find out."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -199,10 +202,9 @@ class FullAcceleration(TensorDictModuleBase):
         """Write the highest acceleration, ``[*B, A, 1]``."""
         return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
 
-    def in_place(self, frame: Arrays, told: Arrays) -> Callable[[int], None]:
-        """Write all actions at once; see :class:`izoo.algos.base.InPlace`."""
-        told[ACTION].fill(ACTION_HIGH_MPS2)
-        return lambda step: None
+    def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
+        """Return what does so in a batch; see :class:`izoo.algos.base.InPlace`."""
+        return lambda step: told[ACTION][step].fill(ACTION_HIGH_MPS2)
 
 
 @dataclass

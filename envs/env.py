@@ -84,10 +84,14 @@ class EcoDrivingBase(EnvBase):
 
     def _simulate(self, tensordict: TensorDictBase) -> None:
         """Take the actions and bring the frames to what follows."""
-        if not self.started:
-            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
+        self.require_started()
         self.reader.write_action(tensordict)
         self._advance(lambda: tensordict)
+
+    def require_started(self) -> None:
+        """Raise :class:`IzooError` unless the episodes are running."""
+        if not self.started:
+            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)

@@ -45,7 +45,8 @@ class FrameReader:
     ) -> None:
         self.config, self.batch = config, batch
         self.agents_batch = torch.Size((*batch, config.num_agents))
-        self._commanded, self._defer = arrays["action"], arrays["defer"]
+        self._commanded, self._lane_change = arrays["action"], arrays["lane_change"]
+        self._defer = arrays["defer"].view(bool)
         self._deferring = True
         self.tensors: dict[str, Tensor] = {}
         for name, array in arrays.items():
@@ -61,8 +62,8 @@ class FrameReader:
         self._action = self.tensors["action"].unsqueeze(-1)
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
 
-    def write_action(self, tensordict: TensorDictBase) -> None:
-        """Copy the action keys into the frames.
+    def check_action(self, tensordict: TensorDictBase) -> None:
+        """Check the action keys.
 
         Raises:
             IzooError: an action is missing, is of another shape or type than its spec, or is no lane change.
@@ -75,51 +76,54 @@ class FrameReader:
                 f"('agents', 'action') is {got}; give accelerations in m/s^2 as a float tensor of shape "
                 f"{list(self.action_shape)}."
             )
-        self._action.copy_(action)
         defer = agents._get_str("defer", None)
-        self._write_defer(None if defer is None else self._flags(defer).numpy())
-        if self.config.lane_change:
-            self._write_lane_change(agents._get_str("lane_change", None))
-
-    def write_commands(self, commands: Mapping[str, np.ndarray], step: int) -> None:
-        """Copy the commands of a step into the frames.
-
-        Args:
-            commands: ``[T, *B, A]``, by the names of :data:`COMMANDS`, of the shapes that :meth:`write_action` accepts.
-            step: which of them.
-        """
-        np.copyto(self._commanded, commands["action"][step])
-        defer = commands.get("defer")
-        self._write_defer(None if defer is None else defer[step])
-        if self.config.lane_change:
-            self._write_lane_change(torch.from_numpy(commands["lane_change"][step]))
-
-    def _write_defer(self, defer: np.ndarray | None) -> None:
-        if defer is not None:
-            np.copyto(self._defer, defer)
-        elif self._deferring:
-            self._defer.fill(0)
-        self._deferring = defer is not None
-
-    def _flags(self, defer: Tensor) -> Tensor:
-        """Return the defer flags ``[*B, A]``, checked."""
-        if defer.numel() != self.agents_batch.numel():
+        if defer is not None and defer.numel() != self.agents_batch.numel():
             shape = list(self.agents_batch)
             raise IzooError(f"('agents', 'defer') is of shape {list(defer.shape)}; give flags of shape {shape}.")
-        return defer.reshape(self.agents_batch)
+        if self.config.lane_change:
+            self._check_lane_change(agents._get_str("lane_change", None))
 
-    def _write_lane_change(self, lanes: Tensor | None) -> None:
-        legal = self.tensors["lane_change"]
-        whole = lanes is not None and lanes.shape == legal.shape and not lanes.is_floating_point()
+    def _check_lane_change(self, lanes: Tensor | None) -> None:
+        legal = self.tensors["lane_change"].shape
+        whole = lanes is not None and lanes.shape == legal and not lanes.is_floating_point()
         if lanes is None or not whole or not ((lanes >= 0) & (lanes <= 2)).all():
             got = "missing" if lanes is None else f"{lanes.dtype} of shape {list(lanes.shape)}"
             values = "" if lanes is None else f" with the values {lanes.unique()[:5].tolist()}"
             raise IzooError(
                 f"('agents', 'lane_change') is {got}{values}; with lane_change=True, give whole numbers of shape "
-                f"{list(legal.shape)}: 0 right, 1 keep, 2 left. izoo's own learners and drivers command accelerations "
-                "alone; for them leave lane_change off."
+                f"{list(legal)}: 0 right, 1 keep, 2 left. izoo's own learners and drivers command accelerations alone; "
+                "for them leave lane_change off."
             )
-        legal.copy_(lanes)
+
+    def write_action(self, tensordict: TensorDictBase) -> None:
+        """Copy the action keys into the frames, checked: see :meth:`check_action`."""
+        self.check_action(tensordict)
+        agents = tensordict._get_str("agents", None)
+        self._action.copy_(agents._get_str("action", None))
+        defer = agents._get_str("defer", None)
+        self._write_defer(None if defer is None else defer.reshape(self.agents_batch).numpy())
+        if self.config.lane_change:
+            self.tensors["lane_change"].copy_(agents._get_str("lane_change", None))
+
+    def write_commands(self, commands: Mapping[str, np.ndarray], step: int) -> None:
+        """Copy the commands of a step into the frames.
+
+        Args:
+            commands: ``[T, *B, A]``, by the names of :data:`COMMANDS`; their keys have passed :meth:`check_action`.
+            step: which of them.
+        """
+        self._commanded[:] = commands["action"][step]
+        defer = commands.get("defer")
+        self._write_defer(None if defer is None else defer[step])
+        if self.config.lane_change:
+            self._lane_change[:] = commands["lane_change"][step]
+
+    def _write_defer(self, defer: np.ndarray | None) -> None:
+        if defer is not None:
+            np.not_equal(defer, 0, out=self._defer)
+        elif self._deferring:
+            self._defer.fill(0)
+        self._deferring = defer is not None
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""

@@ -59,7 +59,7 @@ class BatchSource:
 
     def next(self) -> TensorDictBase:
         """Return the next batch ``[N, T]``, which is valid until the one after it."""
-        batch = next(self._batches).exclude("collector")
+        batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
@@ -130,9 +130,7 @@ def _multisync(
         policy,
         TrainingEnv(schedule, config=config.env),
         frames,
-        exploration_type=ExplorationType.RANDOM,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
+        ExplorationType.RANDOM,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -11,12 +12,11 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl._utils import _check_for_faulty_process
 from torchrl.collectors import Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos.base import InPlace
+from izoo.algos.base import acts_in_place
 from izoo.envs.recorder import BatchRecorder
 
 CHECK_S = 1.0
@@ -26,9 +26,9 @@ CHECK_S = 1.0
 class RolloutCollector(Collector):
     """TorchRL's collector with a shorter loop; the batches are the same.
 
-    It expects izoo's environments, a policy that writes into the TensorDict it is given, everything on the CPU, and no
-    replay buffer. Frames are copied straight into the batch, whose memory the next batch re-uses; a policy that has a
-    method ``in_place`` (:class:`izoo.algos.base.InPlace`) reads and writes there without TensorDicts.
+    It expects izoo's environments, everything on the CPU, and no replay buffer. Frames are copied straight into the
+    batch, whose memory the next batch re-uses; a policy that has a method ``in_place``
+    (:class:`izoo.algos.base.InPlace`) reads and writes there without TensorDicts.
 
     Args:
         batches: ``[N, *B, T]``: memory for the batch of each of ``N`` collectors; ``None``: memory of its own.
@@ -54,10 +54,13 @@ class RolloutCollector(Collector):
         policy, env, recorder = self._wrapped_policy, self.env, self._recorder
         if recorder is None or not recorder.serves(batch):
             recorder = self._recorder = BatchRecorder(env.reader, batch)
+        env.require_started()
         recorder.write_state(0)
         with set_exploration_type(self.exploration_type):
-            in_place = isinstance(policy, InPlace)
-            act = policy.in_place(recorder.frame, recorder.told) if in_place else recorder.by_calling(policy)
+            if acts_in_place(policy):
+                act = policy.in_place(recorder.frame, recorder.told(policy.out_keys))
+            else:
+                act = recorder.by_calling(policy)
             for step in range(self.frames_per_batch):
                 act(step)
                 env.step_recorded(recorder, step)
@@ -74,7 +77,7 @@ class ProcessesCollector(MultiSyncCollector):
         policy: what acts in all of them.
         example: such an environment; it is not started.
         frames_per_batch: ``N * T``.
-        options: of :class:`torchrl.collectors.MultiSyncCollector`.
+        exploration_type: TorchRL's.
     """
 
     def __init__(
@@ -83,33 +86,58 @@ class ProcessesCollector(MultiSyncCollector):
         policy: TensorDictModuleBase,
         example: EnvBase,
         frames_per_batch: int,
-        **options: Any,
+        exploration_type: ExplorationType,
     ) -> None:
         self._batch = _empty_batch(example, policy, len(makers), frames_per_batch // len(makers)).share_memory_()
         collector = functools.partial(RolloutCollector, batches=self._batch)
         super().__init__(
-            makers, policy, frames_per_batch=frames_per_batch, total_frames=-1, collector_class=collector, **options
+            makers,
+            policy,
+            frames_per_batch=frames_per_batch,
+            total_frames=-1,
+            exploration_type=exploration_type,
+            trust_policy=True,
+            auto_register_policy_transforms=False,
+            collector_class=collector,
         )
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Yield the batch again and again, each time with new steps."""
+        """Yield the batch again and again, each time with new steps.
+
+        Raises:
+            RuntimeError: a process has ended.
+        """
         while True:
+            self._require_alive()
             for pipe in self.pipes:
-                pipe.send((None, "continue"))
+                # What is sent to a process that ends right now is lost; the wait below notices.
+                with contextlib.suppress(OSError):
+                    pipe.send((None, "continue"))
             collecting = self.num_workers
             while collecting > 0:
                 try:
                     self.queue_out.get(timeout=CHECK_S)
                     collecting -= 1
                 except Empty:
-                    _check_for_faulty_process(self.procs)
+                    self._require_alive()
             self._iter += 1
             self._frames += self._batch.numel()
             yield self._batch
+
+    def _require_alive(self) -> None:
+        for number, process in enumerate(self.procs):
+            if not process.is_alive():
+                raise RuntimeError(
+                    f"process {number} of {self.num_workers} that collect has ended (exit code {process.exitcode}); "
+                    "what it wrote before says why, unless it was killed"
+                )
 
 
 def _empty_batch(env: EnvBase, policy: TensorDictModuleBase, workers: int, steps: int) -> TensorDict:
     """Return a batch ``[workers, steps]`` of zeros, with what an environment emits and what a policy adds."""
     with torch.no_grad(), torch.random.fork_rng(devices=[]):
-        step = copy.deepcopy(policy)(env.fake_tensordict())
+        step = env.fake_tensordict()
+        answer = copy.deepcopy(policy)(step.copy())
+    for key in policy.out_keys:
+        step.set(key, answer.get(key))
     return step.expand(workers, steps).clone().zero_()

@@ -14,7 +14,7 @@ from izoo.benchmarks import emissions, scaling, throughput
     ("main", "words", "message"),
     [
         (throughput.main, ["--workers", "0"], "--workers is 0; one or more"),
-        (throughput.main, ["--steps", "199"], "--steps is 199; it must be 200 or more"),
+        (throughput.main, ["--steps", "199"], "--steps is 199; it must be a multiple of 200"),
         (throughput.main, ["--scenarios", "lihgt"], "choose from: light, medium, heavy"),
         (scaling.main, ["--steps", "0"], "--steps is 0; one or more"),
         (emissions.main, ["--batch", "0"], "--batch is 0; it must be"),

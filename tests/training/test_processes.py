@@ -6,6 +6,7 @@ import copy
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 
@@ -93,14 +94,23 @@ def test_rows_are_those_of_single_environments(policy: TensorDictModuleBase) -> 
         source.close()
 
 
-def test_a_process_that_dies_is_noticed(policy: TensorDictModuleBase) -> None:
+@pytest.mark.parametrize("between_batches", [True, False])
+def test_a_process_that_dies_is_noticed(between_batches: bool, policy: TensorDictModuleBase) -> None:
     source = BatchSource(CONFIG, policy, SCHEDULE)
+    process = source._collector.procs[1]  # type: ignore[union-attr]
     try:
-        source.next()
-        os.kill(source._collector.procs[1].pid, signal.SIGKILL)  # type: ignore[union-attr]
+        batch = source.next()
+        batch.set(("agents", "advantage"), torch.zeros(2, STEPS, 16))  # algorithms may use it as their own
+        assert ("agents", "advantage") not in source.next().keys(True)
+        if between_batches:
+            os.kill(process.pid, signal.SIGKILL)
+            process.join()
+        else:
+            threading.Timer(0.01, os.kill, (process.pid, signal.SIGKILL)).start()
         begin = time.monotonic()
-        with pytest.raises(RuntimeError):
-            source.next()
+        with pytest.raises(RuntimeError, match=r"process 1 of 2 that collect has ended \(exit code -9\)"):
+            for _ in range(100):
+                source.next()
         assert time.monotonic() - begin < 10.0
     finally:
         source.close()

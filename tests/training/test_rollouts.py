@@ -15,8 +15,9 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from izoo.algos.action import ResidualAction
-from izoo.algos.base import ACTION, MASK, InPlace
+from izoo.algos.base import ACTION, MASK, acts_in_place
 from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.gaussian import CompiledPolicy
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.options import TrainConfig
 from izoo.envs import EnvConfig
@@ -99,16 +100,30 @@ def test_batches_equal_those_of_the_stock_collector(name: str) -> None:
     assert_collects_the_same(OPTIONS[name])
 
 
-def test_batches_without_exploration_and_with_all_groups() -> None:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_batches_without_exploration_and_with_all_groups(workers: int) -> None:
     config = EnvConfig(emit=GROUPS, horizon_s=60.0, num_agents=16)
-    settings = {"config": config, "exploration": ExplorationType.DETERMINISTIC, "workers": 1}
+    settings = {"config": config, "exploration": ExplorationType.DETERMINISTIC, "workers": workers}
     (batch, _) = assert_collects_the_same(OPTIONS["ppo"], **settings)
-    assert batch.shape == (STEPS,) and batch["vehicles", "present"].any()
+    assert batch.shape[-1] == STEPS and batch["vehicles", "present"].any()
+
+
+class Constant(CompiledPolicy):
+    """Calls do something else than the policy that it is made of."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        super().forward(tensordict)
+        return tensordict.set(ACTION, torch.full_like(tensordict.get(ACTION), 1.25))
 
 
 def test_which_policies_act_in_place() -> None:
-    found = {name for name, options in OPTIONS.items() if isinstance(policy_of(options), InPlace)}
+    found = {name for name, options in OPTIONS.items() if acts_in_place(policy_of(options))}
     assert found == {"ppo", "mappo", "gcrl"}
+    policy = policy_of(OPTIONS["ppo"])
+    policy.__class__ = Constant
+    assert not acts_in_place(policy)
+    with collecting(RolloutCollector, policy) as collector:
+        assert (next(iter(collector))[ACTION] == 1.25).all()
 
 
 def test_new_weights_and_moved_memory_are_noticed() -> None:
@@ -172,6 +187,64 @@ def test_lane_changes_are_commanded_and_checked() -> None:
     illegal = pytest.raises(IzooError, match=r"'lane_change'\) is torch.int64 of shape .* with the values")
     with collecting(RolloutCollector, Changing(7), config) as collector, illegal:
         list(zip(range(2), collector, strict=False))
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_policies_that_do_not_change_lanes_are_refused_where_they_must(name: str) -> None:
+    config = EnvConfig(horizon_s=60.0, num_agents=16, lane_change=True)
+    refused = pytest.raises(IzooError, match=r"'lane_change'\) is missing")
+    with collecting(RolloutCollector, policy_of(OPTIONS[name]), config) as collector, refused:
+        next(iter(collector))
+
+
+class Shrinking(TensorDictModuleBase):
+    """What it answers besides actions becomes smaller."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "value")]
+        self.calls = 0
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        mask, self.calls = tensordict.get(MASK), self.calls + 1
+        tensordict.set(("agents", "value"), torch.zeros(*mask.shape, 2 if self.calls < 5 else 1))
+        return tensordict.set(ACTION, torch.ones(*mask.shape, 1))
+
+
+def test_answers_do_not_change_their_shape() -> None:
+    refused = pytest.raises(IzooError, match=r"'value'\) is of shape \[2, 16, 1\] .* it was of shape \[2, 16, 2\]")
+    with collecting(RolloutCollector, Shrinking()) as collector, refused:
+        next(iter(collector))
+
+
+class Deferring(TensorDictModuleBase):
+    """Leaves every other slot to SUMO, and brakes with the others."""
+
+    def __init__(self, kind: torch.dtype) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "defer")]
+        self.kind = kind
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get(MASK)
+        flags = (torch.arange(mask.shape[-1]) % 2 * 3).expand(mask.shape).to(self.kind)
+        tensordict.set(("agents", "defer"), flags)
+        return tensordict.set(ACTION, -torch.ones(*mask.shape, 1))
+
+
+def test_flags_of_any_type_defer() -> None:
+    seen = []
+    for kind in (torch.bool, torch.float32):
+        with collecting(RolloutCollector, Deferring(kind)) as collector:
+            seen.append(next(iter(collector))["agents", "observation"].clone())
+    assert torch.equal(*seen)
+
+
+def test_a_rollout_needs_running_episodes() -> None:
+    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"])) as collector:
+        collector.env._started = False
+        with pytest.raises(IzooError, match=r"before reset\(\)"):
+            next(iter(collector))
 
 
 class Misshapen(TensorDictModuleBase):
