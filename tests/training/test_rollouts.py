@@ -52,7 +52,7 @@ def collecting(
     policy: TensorDictModuleBase,
     config: EnvConfig = CONFIG,
     exploration: ExplorationType = ExplorationType.RANDOM,
-    workers: int = 2,
+    workers: int = 1,
 ) -> Iterator[Collector]:
     """A collector of batches ``[workers, STEPS]``, or ``[STEPS]`` where one environment is in this process."""
     contexts = crossing()
@@ -97,7 +97,7 @@ def assert_collects_the_same(options: TrainConfig, **settings: object) -> list[T
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_batches_equal_those_of_the_stock_collector(name: str) -> None:
-    assert_collects_the_same(OPTIONS[name])
+    assert_collects_the_same(OPTIONS[name], workers=2 if name == "ppo" else 1)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -128,7 +128,7 @@ def test_which_policies_act_in_place() -> None:
 
 def test_new_weights_and_moved_memory_are_noticed() -> None:
     policy = policy_of(OPTIONS["ppo"])
-    with collecting(RolloutCollector, policy, exploration=ExplorationType.DETERMINISTIC) as collector:
+    with collecting(RolloutCollector, policy, exploration=ExplorationType.DETERMINISTIC, workers=2) as collector:
         first = next(iter(collector)).clone()
         with torch.no_grad():
             for parameter in policy.parameters():
@@ -212,7 +212,7 @@ class Shrinking(TensorDictModuleBase):
 
 
 def test_answers_do_not_change_their_shape() -> None:
-    refused = pytest.raises(IzooError, match=r"'value'\) is of shape \[2, 16, 1\] .* it was of shape \[2, 16, 2\]")
+    refused = pytest.raises(IzooError, match=r"'value'\) is of shape \[16, 1\] .* it was of shape \[16, 2\]")
     with collecting(RolloutCollector, Shrinking()) as collector, refused:
         next(iter(collector))
 
@@ -241,7 +241,7 @@ def test_flags_of_any_type_defer() -> None:
 
 
 def test_a_rollout_needs_running_episodes() -> None:
-    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"])) as collector:
+    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"]), workers=2) as collector:
         collector.env._started = False
         with pytest.raises(IzooError, match=r"before reset\(\)"):
             next(iter(collector))
@@ -261,14 +261,14 @@ class Misshapen(TensorDictModuleBase):
 
 
 def test_commands_of_a_wrong_shape_are_refused() -> None:
-    refused = pytest.raises(IzooError, match=r"'defer'\) is of shape \[2, 16, 2\]")
+    refused = pytest.raises(IzooError, match=r"'defer'\) is of shape \[16, 2\]")
     with collecting(RolloutCollector, Misshapen()) as collector, refused:
         next(iter(collector))
 
 
 def test_a_worker_lost_in_a_batch() -> None:
     """Its step is reported as truncated, from and to the same state; the other goes on."""
-    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"])) as collector:
+    with collecting(RolloutCollector, policy_of(OPTIONS["ppo"]), workers=2) as collector:
         next(iter(collector))
         os.kill(collector.env._workers[1].process.pid, signal.SIGKILL)
         batch = next(iter(collector))
