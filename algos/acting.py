@@ -24,8 +24,6 @@ from izoo.envs.stale import forget_stale_kernels
 forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-
-
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
 """Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
 

@@ -125,13 +125,7 @@ def _multisync(
         functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
         for worker in range(config.num_workers)
     ]
-    return ProcessesCollector(
-        makers,
-        policy,
-        TrainingEnv(schedule, config=config.env),
-        frames,
-        ExplorationType.RANDOM,
-    )
+    return ProcessesCollector(makers, policy, TrainingEnv(schedule, config=config.env), frames)
 
 
 def _ray(

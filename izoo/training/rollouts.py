@@ -77,7 +77,6 @@ class ProcessesCollector(MultiSyncCollector):
         policy: what acts in all of them.
         example: such an environment; it is not started.
         frames_per_batch: ``N * T``.
-        exploration_type: TorchRL's.
     """
 
     def __init__(
@@ -86,7 +85,6 @@ class ProcessesCollector(MultiSyncCollector):
         policy: TensorDictModuleBase,
         example: EnvBase,
         frames_per_batch: int,
-        exploration_type: ExplorationType,
     ) -> None:
         self._batch = _empty_batch(example, policy, len(makers), frames_per_batch // len(makers)).share_memory_()
         collector = functools.partial(RolloutCollector, batches=self._batch)
@@ -95,7 +93,7 @@ class ProcessesCollector(MultiSyncCollector):
             policy,
             frames_per_batch=frames_per_batch,
             total_frames=-1,
-            exploration_type=exploration_type,
+            exploration_type=ExplorationType.RANDOM,
             trust_policy=True,
             auto_register_policy_transforms=False,
             collector_class=collector,

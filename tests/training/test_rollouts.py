@@ -218,26 +218,26 @@ def test_answers_do_not_change_their_shape() -> None:
 
 
 class Deferring(TensorDictModuleBase):
-    """Leaves every other slot to SUMO, and brakes with the others."""
+    """Leaves every other slot to SUMO, where the flags are not all 0, and brakes with the others."""
 
-    def __init__(self, kind: torch.dtype) -> None:
+    def __init__(self, kind: torch.dtype, flag: int) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "defer")]
-        self.kind = kind
+        self.kind, self.flag = kind, flag
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get(MASK)
-        flags = (torch.arange(mask.shape[-1]) % 2 * 3).expand(mask.shape).to(self.kind)
+        flags = (torch.arange(mask.shape[-1]) % 2 * self.flag).expand(mask.shape).to(self.kind)
         tensordict.set(("agents", "defer"), flags)
         return tensordict.set(ACTION, -torch.ones(*mask.shape, 1))
 
 
 def test_flags_of_any_type_defer() -> None:
     seen = []
-    for kind in (torch.bool, torch.float32):
-        with collecting(RolloutCollector, Deferring(kind)) as collector:
+    for kind, flag in ((torch.bool, 1), (torch.float32, 3), (torch.bool, 0)):
+        with collecting(RolloutCollector, Deferring(kind, flag)) as collector:
             seen.append(next(iter(collector))["agents", "observation"].clone())
-    assert torch.equal(*seen)
+    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
 
 
 def test_a_rollout_needs_running_episodes() -> None:
