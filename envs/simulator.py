@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from itertools import filterfalse
 from pathlib import Path
@@ -32,7 +31,6 @@ from izoo.envs.layout import (
 )
 from izoo.envs.roster import Roster
 from izoo.envs.sumo import SumoSession, sumo_arguments
-from izoo.envs.worker import episode_folder_prefix, remove_abandoned_folders
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.networks.build import build_net
@@ -76,15 +74,7 @@ class Simulator:
             )
         self.context, self.seed = context, seed
         self.traffic = sample_traffic(context, road, seed, config.horizon_s)
-        if self._folder is None:
-            remove_abandoned_folders()
-            self._folder = tempfile.TemporaryDirectory(prefix=episode_folder_prefix(os.getpid()))
-        routes = Path(self._folder.name) / "traffic.rou.xml"
-        write_routes(self.traffic, road, routes)
-        try:
-            self.session.load(sumo_arguments(net, routes, seed, config.step_s))
-        except IzooError as error:
-            raise IzooError(f"context {context.name}: {error}") from error
+        self._load(net)
         self._clear_tables()
         self._prepare_road()
         for _ in range(config.warmup_steps):
@@ -97,6 +87,19 @@ class Simulator:
         self._write_context(episode)
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
+
+    def _load(self, net: Path) -> None:
+        """Begin the episode in SUMO, which keeps its file of the traffic open: however a process ends, none is left."""
+        self._remove_files()
+        self._folder = tempfile.TemporaryDirectory(prefix="izoo-")
+        routes = Path(self._folder.name) / "traffic.rou.xml"
+        write_routes(self.traffic, self.road, routes)
+        try:
+            self.session.load(sumo_arguments(net, routes, self.seed, self.config.step_s))
+        except IzooError as error:
+            raise IzooError(f"context {self.context.name}: {error}") from error
+        if not self.config.gui:  # a window can be told to load its files again
+            self._remove_files()
 
     def step(self) -> bool:
         """Apply the frame's actions, simulate one step, and write the next frame; return whether the episode ended."""
@@ -145,8 +148,11 @@ class Simulator:
         return columns
 
     def close(self) -> None:
-        """End SUMO and remove the episode's files."""
+        """End SUMO."""
         self.session.close()
+        self._remove_files()
+
+    def _remove_files(self) -> None:
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None

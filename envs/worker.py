@@ -11,7 +11,6 @@ import contextlib
 import mmap
 import os
 import pickle
-import shutil
 import socket
 import struct
 import subprocess
@@ -20,13 +19,11 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import map_frames
 from izoo.errors import IzooError
-from izoo.networks.cache import is_running
 
 STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
 DONE, FAILED = b"k", b"e"
@@ -34,8 +31,6 @@ _STARTUP_S = 300.0
 AWAKE_S = 1e-3
 """For so long a process asks again for what it waits for before it sleeps, where it has a core for that: being woken by
 another core takes 5 to 90 us, up to a fifth of a step."""
-ABANDONED_S = 24 * 3600.0
-"""An episode's folder that is older than this, and whose process is gone, is removed."""
 _LENGTH = struct.Struct("!Q")
 
 
@@ -54,22 +49,6 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-def episode_folder_prefix(pid: int | str) -> str:
-    """Name, but for its random end, of the temporary folder in which a process keeps the files of its episode."""
-    return f"izoo-{pid}-"
-
-
-def remove_abandoned_folders() -> None:
-    """Remove what processes that were killed together with their parent have left: nobody else could."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix('*')}*"):
-        pid = folder.name.split("-")[1]
-        with contextlib.suppress(OSError):
-            # A process of another container may live although it is not seen here, but then its files are young.
-            old = time.time() - folder.stat().st_mtime > ABANDONED_S
-            if old and pid.isdigit() and folder.stat().st_uid == os.getuid() and not is_running(int(pid)):
-                shutil.rmtree(folder, ignore_errors=True)
-
-
 def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:
     """Start ``from MODULE import FUNCTION; FUNCTION(...)`` in a fresh interpreter that imports what this one can.
 
@@ -85,14 +64,6 @@ def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.DEVNULL, pass_fds=descriptors, start_new_session=True
     )
-
-
-def kill_process(process: subprocess.Popen[bytes]) -> None:
-    """End a worker at once, and remove the files of its episode, which it can no longer remove."""
-    process.kill()
-    process.wait()
-    for folder in Path(tempfile.gettempdir()).glob(f"{episode_folder_prefix(process.pid)}*"):
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Worker:
@@ -176,7 +147,8 @@ class Worker:
     def kill(self) -> None:
         """End the process at once."""
         self._socket.close()
-        kill_process(self.process)
+        self.process.kill()
+        self.process.wait()
 
     def close(self, patience_s: float = 5.0) -> None:
         """Ask the process to end, and end it if it does not."""

@@ -19,7 +19,7 @@ import cloudpickle
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.envs.worker import kill_process, start_process
+from izoo.envs.worker import start_process
 from izoo.errors import IzooError
 
 ATTEMPTS = 2
@@ -151,7 +151,8 @@ class _Worker:
         try:
             self.process.wait(2.0)
         except subprocess.TimeoutExpired:
-            kill_process(self.process)
+            self.process.kill()
+            self.process.wait()
 
 
 def worker_main(descriptor: int, setup: int) -> None:
