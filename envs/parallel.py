@@ -192,6 +192,9 @@ class SumoParallelEnv(EcoDrivingBase):
 
 
 def _close(workers: list[Worker | None], memory: int) -> None:
+    for worker in workers:
+        if worker is not None:
+            worker.dismiss()
     for index, worker in enumerate(workers):
         if worker is not None:
             worker.close()

@@ -95,6 +95,8 @@ def play_all(
                     raise EpisodeFailed(f"{task}: the worker process died {ATTEMPTS} times ({worker.exit_text()}).")
     finally:
         for worker in workers:
+            worker.dismiss()
+        for worker in workers:
             worker.close()
         setup.close()
 
@@ -143,11 +145,15 @@ class _Worker:
             return f"signal {signal.Signals(-code).name}"
         return f"exit code {code}"
 
-    def close(self) -> None:
-        """End the process."""
+    def dismiss(self) -> None:
+        """Ask the process to end, and do not wait for that."""
         with contextlib.suppress(OSError):
             self.connection.send_bytes(b"")
         self.connection.close()
+
+    def close(self) -> None:
+        """Ask the process to end, wait, and end it if it does not."""
+        self.dismiss()
         try:
             self.process.wait(2.0)
         except subprocess.TimeoutExpired:

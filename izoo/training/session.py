@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-import os
 import sys
 import time
 from pathlib import Path
@@ -44,6 +43,8 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 MAX_LEARNER_THREADS = 8
 EVALUATION_STREAM = 7919
 """Separates the draws of evaluation contexts from those of training episodes."""
+PLOT_EVERY_S = 60.0
+"""Seconds between two drawings of the learning curve while training: each takes half a second."""
 
 
 def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -123,6 +124,8 @@ class Session:
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
         self._saved_at = -1
+        self._plotted_s = 0.0
+        self._threads = torch.get_num_threads()
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint: with the weights and draws that it holds, and in the middle of its episodes.
@@ -132,7 +135,7 @@ class Session:
         runs.check_layout(state["features"], self.config, self.run_dir)
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
-        self._state, self._saved_at = state, self.frames
+        self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
         pasts = Pasts.from_state(state["pasts"])
         if len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
@@ -179,11 +182,13 @@ class Session:
                     bar.update(self.frames, row)
                     if self.batches % config.checkpoint.every_batches == 0:
                         self._save()
-                        self._plot()
+                        if self.seconds - self._plotted_s >= PLOT_EVERY_S:
+                            self._plot()
                     if self.validator.due(self.batches):
                         self._validate()
         finally:
             batches.close()
+            torch.set_num_threads(self._threads)
 
     def _validate(self) -> None:
         """Let the present weights be validated, if they could be saved."""
@@ -222,7 +227,7 @@ class Session:
         torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
         batch = batches.next()
         collected = time.perf_counter()
-        torch.set_num_threads(min(os.cpu_count() or 1, MAX_LEARNER_THREADS))
+        torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
         stats = episode_stats(batch)
         self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
@@ -276,6 +281,7 @@ class Session:
         if self.table.rows:
             title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
             plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
+            self._plotted_s = self.seconds
 
     def _evaluate(self) -> None:
         """Print the brief comparison with human driving and store it in the run folder."""

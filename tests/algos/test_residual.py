@@ -223,19 +223,19 @@ def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:
 def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [
-        *("algo=ddpg", "action=residual", "action.half_width_mps2=0.8", "contexts=pcg_easy", "env.horizon_s=150"),
+        *("algo=ddpg", "action=residual", "action.half_width_mps2=0.8", "contexts=pcg_easy", "env.horizon_s=100"),
         *(
             "contexts.inflow_vph_per_lane=600",
             "algo.hidden=[16]",
-            "algo.frames_per_batch=500",
+            "algo.frames_per_batch=200",
             "algo.minibatch_rows=64",
         ),
-        *("algo.learning_starts=500", "total_frames=2000", "evaluation.contexts=0", f"run_dir={run_dir}"),
+        *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
     ]
     assert train.main(words) == 0
     with (run_dir / runs.METRICS_FILE).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["frames"]) for row in rows] == [500, 1000, 1500, 2000]
+    assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]
     assert all(float(row["loss_value"]) > 0 for row in rows)
     assert 0 < float(rows[0]["residual_abs"]) < 0.8
     assert runs.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)

@@ -77,14 +77,12 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
     ids=["single-ppo", "parallel-ddpg"],
 )
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
-    # The single collector simulates in its own process, which can hold one simulation.
-    command = [sys.executable, "-m", "izoo.train"]
     words = [*TOY, *words]
     if words[-1] in DDPG:
         words = [word for word in words if not word.startswith("algo.minibatch_rows")]
-    subprocess.run([*command, *words, f"run_dir={tmp_path / 'a'}"], check=True, stdout=subprocess.DEVNULL, timeout=200)
+    assert train.main([*words, f"run_dir={tmp_path / 'a'}"]) == 0
     kill_in_batch(tmp_path / "b", words, batch=4)
-    subprocess.run([*command, f"resume={tmp_path / 'b'}"], check=True, stdout=subprocess.DEVNULL, timeout=200)
+    assert train.main([f"resume={tmp_path / 'b'}"]) == 0
     whole, resumed = (flat(checkpoint.load(checkpoint.find(tmp_path / name))) for name in "ab")
     assert whole.keys() == resumed.keys()
     for path, leaf in whole.items():
