@@ -14,7 +14,7 @@ from izoo.metrics.benefit import benefits
 from izoo.metrics.definitions import APPROACH_METRICS
 from tests.evaluation.conftest import SHORT
 
-EPISODES, PER_COMPARISON, COMPARISONS = 24, 3, 300
+EPISODES, PER_COMPARISON, COMPARISONS = 24, 3, 100
 
 
 @pytest.fixture(scope="module")
