@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from izoo.algos.base import ACTIVATIONS
 from izoo.emissions import kernel
 from izoo.emissions.kernel import fast_tanh
-from izoo.envs.stale import forget_stale_kernels
+from izoo.envs.kernel_cache import forget_stale_kernels
 
 forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
 

@@ -14,7 +14,7 @@ from numba import njit
 from izoo.algos import acting
 from izoo.algos.acting import activate, linear, sample
 from izoo.emissions import kernel
-from izoo.envs.stale import forget_stale_kernels
+from izoo.envs.kernel_cache import forget_stale_kernels
 
 forget_stale_kernels([Path(__file__), Path(acting.__file__), Path(kernel.__file__)])
 

@@ -16,8 +16,10 @@ from numba.experimental import structref
 
 from izoo.emissions.kernel import emission_rate_kernel
 from izoo.envs.accounting import account, pay, plan_commands, reward_terms, sum_episode
+from izoo.envs.kernel_cache import forget_stale_kernels
 from izoo.envs.kernels import (
     agent_vehicles,
+    copy_into,
     emit_vehicles,
     find_leaders,
     observe,
@@ -37,7 +39,6 @@ from izoo.envs.layout import (
     STEADY,
     WRONG_LANE,
 )
-from izoo.envs.stale import forget_stale_kernels
 
 forget_stale_kernels()
 
@@ -247,13 +248,14 @@ def make_frame(rows, reading, acting, leavers, time_s, phase, measured, world): 
         rows.shape[0] == 0,
     )
     out.agent_terminated[:] = 0
+    out.agent_done[:] = 0
     for j in range(leavers.shape[0]):
         flags[leavers[j], PRESENT] = 0
         slot = ints[leavers[j], AGENT]
         if slot >= 0:
             tables.agent_row[slot] = -1
             out.agent_terminated[slot] = 1
-    out.agent_done[:] = out.agent_terminated
+            out.agent_done[slot] = 1
     state = (clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s)
     observe(
         tables.agent_row,
@@ -273,13 +275,14 @@ def make_frame(rows, reading, acting, leavers, time_s, phase, measured, world): 
     if rules.emit_vehicles:
         emit_vehicles(floats, ints, flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
     if rules.emit_signal:
-        out.signal_colour[: clock.now.shape[0], : clock.now.shape[1]] = clock.now
-        out.signal_time_left_s[: clock.now.shape[0], : clock.now.shape[1]] = clock.time_left_s
+        copy_into(out.signal_colour, clock.now)
+        copy_into(out.signal_time_left_s, clock.time_left_s)
     if measured:
         sum_episode(rows, acting, floats, ints, flags, out.reward, rules.step_s, tables.sums, tables.episode)
-    out.episode_metrics[:] = tables.episode
+    for k in range(tables.episode.shape[0]):
+        out.episode_metrics[k] = tables.episode[k]
     if rules.emit_metrics:
-        out.approach_metrics[:] = tables.sums
+        copy_into(out.approach_metrics, tables.sums)
     count = 0
     for j in range(rows.shape[0]):
         r = rows[j]

@@ -14,6 +14,7 @@ from izoo.envs import accounting
 from izoo.envs.config import KEEP_LANE, NEIGHBOURS, EnvConfig
 from izoo.envs.context_table import observed_table
 from izoo.envs.fused import ClockArrays, Frame, Rules, Tables, command_agents, hold, make_frame
+from izoo.envs.kernel_cache import compiling_once
 from izoo.envs.kernels import read_clock, road_arrays
 from izoo.envs.layout import (
     ACCEL,
@@ -75,6 +76,11 @@ class Simulator:
         self.context, self.seed = context, seed
         self.traffic = sample_traffic(context, road, seed, config.horizon_s)
         self._load(net)
+        with compiling_once(make_frame):
+            self._begin(episode)
+
+    def _begin(self, episode: int) -> None:
+        config = self.config
         self._clear_tables()
         self._prepare_road()
         for _ in range(config.warmup_steps):

@@ -83,10 +83,11 @@ def test_the_wheel_runs_from_an_empty_environment(wheel: Path, tmp_path: Path) -
         "from izoo import train\n"
         "assert all(module.__file__.startswith(sys.path[0]) for module in (train, izoo.envs, izoo.algos))\n"
         "sys.exit(train.main(['contexts=pcg_easy', 'total_frames=50', 'algo.frames_per_batch=50', 'env.horizon_s=60',\n"
-        "                     'evaluation.contexts=0', 'collector=single']))\n"
+        "                     'evaluation.contexts=0', 'num_workers=2']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=work, capture_output=True, text=True, timeout=250)
     assert done.returncode == 0, done.stderr
+    assert done.stderr.count("Compiling") == 1, "two workers start, one compiles"
     (run_dir,) = (work / "runs").iterdir()
     assert (run_dir / "metrics.csv").is_file()
 

@@ -6,6 +6,7 @@ of the bare Markdown files see nothing of it.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import dataclasses
 import html
@@ -14,6 +15,7 @@ import io
 import os
 import pkgutil
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -200,6 +202,7 @@ MARKERS: dict[str, Callable[[str], str]] = {"options": options_page, "commands":
 def on_config(config: Any) -> Any:
     """Let mkdocstrings see the package as it is installed, although three of its folders lie beside it."""
     folder = Path(tempfile.mkdtemp(prefix="izoo-docs-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     package = folder / "izoo"
     package.mkdir()
     for entry in (ROOT / "izoo").iterdir():

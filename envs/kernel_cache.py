@@ -1,7 +1,8 @@
-"""Forgets compiled kernels when any source that they were compiled from has changed.
+"""What numba's cache on disk leaves to its users: to forget stale kernels, and to compile by one process at a time.
 
-numba's cache on disk looks at the file of the function that was called, and not at the files of the functions and
-constants that were compiled into it. After an update of izoo it would go on running old code.
+The cache looks at the file of the function that was called, and not at the files of the functions and constants that
+were compiled into it: after an update of izoo it would go on running old code. Workers that start at the same time
+would all compile the same.
 """
 
 from __future__ import annotations
@@ -9,7 +10,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import filelock
 
 import izoo.emissions.kernel
 import izoo.metrics.definitions
@@ -17,6 +23,7 @@ import izoo.networks.clock
 import izoo.networks.roadnet
 
 _STAMP = "kernels.sha256"
+_PATIENCE_S = 120.0
 
 
 def kernel_sources() -> list[Path]:
@@ -53,3 +60,30 @@ def forget_stale_kernels(sources: list[Path] | None = None) -> None:
                 compiled.unlink(missing_ok=True)
         stamp.parent.mkdir(exist_ok=True)
         stamp.write_text(current)
+
+
+@contextlib.contextmanager
+def compiling_once(kernel: Any) -> Iterator[None]:
+    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
+
+    Args:
+        kernel: numba's dispatcher, called for the first time within the context.
+    """
+    folder, function = Path(kernel.stats.cache_path), kernel.py_func
+    pattern = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}-*.nbi"
+
+    def is_there() -> bool:
+        return bool(kernel.signatures) or any(folder.glob(pattern))
+
+    if is_there():
+        yield
+        return
+    lock = filelock.FileLock(folder / f"{function.__qualname__}.lock")
+    with contextlib.suppress(OSError, filelock.Timeout):
+        lock.acquire(_PATIENCE_S)
+    try:
+        if not is_there():
+            print("Compiling the environment's kernels: ten to thirty seconds, once per installation.", file=sys.stderr)
+        yield
+    finally:
+        lock.release()
