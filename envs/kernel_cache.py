@@ -24,6 +24,7 @@ import izoo.networks.roadnet
 
 _STAMP = "kernels.sha256"
 _PATIENCE_S = 120.0
+MESSAGE = "Compiling the environment's kernels: ten to thirty seconds, once per installation."
 
 
 def kernel_sources() -> list[Path]:
@@ -66,11 +67,16 @@ def forget_stale_kernels(sources: list[Path] | None = None) -> None:
 def compiling_once(kernel: Any) -> Iterator[None]:
     """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
 
+    Where files cannot be locked, everybody compiles. A compiled kernel that numba will not use, as it is of another
+    machine or of older code, goes unnoticed.
+
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
     """
     folder, function = Path(kernel.stats.cache_path), kernel.py_func
-    pattern = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}-*.nbi"
+    name, code = function.__qualname__, function.__code__
+    version = "".join(map(str, sys.version_info[:2]))
+    pattern = f"{Path(code.co_filename).stem}.{name}-{code.co_firstlineno}.py{version}*.nbi"
 
     def is_there() -> bool:
         return bool(kernel.signatures) or any(folder.glob(pattern))
@@ -78,12 +84,18 @@ def compiling_once(kernel: Any) -> Iterator[None]:
     if is_there():
         yield
         return
-    lock = filelock.FileLock(folder / f"{function.__qualname__}.lock")
-    with contextlib.suppress(OSError, filelock.Timeout):
+    lock = filelock.FileLock(folder / f"{name}.lock")
+    with contextlib.suppress(OSError, NotImplementedError, filelock.Timeout):
         lock.acquire(_PATIENCE_S)
     try:
-        if not is_there():
-            print("Compiling the environment's kernels: ten to thirty seconds, once per installation.", file=sys.stderr)
+        if is_there():
+            lock.release()
+        else:
+            with contextlib.suppress(OSError):  # nobody may read it
+                print(
+                    "Compiling the environment's kernels: ten to thirty seconds, once per installation.",
+                    file=sys.stderr,
+                )
         yield
     finally:
         lock.release()

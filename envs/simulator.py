@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import tempfile
 from itertools import filterfalse
 from pathlib import Path
@@ -57,7 +59,7 @@ class Simulator:
         self.config, self.frame, self.weights = config, frame, weights
         self.session = SumoSession(gui=config.gui)
         self._road: RoadNet | None = None
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._routes: Path | None = None
         self._arrays = Frame(*(frame[name] for name in Frame._fields))
 
     # -- episodes ------------------------------------------------------------------------------------------------------
@@ -95,17 +97,19 @@ class Simulator:
             self.frame[name][:] = 0
 
     def _load(self, net: Path) -> None:
-        """Begin the episode in SUMO, which keeps its file of the traffic open: however a process ends, none is left."""
-        self._remove_files()
-        self._folder = tempfile.TemporaryDirectory(prefix="izoo-")
-        routes = Path(self._folder.name) / "traffic.rou.xml"
-        write_routes(self.traffic, self.road, routes)
+        """Begin the episode in SUMO, which keeps its file of the traffic open: the file itself can go at once."""
+        self._remove_routes()
+        descriptor, name = tempfile.mkstemp(prefix="izoo-", suffix=".rou.xml")
+        os.close(descriptor)
+        self._routes = Path(name)
         try:
-            self.session.load(sumo_arguments(net, routes, self.seed, self.config.step_s))
+            write_routes(self.traffic, self.road, self._routes)
+            self.session.load(sumo_arguments(net, self._routes, self.seed, self.config.step_s))
         except IzooError as error:
+            self._remove_routes()
             raise IzooError(f"context {self.context.name}: {error}") from error
         if not self.config.gui:  # a window can be told to load its files again
-            self._remove_files()
+            self._remove_routes()
 
     def step(self) -> bool:
         """Apply the frame's actions, simulate one step, and write the next frame; return whether the episode ended."""
@@ -156,12 +160,13 @@ class Simulator:
     def close(self) -> None:
         """End SUMO."""
         self.session.close()
-        self._remove_files()
+        self._remove_routes()
 
-    def _remove_files(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+    def _remove_routes(self) -> None:
+        if self._routes is not None:
+            with contextlib.suppress(OSError):  # Windows keeps files that are open: they go with the next episode
+                self._routes.unlink(missing_ok=True)
+                self._routes = None
 
     # -- tables --------------------------------------------------------------------------------------------------------
 

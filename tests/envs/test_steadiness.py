@@ -6,6 +6,7 @@ import functools
 import gc
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -21,10 +22,12 @@ from tensordict import TensorDict
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, simulator
 from izoo.envs.worker import AWAKE_S
 from izoo.errors import IzooError
 from izoo.networks.build import build_net
+from izoo.networks.roadnet import RoadNet
+from izoo.traffic.episode import Traffic, write_routes
 from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
@@ -277,13 +280,23 @@ def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+def write_long_routes(traffic: Traffic, road: RoadNet, path: Path) -> None:
+    """Write 2 MiB of nothing, more than SUMO reads at once, before the vehicles that depart after 200 s."""
+    write_routes(traffic, road, path)
+    lines = path.read_text().splitlines(keepends=True)
+    departs = [float(found[1]) if (found := re.search(r'depart="([\d.]+)"', line)) else -1.0 for line in lines]
+    late = next(k for k, depart in enumerate(departs) if depart > 200.0)
+    path.write_text("".join([*lines[:late], " " * 2**21, "\n", *lines[late:]]))
+
+
 def test_episodes_keep_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulator, "write_routes", write_long_routes)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     env = EcoDrivingEnv(FixedSchedule([(crossing(), 1)]), config=short(horizon_s=420.0, step_s=1.0))
     try:
         state = env.reset()
         assert list(tmp_path.iterdir()) == []
-        # SUMO reads 200 s of traffic at a time, here from a file that has no name any more.
+        # SUMO reads 200 s of traffic at a time, the rest here from a file that has no name any more.
         assert play(env, 400, defer, state)[-1]["vehicles", "present"].any()
     finally:
         env.close()
@@ -309,7 +322,7 @@ PARENT = """
 import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell are born deaf to it
 from tests.envs.worlds import crossing, play, short
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import SumoParallelEnv
 env = SumoParallelEnv(2, crossing(), config=short(horizon_s=500.0))
 env.reset()
 print(*(worker.process.pid for worker in env._workers), flush=True)
