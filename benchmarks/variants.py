@@ -113,15 +113,15 @@ class Plan:
 def make_variants(plan: Plan) -> dict[str, Variant]:
     """Return every variant by the name of its row; the first is what the others are compared with."""
     lean = plan.env(emit=())
-    workers, processes = ("worker", "process") if plan.workers == 1 else ("workers", "processes")
+    several = f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'}"
     return {
         "bare libsumo": Bare(plan),
-        f"{plan.workers} {processes}, bare libsumo": BareSideBySide(plan),
+        f"{several}, bare libsumo": BareSideBySide(plan),
         "one environment": Collected(plan, "single", FullAcceleration()),
-        f"{plan.workers} {workers}": Collected(plan, "parallel", FullAcceleration()),
-        f"{plan.workers} {processes}": Collected(plan, "multisync", FullAcceleration()),
-        f"{plan.workers} {workers}, PPO policy": Collected(plan, "parallel"),
-        f"{plan.workers} {processes}, PPO policy": Collected(plan, "multisync"),
+        f"{several}, multisync": Collected(plan, "multisync", FullAcceleration()),
+        f"{several}, parallel": Collected(plan, "parallel", FullAcceleration()),
+        f"{several}, multisync, PPO": Collected(plan, "multisync"),
+        f"{several}, parallel, PPO": Collected(plan, "parallel"),
         "one environment, step()": Single(plan, lean),
         "one, all groups, step()": Single(plan, plan.env()),
     }

@@ -46,9 +46,10 @@ def test_throughput_compares_like_with_like(capsys: pytest.CaptureFixture[str]) 
     # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
     one, stepped = rows["one environment"], rows["one environment, step()"]
     for counted in ("agents", "vehicles"):
-        assert bare[counted] == rows["1 process, bare libsumo"][counted]
-        assert one[counted] == rows["1 worker"][counted] == rows["1 process"][counted]
+        assert bare[counted] == rows["1 worker, bare libsumo"][counted]
+        assert one[counted] == rows["1 worker, parallel"][counted] == rows["1 worker, multisync"][counted]
         assert stepped[counted] == rows["one, all groups, step()"][counted] == pytest.approx(one[counted], rel=0.05)
     assert one["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
     # The same policy meets the same traffic, wherever it runs.
-    assert rows["1 worker, PPO policy"]["agents"] == pytest.approx(rows["1 process, PPO policy"]["agents"], rel=0.2)
+    parallel, multisync = rows["1 worker, parallel, PPO"], rows["1 worker, multisync, PPO"]
+    assert parallel["agents"] == pytest.approx(multisync["agents"], rel=0.2)
