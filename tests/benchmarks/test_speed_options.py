@@ -36,7 +36,10 @@ def test_an_interrupt_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     assert cli.exit_code("benchmarks.scaling", lambda: 7) == 7
 
 
-def test_throughput_compares_like_with_like(capsys: pytest.CaptureFixture[str]) -> None:
+def test_throughput_compares_like_with_like(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(throughput, "ROUNDS", 1)
     assert throughput.main(["--json", "--workers", "1", "--steps", "200", "--scenarios", "light"]) == 0
     result = json.loads(capsys.readouterr().out)
     rows = {row["variant"]: row for row in result["rows"]}

@@ -79,7 +79,7 @@ class Steady(torch.nn.Module):
         return tensordict.set(("agents", "action"), torch.ones(*tensordict["agents", "mask"].shape, 1))
 
 config = EnvConfig(horizon_s=10.0, warmup_s=5.0)
-table = evaluate_policy(Steady(), [procedural_context(adoption=1.0)], [1, 2], config, num_workers=2, cache="cache")
+table = evaluate_policy(Steady(), [procedural_context(adoption=1.0)], [1, 2], config, num_workers=1, cache="cache")
 print("rows", len(table))
 """
 
@@ -221,19 +221,20 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
 
 
 @pytest.mark.parametrize(
-    ("policy", "error", "message"),
+    ("policy", "num_workers", "error", "message"),
     [
-        (drivers.broken, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
-        (drivers.silent, IzooError, "action"),
-        (drivers.deadly, EpisodeFailed, "died 2 times.*SIGKILL"),
+        (drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        (drivers.silent, 0, IzooError, "action"),
+        (drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL"),
     ],
 )
 def test_a_failing_episode_names_its_context(
-    policy, error: type[Exception], message: str, contexts: list[Context], cache: Path
+    policy, num_workers: int, error: type[Exception], message: str, contexts: list[Context], cache: Path
 ) -> None:
     with pytest.raises(error, match=rf"(?s)context {contexts[0].name}, seed {SEEDS[0]}.*{message}"):
         evaluate_policy(
-            policy, contexts[:1], SEEDS[:1], SHORT, num_workers=1, progress=False, cache=cache, uncommanded=False
+            policy, contexts[:1], SEEDS[:1], SHORT, num_workers, progress=False, cache=cache, uncommanded=False
         )
 
 
