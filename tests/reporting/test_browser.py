@@ -30,7 +30,7 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-def eventually(page: Any, condition: Callable[[], bool], patience_s: float = 20.0) -> None:
+def eventually(page: Any, condition: Callable[[], bool], patience_s: float = 60.0) -> None:
     """Wait for a condition; the page's own rules forbid to have it evaluated there."""
     end = time.monotonic() + patience_s
     while not condition():
@@ -43,6 +43,7 @@ class Visit:
 
     def __init__(self, chromium: Any, path: Path, size: tuple[int, int], scheme: str = "light") -> None:
         self.page = chromium.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+        self.page.set_default_timeout(90_000)
         self.complaints: list[str] = []
         self.requests: list[str] = []
         self.page.on("console", lambda message: self.complaints.append(message.text))
@@ -52,10 +53,11 @@ class Visit:
 
     def draw_everything(self) -> None:
         """Scroll to every figure and wait until it is drawn."""
+        # Playwright's own scrolling waits for elements to stand still, in vain where the machine is busy.
         for place in self.page.locator(".plot").all():
-            place.scroll_into_view_if_needed()
-        waiting = self.page.locator(".plot:not([data-drawn])")
-        eventually(self.page, lambda: waiting.count() == 0)
+            place.evaluate("element => element.scrollIntoView()")
+            eventually(self.page, lambda place=place: place.get_attribute("data-drawn") is not None)
+        assert self.page.locator(".plot:not([data-drawn])").count() == 0
 
     def close(self, path: Path) -> None:
         """Close the page; it must have been content, and have asked for nothing but itself."""
