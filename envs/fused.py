@@ -19,7 +19,6 @@ from izoo.envs.accounting import account, pay, plan_commands, reward_terms, sum_
 from izoo.envs.kernel_cache import forget_stale_kernels
 from izoo.envs.kernels import (
     agent_vehicles,
-    copy_into,
     emit_vehicles,
     find_leaders,
     observe,
@@ -189,6 +188,17 @@ def emit_co2(rows, tables, rules, surrogate):  # type: ignore[no-untyped-def]
     )
     for j in range(n):
         tables.floats[changed[j], EMISSION] = rate[j] * rules.step_s
+
+
+@njit(cache=True)
+def copy_into(target, source):  # type: ignore[no-untyped-def]
+    """Copy a table to the upper left corner of one that is no smaller.
+
+    A slice assignment would compile the text of an error message that never comes: 2 s each.
+    """
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
 
 
 @njit(cache=True)

@@ -92,10 +92,7 @@ def compiling_once(kernel: Any) -> Iterator[None]:
             lock.release()
         else:
             with contextlib.suppress(OSError):  # nobody may read it
-                print(
-                    "Compiling the environment's kernels: ten to thirty seconds, once per installation.",
-                    file=sys.stderr,
-                )
+                print(MESSAGE, file=sys.stderr)
         yield
     finally:
         lock.release()

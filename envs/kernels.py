@@ -292,17 +292,6 @@ def read_clock(time_s, cycle_s, offset_s, begin, colour, change, second, third, 
 
 
 @njit(cache=True)
-def copy_into(target, source):  # type: ignore[no-untyped-def]
-    """Copy a table to the upper left corner of one that is no smaller.
-
-    A slice assignment would compile the text of an error message that never comes: 2 s each.
-    """
-    for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            target[i, j] = source[i, j]
-
-
-@njit(cache=True)
 def observe(agent_row, floats, ints, flags, order, start, road, clock, features, neighbours, sensor_range_m, out):  # type: ignore[no-untyped-def]
     """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
 
@@ -313,7 +302,7 @@ def observe(agent_row, floats, ints, flags, order, start, road, clock, features,
             seen (0 to 5), in this order.
     """
     colour, left, next2, next3 = clock
-    columns = np.empty(6, np.int64)
+    columns = np.empty(6, np.int64)  # np.full compiles longer
     columns[:] = -1
     for j in range(neighbours.shape[0]):
         columns[neighbours[j]] = 15 + 6 * j

@@ -17,12 +17,15 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes minutes; runs when IZOO_SLOW_TESTS is set")
 
 
-LONGEST = ("docs/test_blocks.py", "test_train.py", "training/", "test_packaging.py", "evaluation/", "benchmarks/")
+LONGEST = tuple(
+    f"tests/{path}"
+    for path in ("docs/test_blocks.py", "test_train.py", "training/", "test_packaging.py", "evaluation/", "benchmarks/")
+)
 """Of tests that run side by side, these begin first, so that none of them goes on alone at the end."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: not item.nodeid.startswith(tuple(f"tests/{path}" for path in LONGEST)))
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
     if os.environ.get("IZOO_SLOW_TESTS"):
         return
     for item in items:

@@ -1,4 +1,4 @@
-"""Compiled kernels are forgotten when what they were compiled from changes, and only then."""
+"""Compiled kernels are forgotten when what they were compiled from changes, and only then; one process compiles."""
 
 from __future__ import annotations
 
