@@ -19,7 +19,7 @@ from izoo.benchmarks.options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace, duration
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
-from izoo.conf.build import to_mapping
+from izoo.conf.mapping import to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy

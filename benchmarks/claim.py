@@ -15,7 +15,7 @@ from yaml import YAMLError
 
 import izoo
 from izoo.benchmarks.options import SWEPT
-from izoo.conf.build import to_mapping
+from izoo.conf.mapping import to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation.cache import code_digest

@@ -11,16 +11,16 @@ from typing import Any, cast
 import numpy as np
 
 from izoo.benchmarks.options import Entry, GeneralizationConfig, is_folder
-from izoo.conf.cities import CityContexts, Split
+from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.compose import compose_config
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
 from izoo.conf.options import TrainConfig
 from izoo.contexts import protocols
-from izoo.contexts.cities import CITIES, city_name
+from izoo.contexts.cities.rebuilt import CITIES, city_name
+from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.context import Context
 from izoo.contexts.source import episode_seed
-from izoo.contexts.weather import WEATHER_PUBLISHED
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 

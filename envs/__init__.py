@@ -3,8 +3,8 @@
 - :class:`EcoDrivingEnv`: one intersection, in this process.
 - :class:`SumoParallelEnv`: several, each in a worker process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
-- :mod:`izoo.envs.gymnasium`: ``gymnasium.make("izoo/EcoDriving-v0")`` and ``"izoo/EcoDrivingEgo-v0"``.
-- :mod:`izoo.envs.pettingzoo`: the parallel API of PettingZoo.
+- :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo/EcoDriving-v0")`` and ``"izoo/EcoDrivingEgo-v0"``.
+- :mod:`izoo.envs.views.pettingzoo`: the parallel API of PettingZoo.
 
 Names are loaded when first used, so that worker processes do not pay for torch.
 """
@@ -19,7 +19,7 @@ from gymnasium.envs.registration import register
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
     from izoo.envs.env import EcoDrivingEnv
-    from izoo.envs.parallel import SumoParallelEnv
+    from izoo.envs.sumo.parallel import SumoParallelEnv
 
 _HOME = {
     "EcoDrivingEnv": "env",
@@ -39,6 +39,6 @@ def __getattr__(name: str) -> Any:
 for _name, _view in (("EcoDriving", "Joint"), ("EcoDrivingEgo", "Ego")):
     register(
         id=f"izoo/{_name}-v0",
-        entry_point=f"izoo.envs.gymnasium:EcoDriving{_view}",
-        vector_entry_point=f"izoo.envs.gymnasium:{_view.lower()}_vector",
+        entry_point=f"izoo.envs.views.gymnasium:EcoDriving{_view}",
+        vector_entry_point=f"izoo.envs.views.gymnasium:{_view.lower()}_vector",
     )

@@ -39,7 +39,7 @@ from izoo.envs.layout import (
     TTC_CAP_S,
 )
 from izoo.networks.clock import RED
-from izoo.networks.roadnet import APPROACHING, INSIDE
+from izoo.networks.road import APPROACHING, INSIDE
 
 GRIDLOCK_S = 180.0
 """The region is in gridlock when none of its vehicles has moved for this long."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
 from izoo.contexts.features import scales
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 
 
 def observed_table(context: Context, road: RoadNet, names: tuple[str, ...]) -> np.ndarray:

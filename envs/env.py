@@ -19,7 +19,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.layout import frame_bytes, map_frames, observation_names
 from izoo.envs.reader import FrameReader
 from izoo.envs.recorder import BatchRecorder
-from izoo.envs.simulator import Simulator
+from izoo.envs.sumo.simulator import Simulator
 from izoo.errors import IzooError
 
 Contexts = Context | Sequence[Context] | ContextSource | Schedule
@@ -222,7 +222,7 @@ class EcoDrivingEnv(EcoDrivingBase):
         """
         if self._simulator is None or not self._simulator.started:
             raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
-        from izoo.envs.render import draw
+        from izoo.envs.views.render import draw
 
         simulator = self._simulator
         title = f"{simulator.context.name}   t = {simulator.time_s:.1f} s"

@@ -20,7 +20,7 @@ import filelock
 import izoo.emissions.kernel
 import izoo.metrics.definitions
 import izoo.networks.clock
-import izoo.networks.roadnet
+import izoo.networks.road
 
 _STAMP = "kernels.sha256"
 _PATIENCE_S = 120.0
@@ -30,7 +30,7 @@ MESSAGE = "Compiling the environment's kernels: ten to thirty seconds, once per 
 def kernel_sources() -> list[Path]:
     """Return the files that the compiled kernels' code and constants come from."""
     here = Path(__file__).parent
-    modules = (izoo.emissions.kernel, izoo.metrics.definitions, izoo.networks.clock, izoo.networks.roadnet)
+    modules = (izoo.emissions.kernel, izoo.metrics.definitions, izoo.networks.clock, izoo.networks.road)
     own = [here / f"{name}.py" for name in ("accounting", "config", "fused", "kernels", "layout")]
     return [*own, *(Path(str(module.__file__)) for module in modules)]
 

@@ -44,7 +44,7 @@ from izoo.envs.layout import (
     WRONG_LANE,
 )
 from izoo.networks.clock import NEVER_S
-from izoo.networks.roadnet import APPROACHING, INSIDE, LEAVING, RoadNet
+from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 
 NO_TTC = np.inf
 LONGEST_VEHICLE_M = 30.0

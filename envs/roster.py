@@ -32,7 +32,7 @@ from izoo.envs.layout import (
     PRESENT,
     REWARD_COLUMNS,
 )
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 from izoo.traffic.episode import Traffic
 
 MIN_CAPACITY = 256

@@ -224,7 +224,7 @@ def to_yaml(config: Any) -> str:
     """Return a configuration dataclass as YAML."""
     from omegaconf import OmegaConf
 
-    from izoo.conf.build import to_mapping
+    from izoo.conf.mapping import to_mapping
 
     return OmegaConf.to_yaml(OmegaConf.create(to_mapping(config)))
 

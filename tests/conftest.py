@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from izoo.contexts.source import ContextList
-from izoo.networks.cache import CACHE_ENV
-from izoo.networks.dataset import load_dataset
+from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.net.cache import CACHE_ENV
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -81,7 +81,7 @@ def test_arrows_point_one_way(name: str, path: Path) -> None:
     [
         ("izoo.metrics.scores", "from izoo.contexts.context import Context"),
         ("izoo.contexts.context", "import izoo.networks"),
-        ("izoo.networks.build", "from izoo.traffic import demand"),
+        ("izoo.networks.net.build", "from izoo.traffic import demand"),
         ("izoo.traffic.demand", "from izoo import envs"),
         ("izoo.envs.env", "def late():\n    from izoo.algos.ppo import PPO"),
         ("izoo.algos.ppo", "from izoo.training import runs"),

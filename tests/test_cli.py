@@ -15,8 +15,8 @@ from izoo import cli, collect, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
 from izoo.conf import compose
-from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.contexts import DatasetContexts, PcgContexts
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN

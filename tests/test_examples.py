@@ -95,7 +95,7 @@ def test_own_city(extract: str | None, tmp_path: Path) -> None:
     assert set(table["policy"]) == {"human", "uncommanded", "glide"} and len(table) == 6
     assert table["crossed"].sum() > 0 and (tmp_path / "town").is_dir()
     if extract is None:
-        from izoo.networks.dataset import load_specs
+        from izoo.networks.dataset.intersections import load_specs
 
         assert [len(spec.approach_names) for spec in load_specs(tmp_path / "town")] == [4, 3]
 

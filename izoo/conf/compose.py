@@ -16,8 +16,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from izoo.conf.build import from_mapping
-from izoo.contexts.cities import CITIES, city_name
+from izoo.conf.mapping import from_mapping
+from izoo.contexts.cities.rebuilt import CITIES, city_name
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from izoo.conf.cities import CatalogueContexts, CityContexts
+from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.contexts.distributions import Box, Key, Uniform, Weighted
 from izoo.contexts.procedural import (

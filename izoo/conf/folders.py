@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.conf.cities import Engine, Hour, Season, Split
+from izoo.conf.built_in import Engine, Hour, Season, Split
+from izoo.contexts.cities.weather import weather
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
-from izoo.contexts.weather import weather
 from izoo.errors import IzooError, check_range
 
 
@@ -95,7 +95,7 @@ class OsmContexts:
 
     def build(self) -> ContextSource:
         """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
-        from izoo.networks.osm_store import CMDP_FILE
+        from izoo.networks.osm.store import CMDP_FILE
 
         if self.path is not None and not Path(self.path, CMDP_FILE).is_file():
             raise IzooError(
@@ -108,7 +108,7 @@ class OsmContexts:
 
 def _load(config: DatasetContexts | OsmContexts, path: str | None, fields: dict[str, Any]) -> ContextList:
     # Imported here: reading options must not wait for SUMO's packages.
-    from izoo.networks.dataset import load_dataset
+    from izoo.networks.dataset.intersections import load_dataset
 
     if path is None:
         raise IzooError(f"contexts={config.name} needs a folder: contexts.path=DIR.")

@@ -9,7 +9,7 @@ from typing import Literal, Union
 from izoo.algos.action import ActionConfig, DirectAction
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.conf.cities import CityContexts
+from izoo.conf.built_in import CityContexts
 from izoo.conf.contexts import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range

@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.context_tools.commands import main
+from izoo.commands.contexts import main
 
 if __name__ == "__main__":
     sys.exit(main())

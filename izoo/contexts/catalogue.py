@@ -12,14 +12,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from izoo.contexts.cities import CITIES, SIZES, city_name, city_table
-from izoo.contexts.cities import get as get_city
+from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, city_table
+from izoo.contexts.cities.rebuilt import get as get_city
+from izoo.contexts.cities.shapes import SHAPES
+from izoo.contexts.cities.weather import WEATHER_PUBLISHED, weather
 from izoo.contexts.context import CV_VEHICLES, ENGINES, HOURS, SEASONS, Context
-from izoo.contexts.shapes import SHAPES
 from izoo.contexts.source import ContextList
 from izoo.contexts.spec import LEG_NAMES
 from izoo.contexts.splits import SplitName, city_split
-from izoo.contexts.weather import WEATHER_PUBLISHED, weather
 from izoo.errors import IzooError, check_choice, check_range
 
 ADOPTIONS = (0.1, 0.2, 0.5, 0.75, 1.0)

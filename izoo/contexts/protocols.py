@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from izoo.contexts.catalogue import Scenarios
-from izoo.contexts.cities import city_name
+from izoo.contexts.cities.rebuilt import city_name
+from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.procedural import SYSTEMATICITY_TEST, SYSTEMATICITY_TEST_SAMPLE, SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import PAPER_PAIR
-from izoo.contexts.weather import WEATHER_PUBLISHED
 from izoo.errors import check_choice
 
 COMMON: dict[str, Any] = {

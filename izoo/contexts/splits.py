@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Sequence
 from typing import Literal
 
-from izoo.contexts.cities import CITIES, SIZES, city_name
+from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
 from izoo.errors import IzooError, check_choice
 
 SPLITS = ("train", "validation", "test")

@@ -23,7 +23,7 @@ import izoo
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.evaluation.table import write_text
-from izoo.networks.cache import CACHE_ENV
+from izoo.networks.net.cache import CACHE_ENV
 
 SIMULATED_BY = {
     "izoo.contexts": None,

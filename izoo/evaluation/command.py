@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from izoo.conf.build import to_mapping
 from izoo.conf.contexts import ContextsConfig
+from izoo.conf.mapping import to_mapping
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, episode_seed
 from izoo.envs.config import EnvConfig

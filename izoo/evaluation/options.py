@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from izoo.algos import DRIVER_NAMES
-from izoo.conf.cities import CityContexts
+from izoo.conf.built_in import CityContexts
 from izoo.conf.contexts import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_choice, check_range

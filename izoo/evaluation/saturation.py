@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from izoo.contexts.context import Context
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 from izoo.traffic.demand import turning_shares
 
 SATURATION_FLOW_VPH_PER_LANE = 1800.0

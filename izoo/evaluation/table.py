@@ -17,7 +17,7 @@ from izoo.contexts.context import Context
 from izoo.errors import IzooError
 from izoo.evaluation.saturation import volume_over_capacity
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 
 CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE = (
     "evaluation.csv",

@@ -19,7 +19,7 @@ import cloudpickle
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.envs.worker import start_process
+from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 
 ATTEMPTS = 2

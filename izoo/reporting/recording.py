@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from izoo.envs.layout import METRIC
-from izoo.envs.simulator import Simulator
-from izoo.networks.roadnet import APPROACHING, RoadNet
+from izoo.envs.sumo.simulator import Simulator
+from izoo.networks.road import APPROACHING, RoadNet
 
 COUNTER_STEPS = 10
 """Steps between two entries of the counters."""

@@ -17,7 +17,7 @@ from typing import Any
 import pandas as pd
 from tensordict import TensorDictBase
 
-from izoo.conf.build import from_mapping
+from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv

@@ -50,7 +50,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.errors import IzooError
 from izoo.evaluation.table import CSV_FILE, read_csv, write_text
 

@@ -29,7 +29,7 @@ _ARRIVALS, _ROUTES, _FLEET, _DRIVERS, _ADOPTION = range(5)
 
 
 class Roads(Protocol):
-    """What traffic needs to know of a net; :class:`izoo.networks.roadnet.RoadNet` is one."""
+    """What traffic needs to know of a net; :class:`izoo.networks.road.RoadNet` is one."""
 
     @property
     def approaches(self) -> tuple[str, ...]: ...

@@ -15,7 +15,7 @@ from torchrl.data import Unbounded
 
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.layout import TOTALS
-from izoo.envs.parallel import SumoParallelEnv
+from izoo.envs.sumo.parallel import SumoParallelEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 

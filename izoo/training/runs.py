@@ -19,7 +19,7 @@ from izoo.algos.ddpg import DDPG
 from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
-from izoo.conf.build import from_mapping, to_mapping
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.envs.layout import observation_names
 from izoo.errors import IzooError, os_reason

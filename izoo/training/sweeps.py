@@ -12,7 +12,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from izoo.conf.build import to_mapping
+from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError, check_folder
 from izoo.evaluation.table import SUMMARY_FILE, write_csv
 from izoo.metrics import statistics

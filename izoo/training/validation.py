@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from izoo.conf.cities import CityContexts
+from izoo.conf.built_in import CityContexts
 from izoo.conf.contexts import ContextsConfig
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.options import TrainConfig

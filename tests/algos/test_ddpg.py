@@ -24,8 +24,8 @@ from izoo.algos.replay import (
     Replay,
     transitions,
 )
-from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.compose import compose_config
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames

@@ -17,8 +17,8 @@ from izoo.algos import base
 from izoo.algos.action import DirectAction, ResidualAction
 from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolicy
 from izoo.algos.scripted import DEFER
-from izoo.conf.build import from_mapping, to_mapping
 from izoo.conf.compose import compose_config
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig

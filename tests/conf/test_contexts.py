@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from izoo.conf import compose
-from izoo.conf.build import from_mapping, to_mapping
-from izoo.conf.cities import CatalogueContexts, CityContexts
+from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.contexts import PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
 from izoo.contexts import catalogue
-from izoo.contexts.cities import SIZES
+from izoo.contexts.cities.rebuilt import SIZES
 from izoo.contexts.procedural import SYSTEMATICITY_TEST
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError

@@ -5,10 +5,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from izoo.commands.scenarios import main
 from izoo.contexts import catalogue
 from izoo.contexts.catalogue import ADOPTIONS, SIZE, Scenario, Scenarios, describe, find_id
-from izoo.contexts.commands import main
-from izoo.contexts.weather import weather
+from izoo.contexts.cities.weather import weather
 from izoo.errors import IzooError
 
 GOLDEN = {

@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from izoo.contexts import cities
-from izoo.contexts.compare import feature_table, format_distances, total_variation, write_csv, write_png
-from izoo.contexts.copula import FEATURES, MPH, Marginal, marginal
+from izoo.contexts.cities import rebuilt as cities
+from izoo.contexts.cities.compare import feature_table, format_distances, total_variation, write_csv, write_png
+from izoo.contexts.cities.copula import FEATURES, MPH, Marginal, marginal
+from izoo.contexts.cities.shapes import share_out_lanes
 from izoo.contexts.movements import conflict
-from izoo.contexts.shapes import share_out_lanes
 from izoo.errors import IzooError
 
 # Intersection 7 of each city. A change here changes what catalogue ids mean: it must never happen by accident.

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from izoo.context_tools import measured, trial
-from izoo.context_tools.commands import COMMANDS, main
-from izoo.contexts import cities
+from izoo.commands import measured, trial
+from izoo.commands.contexts import COMMANDS, main
+from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.source import ContextList
-from izoo.networks.dataset import load_dataset
-from izoo.networks.osm_store import save_cmdp
+from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.osm.store import save_cmdp
 
 PNG = b"\x89PNG"
 

@@ -3,7 +3,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from izoo.contexts.cities import CITIES, SIZES
+from izoo.contexts.cities.rebuilt import CITIES, SIZES
 from izoo.contexts.protocols import in_distribution, productivity, systematicity
 from izoo.contexts.splits import OOD_PAIRS, SPLITS, city_split, split_names
 from izoo.errors import IzooError

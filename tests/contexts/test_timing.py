@@ -2,8 +2,8 @@ import itertools
 
 import pytest
 
+from izoo.contexts.cities.plans import MAX_CYCLE_S, Need, build_plan, measure, yellow_time_s
 from izoo.contexts.movements import conflict, deflection_deg, turn_of
-from izoo.contexts.timing import MAX_CYCLE_S, Need, build_plan, measure, yellow_time_s
 
 BEARINGS = {"A": 0.0, "B": 90.0, "C": 180.0, "D": 270.0}
 

@@ -6,8 +6,8 @@ import sys
 import pytest
 from neuralmoves.defaults import load_county_meteorology
 
+from izoo.contexts.cities.weather import CITY_COUNTIES, SEASON_MONTHS, WEATHER_PUBLISHED, weather
 from izoo.contexts.context import SEASONS
-from izoo.contexts.weather import CITY_COUNTIES, SEASON_MONTHS, WEATHER_PUBLISHED, weather
 from izoo.errors import IzooError
 
 
@@ -41,6 +41,8 @@ def test_unknown_names_are_refused_with_what_exists():
 
 
 def test_importing_it_does_not_import_torch_or_pandas():
-    code = "import sys, izoo.contexts.weather; print([name for name in ('torch', 'pandas') if name in sys.modules])"
+    code = (
+        "import sys, izoo.contexts.cities.weather; print([name for name in ('torch', 'pandas') if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

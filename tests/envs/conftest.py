@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from izoo.networks.roadnet import RoadNet, read_road
+from izoo.networks.road import RoadNet, read_road
 from tests.envs.placed import Scene
 from tests.networks.handmade import write_handmade
 

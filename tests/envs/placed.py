@@ -19,7 +19,7 @@ from izoo.envs.layout import (
     NUM_INTS,
     PRESENT,
 )
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 
 STEP_S = 0.5
 RIGHT_BLINKER, LEFT_BLINKER = 1, 2

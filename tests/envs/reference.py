@@ -12,9 +12,9 @@ from defusedxml import ElementTree
 
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
-from izoo.envs.sumo import sumo_arguments
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import read_road
+from izoo.envs.sumo.session import sumo_arguments
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
 from izoo.traffic.episode import sample_traffic, write_routes
 
 Steps = dict[float, dict[int, tuple[str, float, float]]]

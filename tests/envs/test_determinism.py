@@ -19,7 +19,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList, RandomSchedule
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
-from izoo.envs.sumo import SUMO_VERSION
+from izoo.envs.sumo.session import SUMO_VERSION
 from tests.envs.worlds import crossing, digest, play, play_on, short, steer, steering
 
 SEED = 5

@@ -329,7 +329,7 @@ def test_too_few_approaches(make: Make) -> None:
 
 def test_worker_processes_do_not_import_torch() -> None:
     """Starting sixteen of them must not cost sixteen imports of torch."""
-    program = "import izoo.envs.simulator, izoo.envs.worker, sys; print('torch' in sys.modules)"
+    program = "import izoo.envs.sumo.simulator, izoo.envs.sumo.worker, sys; print('torch' in sys.modules)"
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert output.stdout.strip() == "False"
 

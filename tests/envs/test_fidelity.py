@@ -11,8 +11,8 @@ import pytest
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import read_road
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
 from tests.envs.reference import Steps, run_sumo
 from tests.envs.worlds import crossing, defer, episode, play, steer
 

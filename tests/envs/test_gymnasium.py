@@ -307,7 +307,7 @@ def test_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TypeError, match="horizon"):
         gymnasium.make(JOINT, horizon=3)
     with pytest.raises(IzooError, match="rgb_array, human"):
-        izoo.envs.gymnasium.EcoDrivingJoint(render_mode="ansi")
+        izoo.envs.views.gymnasium.EcoDrivingJoint(render_mode="ansi")
     with pytest.raises(IzooError, match=r"EnvConfig"):
         make(JOINT, config={"horizon_s": 3})
     with pytest.raises(IzooError, match="others is a str"):

@@ -18,7 +18,7 @@ from izoo.envs.layout import (
     NEIGHBOUR_FEATURES,
     PATH_POSITION,
 )
-from izoo.networks.roadnet import INSIDE, LEAVING, RoadNet
+from izoo.networks.road import INSIDE, LEAVING, RoadNet
 from tests.envs.placed import LEFT_BLINKER, RIGHT_BLINKER, Scene
 
 ABSENT = {"speed": 0.0, "distance": 4.0, "blinker_left": 0.0, "blinker_right": 0.0, "present": 0.0}

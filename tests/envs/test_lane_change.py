@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.envs import EcoDrivingEnv
-from izoo.networks.roadnet import APPROACHING
+from izoo.networks.road import APPROACHING
 from tests.envs.worlds import crossing, play, set_action, short
 
 RIGHT, KEEP, LEFT = range(3)

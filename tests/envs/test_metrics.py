@@ -14,8 +14,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import APPROACHING, read_road
+from izoo.networks.net.build import build_net
+from izoo.networks.road import APPROACHING, read_road
 from tests.envs.reference import run_sumo
 from tests.envs.worlds import Driver, at_random, crossing, defer, digest, play, set_action, short, steer
 

@@ -16,7 +16,7 @@ pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from izoo.envs.layout import CONTEXT_VALUES
-from izoo.envs.pettingzoo import VEHICLE_COLUMNS, EcoDrivingParallel, parallel_env
+from izoo.envs.views.pettingzoo import VEHICLE_COLUMNS, EcoDrivingParallel, parallel_env
 
 Frames = list[tuple[list[str], tuple[Any, ...]]]
 

@@ -22,11 +22,12 @@ from tensordict import TensorDict
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv, simulator
-from izoo.envs.worker import AWAKE_S
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs.sumo.session import simulator
+from izoo.envs.sumo.worker import AWAKE_S
 from izoo.errors import IzooError
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.net.build import build_net
+from izoo.networks.road import RoadNet
 from izoo.traffic.episode import Traffic, write_routes
 from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 

@@ -24,7 +24,7 @@ from izoo.envs.layout import (
     TTC,
     WRONG_LANE,
 )
-from izoo.networks.roadnet import APPROACHING, LEFT, STRAIGHT
+from izoo.networks.road import APPROACHING, LEFT, STRAIGHT
 from tests.envs.placed import STEP_S, Scene
 
 

@@ -10,7 +10,7 @@ import pytest
 from izoo.contexts.procedural import procedural_context
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.trajectories import write_trajectories
+from izoo.envs.views.trajectories import write_trajectories
 from izoo.errors import IzooError
 
 CONFIG = {"horizon_s": 120.0, "warmup_s": 5.0}

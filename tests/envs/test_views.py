@@ -13,8 +13,8 @@ import torch
 import izoo.envs
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.host import Host
 from izoo.envs.layout import LANE_POSITION, NUMBER, REGION_LANE, SPEED
+from izoo.envs.views.host import Host
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 
 SEED = 9
@@ -90,7 +90,7 @@ def test_joint(expected: dict[str, Any], in_process: bool) -> None:
 
 def test_pettingzoo(expected: dict[str, Any]) -> None:
     pytest.importorskip("pettingzoo")
-    from izoo.envs.pettingzoo import parallel_env
+    from izoo.envs.views.pettingzoo import parallel_env
 
     env = parallel_env(crossing(), CONFIG, SEED, in_process=True)
     try:
@@ -106,7 +106,7 @@ def test_pettingzoo(expected: dict[str, Any]) -> None:
 
 def test_ego(expected: dict[str, Any]) -> None:
     """With the ego and the others steered alike, through one ego after another."""
-    env = izoo.envs.gymnasium.EcoDrivingEgo(crossing(), CONFIG, others=steer, in_process=True)
+    env = izoo.envs.views.gymnasium.EcoDrivingEgo(crossing(), CONFIG, others=steer, in_process=True)
     try:
         observation, info = env.reset(seed=SEED)
         compared = 0
@@ -141,7 +141,7 @@ def test_lane_changes_matter(expected: dict[str, Any], expected_with_lanes: dict
 
 
 def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
-    env = izoo.envs.gymnasium.EcoDrivingJoint(crossing(), CHANGING, in_process=True)
+    env = izoo.envs.views.gymnasium.EcoDrivingJoint(crossing(), CHANGING, in_process=True)
     try:
         observation, _ = env.reset(seed=SEED)
         truncated = False
@@ -156,7 +156,7 @@ def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
 
 def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
     pytest.importorskip("pettingzoo")
-    from izoo.envs.pettingzoo import parallel_env
+    from izoo.envs.views.pettingzoo import parallel_env
 
     env = parallel_env(crossing(), CHANGING, SEED, in_process=True)
     try:
@@ -172,7 +172,7 @@ def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any]) -> No
 
 
 def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
-    env = izoo.envs.gymnasium.EcoDrivingEgo(crossing(), CHANGING, others=steer_and_change, in_process=True)
+    env = izoo.envs.views.gymnasium.EcoDrivingEgo(crossing(), CHANGING, others=steer_and_change, in_process=True)
     try:
         observation, info = env.reset(seed=SEED)
         compared = 0

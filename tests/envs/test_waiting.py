@@ -10,8 +10,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from izoo.envs import EcoDrivingEnv, EnvConfig, worker
-from izoo.envs.worker import _receive_awake, stays_awake
+from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.sumo.session import worker
+from izoo.envs.sumo.worker import _receive_awake, stays_awake
 
 Pair = tuple[socket.socket, socket.socket]
 

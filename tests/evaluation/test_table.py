@@ -17,8 +17,8 @@ from izoo.errors import IzooError
 from izoo.evaluation.folder import claimed
 from izoo.evaluation.saturation import volume_over_capacity
 from izoo.evaluation.table import COLUMNS, identity, make_table, read_csv, read_journal, write_csv, write_text
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import read_road
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
 
 
 def context_with(**features: object) -> Context:

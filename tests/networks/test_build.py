@@ -16,10 +16,10 @@ from izoo.contexts.movements import turn_of
 from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.networks import build
-from izoo.networks.build import build_net, net_key
-from izoo.networks.connections import signal_links
-from izoo.networks.roadnet import read_road
+from izoo.networks.net import build
+from izoo.networks.net.build import build_net, net_key
+from izoo.networks.net.connections import signal_links
+from izoo.networks.road import read_road
 from tests.networks.worlds import CROSS, drive_everywhere, intersection, run_sumo
 
 POCKETS = {"left_pockets": 1, "pocket_length_m": 50.0}

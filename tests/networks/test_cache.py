@@ -11,9 +11,9 @@ import pytest
 
 from izoo.contexts.procedural import procedural_intersection
 from izoo.errors import IzooError
-from izoo.networks import cache
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import read_road
+from izoo.networks.net import cache
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
 
 PROCESSES = 8
 

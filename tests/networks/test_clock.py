@@ -10,7 +10,7 @@ import pytest
 from izoo.contexts.source import ContextList
 from izoo.envs import kernels
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
-from izoo.networks.roadnet import RoadNet, read_road
+from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
 
 
@@ -98,7 +98,7 @@ def test_against_brute_force() -> None:
 
 def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> None:
     """Compare the clock with the state that SUMO's signal has in every step."""
-    from izoo.envs.sumo import SumoSession, sumo_arguments
+    from izoo.envs.sumo.session import SumoSession, sumo_arguments
 
     routes = folder / "none.rou.xml"
     routes.write_text("<routes/>")

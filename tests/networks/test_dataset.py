@@ -11,11 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from izoo.contexts.cities.weather import weather
 from izoo.contexts.spec import IntersectionSpec
-from izoo.contexts.weather import weather
 from izoo.errors import IzooError
-from izoo.networks.dataset import find_intersections, load_dataset, load_intersection, natural_key, read_inflows
-from izoo.networks.roadnet import read_road
+from izoo.networks.dataset.intersections import (
+    find_intersections,
+    load_dataset,
+    load_intersection,
+    natural_key,
+    read_inflows,
+)
+from izoo.networks.road import read_road
 
 _COLUMNS = {
     "lanes": "num_lane",

@@ -9,10 +9,17 @@ import pytest
 
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.networks.dataset import load_intersection
-from izoo.networks.draw import NEVER_GREEN, NO_PLAN, draw_features, draw_intersection, feature_table, group_colours
-from izoo.networks.draw_layout import layout_of_road, layout_of_spec
-from izoo.networks.roadnet import read_road
+from izoo.networks.dataset.intersections import load_intersection
+from izoo.networks.draw.intersection import (
+    NEVER_GREEN,
+    NO_PLAN,
+    draw_features,
+    draw_intersection,
+    feature_table,
+    group_colours,
+)
+from izoo.networks.draw.plan_view import layout_of_road, layout_of_spec
+from izoo.networks.road import read_road
 from tests.networks.test_dataset import published  # noqa: F401
 
 PLAN = SignalPlan(

@@ -13,11 +13,11 @@ import sumo
 
 from izoo.contexts.spec import Approach, IntersectionSpec
 from izoo.errors import IzooError
-from izoo.networks import osm_store
-from izoo.networks.dataset import load_dataset, load_specs
-from izoo.networks.osm import OsmReport, build_from_osm
-from izoo.networks.osm_read import Way, read_streets
-from izoo.networks.osm_tags import Lanes, assign_turns, lanes_towards, parse_speed, speed_limit
+from izoo.networks.dataset.intersections import load_dataset, load_specs
+from izoo.networks.osm.extract import OsmReport, build_from_osm
+from izoo.networks.osm.extract import store as osm_store
+from izoo.networks.osm.streets import Way, read_streets
+from izoo.networks.osm.tags import Lanes, assign_turns, lanes_towards, parse_speed, speed_limit
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 

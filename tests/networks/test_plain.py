@@ -9,9 +9,9 @@ from defusedxml import ElementTree
 
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.networks.connections import signal_links
-from izoo.networks.plain import plain_net
-from izoo.networks.signals import search_plan
+from izoo.networks.net.connections import signal_links
+from izoo.networks.net.plain import plain_net
+from izoo.networks.signals.search import search_plan
 from tests.networks.worlds import CROSS, intersection
 
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from izoo.contexts.spec import IntersectionSpec, SignalPhase, SignalPlan
-from izoo.networks.connections import signal_links
-from izoo.networks.dataset import find_intersections, load_intersection
-from izoo.networks.delay import DelayModel, peak_movements
-from izoo.networks.signals import GREENS_S, plan_delay_s, search_plan
+from izoo.networks.dataset.intersections import find_intersections, load_intersection
+from izoo.networks.net.connections import signal_links
+from izoo.networks.signals.delay import DelayModel, peak_movements
+from izoo.networks.signals.search import GREENS_S, plan_delay_s, search_plan
 from tests.networks.worlds import CROSS, intersection
 
 ANGLES = {

@@ -12,7 +12,7 @@ from defusedxml import ElementTree
 
 from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, GhostSpec, IntersectionSpec, Leg, SignalPlan
-from izoo.networks.roadnet import RoadNet
+from izoo.networks.road import RoadNet
 
 CROSS = (0.0, 90.0, 180.0, 270.0)
 

@@ -11,8 +11,8 @@ import pytest
 
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
-from izoo.networks.build import build_net
-from izoo.networks.roadnet import read_road
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
 from izoo.reporting.collect import collect
 from izoo.reporting.recording import Recorder, geometry, second_differences
 from izoo.reporting.replay import Player, scenes

@@ -15,7 +15,7 @@ import sumolib
 from izoo.contexts.context import Context
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
-from izoo.networks.roadnet import read_road
+from izoo.networks.road import read_road
 from izoo.traffic import Traffic, sample_traffic, write_routes
 from izoo.traffic.episode import PAPER_CV
 from tests.traffic.worlds import LEGS, Roads, make_context

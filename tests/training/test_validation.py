@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from izoo import evaluate, train
-from izoo.conf.cities import CityContexts
+from izoo.conf.built_in import CityContexts
 from izoo.conf.contexts import PcgContexts
 from izoo.conf.options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios

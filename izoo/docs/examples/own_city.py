@@ -18,8 +18,8 @@ import pandas as pd
 
 from izoo.envs import EnvConfig
 from izoo.evaluation import evaluate_policy, print_summary, summarise
-from izoo.networks.dataset import load_dataset
-from izoo.networks.osm import build_from_osm
+from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.osm.extract import build_from_osm
 
 LITTLE_TOWN = Path(__file__).with_name("little_town.osm")
 

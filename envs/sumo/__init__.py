@@ -1,0 +1,1 @@
+"""The simulator SUMO, through libsumo: sessions, worker processes, and environments on them."""

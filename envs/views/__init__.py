@@ -1,0 +1,1 @@
+"""Other faces of the environments: Gymnasium, PettingZoo, pictures, tables of trajectories."""

@@ -1,0 +1,255 @@
+"""Gymnasium views: all controlled vehicles of an intersection as one padded agent, or one of them.
+
+``import izoo.envs`` registers ``izoo/EcoDriving-v0`` (:class:`EcoDrivingJoint`) and ``izoo/EcoDrivingEgo-v0``
+(:class:`EcoDrivingEgo`); ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` imports it first. They simulate what
+:class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories. Each simulation
+has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in parallel.
+
+As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
+seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.host.OPTIONS`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from izoo.envs.config import EnvConfig
+from izoo.envs.layout import observation_names
+from izoo.envs.views.actions import Commands, action_space, read_action
+from izoo.envs.views.host import RENDER_MODES, Host, render_modes
+from izoo.envs.views.vector import ViewVector
+from izoo.errors import IzooError
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from izoo.envs.env import Contexts
+
+    Policy = Callable[[TensorDictBase], TensorDictBase]
+
+Observation = TypeVar("Observation")
+EPISODES_TRIED = 3
+
+
+class _View(gym.Env[Observation, Any]):
+    """What both views share.
+
+    Args:
+        contexts: what is played, as for :class:`~izoo.envs.EcoDrivingEnv`.
+        config: settings of the environment; ``emit`` and ``gui`` have no effect.
+        render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
+        in_process: simulate in this process instead of one of the environment's own: faster, but a process can hold
+            only one such environment.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 2}  # noqa: RUF012
+
+    def __init__(
+        self,
+        contexts: Contexts | None = None,
+        config: EnvConfig | None = None,
+        render_mode: str | None = None,
+        in_process: bool = False,
+    ) -> None:
+        fresh = int(np.random.SeedSequence().generate_state(1)[0])
+        self.host = Host(contexts, config, fresh, render_mode, in_process)
+        self.config, self.render_mode = self.host.config, render_mode
+        # Gymnasium asks the class which modes there are, and checkers the instance which of them work here.
+        self.metadata = {"render_modes": render_modes(), "render_fps": round(1 / self.config.step_s)}
+        self.observation_names = observation_names(self.config)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """Return a picture ``[640, 640, 3]`` uint8 with ``rgb_array``; sumo-gui shows itself."""
+        if self.render_mode is None:
+            gym.logger.warn("render() needs a render mode; give gymnasium.make(..., render_mode='rgb_array').")
+        return self.host.render() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.host.close()
+
+
+class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
+    """All controlled vehicles (CVs) as one agent, in ``A`` slots of ``F`` features, padded.
+
+    - observation: ``observation`` ``[A, F]`` float32 (columns in :attr:`observation_names`; zero in empty slots) and
+      ``mask`` ``[A]`` int8: the slot holds a CV.
+    - action: ``[A]`` accelerations in m/s^2, cut to [-4.5, 2.6]; NaN leaves a CV to SUMO and is counted. With
+      ``config.lane_change`` a dictionary: these as ``acceleration``, and ``lane_change`` ``[A]`` (0 right, 1 keep, 2
+      left).
+    - reward: the mean over the CVs that acted, 0 where there was none.
+    - terminated: never; truncated: the horizon.
+    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.layout.REWARD_VECTOR`), ``vehicle``
+      ``[A]`` (number in the episode's demand, -1 where empty), ``agent_terminated`` ``[A]`` (the CV left: its value is
+      zero), ``time_s``; at the episode's end ``metrics``.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        a, f = self.config.num_agents, len(self.observation_names)
+        self.observation_space: Any = spaces.Dict(
+            observation=spaces.Box(-np.inf, np.inf, (a, f), np.float32), mask=spaces.MultiBinary(a)
+        )
+        self.action_space: Any = action_space(self.config, a)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        self.host.begin(seed, options)
+        return self._observation(), {"vehicle": self.host.numbers, **self.host.plan(), **self.host.info()}
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Simulate a step with the accelerations ``action [A]``, or the dictionary described above."""
+        host, frame = self.host, self.host.frame
+        host.require_running()
+        acceleration, lane_change = read_action(self.config, action, self.config.num_agents)
+        acted = host.mask
+        host.step(Commands(acceleration, np.zeros(self.config.num_agents, bool), lane_change))
+        reward = frame["reward"].copy()
+        info = {
+            "reward": reward,
+            "reward_vector": frame["reward_vector"].copy(),
+            "vehicle": host.numbers,
+            "agent_terminated": frame["agent_terminated"].astype(bool),
+            **host.info(),
+        }
+        mean = float(reward[acted].mean(dtype=np.float64)) if acted.any() else 0.0
+        return self._observation(), mean, False, host.over, info
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {"observation": self.host.frame["observation"].copy(), "mask": self.host.mask.astype(np.int8)}
+
+
+class EcoDrivingEgo(_View[np.ndarray]):
+    """One controlled vehicle, the ego; all other CVs follow a given policy.
+
+    An episode is the ego's life: it begins when a CV enters the region and ends when that CV leaves (terminated) or
+    the simulation's horizon is reached (truncated). ``reset()`` does not start the simulation anew: it goes on with
+    ``others`` in control of every CV until the next one enters, which becomes the ego (of several, the one with the
+    lowest number), and begins the next simulation where the horizon comes first. ``reset(seed=...)`` and
+    ``reset(options=...)`` always begin a simulation.
+
+    - observation: ``[F]`` float32, columns in :attr:`observation_names`; zero after the ego has left.
+    - action: ``[1]``, acceleration in m/s^2, cut to [-4.5, 2.6]; NaN leaves the ego to SUMO and is counted. With
+      ``config.lane_change`` a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2
+      left).
+    - reward: the ego's.
+    - info: ``vehicle`` (the ego's number in the simulation's demand), ``time_s``, and in steps ``reward_vector``
+      ``[11]``; at the horizon ``metrics``.
+
+    Args:
+        others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
+            one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
+            ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. ``None``: SUMO drives them.
+        contexts, config, render_mode, in_process: as for :class:`EcoDrivingJoint`.
+    """
+
+    def __init__(
+        self,
+        contexts: Contexts | None = None,
+        config: EnvConfig | None = None,
+        render_mode: str | None = None,
+        in_process: bool = False,
+        *,
+        others: Policy | None = None,
+    ) -> None:
+        super().__init__(contexts, config, render_mode, in_process)
+        if others is not None and not callable(others):
+            raise IzooError(f"others is a {type(others).__name__}; give a policy of TensorDicts, or None for SUMO.")
+        self.others = others
+        self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.observation_names),), np.float32)
+        self.action_space: Any = action_space(self.config, None)
+        self._slot, self._vehicle = -1, -1
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Drive on until a CV enters; it is the ego.
+
+        Raises:
+            IzooError: none entered in several simulations.
+        """
+        super().reset(seed=seed)
+        host = self.host
+        self._slot = -1
+        if seed is not None or options or host.over:
+            host.begin(seed, options)
+        for attempt in range(EPISODES_TRIED):
+            if attempt:
+                host.begin()
+            while not host.over:
+                before = host.numbers
+                host.step(self._commands())
+                entered = host.numbers
+                entered = np.where(np.isin(entered, before), -1, entered)
+                if (entered >= 0).any() and not host.over:
+                    self._vehicle = int(entered[entered >= 0].min())
+                    self._slot = int(np.flatnonzero(entered == self._vehicle)[0])
+                    return self._observation(), {"vehicle": self._vehicle, **host.plan(), **host.info()}
+        raise IzooError(
+            f"no controlled vehicle entered in {EPISODES_TRIED} simulations; choose contexts with more demand or a "
+            "higher adoption, or a longer horizon_s."
+        )
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Simulate a step in which the ego has the acceleration ``action [1]``, or does what the dictionary says."""
+        host, frame, slot = self.host, self.host.frame, self._slot
+        host.require_running()
+        if slot < 0:
+            raise IzooError("step() came after the ego's end; call reset(), it chooses the next one.")
+        acceleration, lane_change = read_action(self.config, action, None)
+        commands = self._commands()
+        commands.action[slot], commands.defer[slot] = acceleration[0], False
+        commands.lane_change[slot] = lane_change[0]
+        host.step(commands)
+        terminated, truncated = bool(frame["agent_terminated"][slot]), bool(frame["agent_truncated"][slot])
+        info = {"vehicle": self._vehicle, "reward_vector": frame["reward_vector"][slot].copy(), **host.info()}
+        observation = self._observation()
+        if terminated or truncated:
+            self._slot = -1
+        return observation, float(frame["reward"][slot]), terminated, truncated, info
+
+    def _observation(self) -> np.ndarray:
+        return self.host.frame["observation"][self._slot].copy()
+
+    def _commands(self) -> Commands:
+        """Return what ``others`` wants of every CV."""
+        commands, count = self.host.commands(), self.config.num_agents
+        if self.others is None:
+            return commands
+        import torch
+        from tensordict import TensorDict
+
+        frame = self.host.frame
+        agents = {
+            "observation": torch.from_numpy(frame["observation"].copy()),
+            "mask": torch.from_numpy(self.host.mask),
+        }
+        with torch.no_grad():
+            result = self.others(TensorDict({"agents": TensorDict(agents, [count])}, []))
+        wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
+        if wanted["action"] is None:
+            raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, 1] accelerations.")
+        commands.defer[:] = False
+        for name, values in commands._asdict().items():
+            if wanted[name] is not None:
+                values[:] = wanted[name].reshape(count).numpy()
+        return commands
+
+
+def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
+    """What ``gymnasium.make_vec("izoo/EcoDriving-v0", num_envs)`` makes where no vectorization mode is given."""
+    return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
+
+
+def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
+    """What ``gymnasium.make_vec("izoo/EcoDrivingEgo-v0", num_envs)`` makes where no vectorization mode is given."""
+    return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)

@@ -1,0 +1,247 @@
+"""One simulation for the views that are no TorchRL environments: its episodes, its frame, its process.
+
+Only NumPy is needed here, so that the processes which step such a view stay small.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import mmap
+import os
+import weakref
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import ProceduralSource
+from izoo.contexts.source import as_schedule, reseed
+from izoo.emissions.weights import load_weights
+from izoo.envs.config import KEEP_LANE, EnvConfig
+from izoo.envs.layout import NUMBER, VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, frame_bytes, map_frames
+from izoo.envs.sumo.session import has_screen
+from izoo.envs.sumo.worker import Worker, WorkerLost, shared_memory_file
+from izoo.envs.views.actions import Commands
+from izoo.errors import IzooError, check_choice, check_range, unknown_choice
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+
+if TYPE_CHECKING:
+    from izoo.envs.env import Contexts
+    from izoo.envs.sumo.simulator import Simulator
+
+RENDER_MODES = ("rgb_array", "human")
+OPTIONS = ("context", "episode_seed", "episode")
+"""Options of a view's ``reset``: play ``context`` (with ``episode_seed``, default 0), or the ``episode`` of this number
+of the schedule (with its own seed, or ``episode_seed``)."""
+
+
+class Host:
+    """Runs numbered episodes in a process of its own, or in this one, and holds the frame.
+
+    Args:
+        contexts: as for :class:`~izoo.envs.EcoDrivingEnv`.
+        config: settings of the environment; ``emit`` and ``gui`` are chosen here.
+        seed: base seed.
+        render_mode: ``None`` or one of :data:`RENDER_MODES`; ``human`` opens sumo-gui.
+        in_process: simulate in this process, which then can hold no other simulation.
+
+    Attributes:
+        frame: the arrays of :func:`izoo.envs.layout.frame_fields`, of one environment.
+        context: what is being played; ``None`` before the first episode.
+        over: whether the episode has ended.
+    """
+
+    def __init__(
+        self, contexts: Contexts | None, config: EnvConfig | None, seed: int, render_mode: str | None, in_process: bool
+    ) -> None:
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        if render_mode == "human" and not has_screen():
+            raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
+        config = EnvConfig() if config is None else config
+        if not isinstance(config, EnvConfig):
+            raise IzooError(f"config is a {type(config).__name__}; give an izoo.envs.EnvConfig.")
+        self.config = dataclasses.replace(config, emit=("vehicles", "signal"), gui=render_mode == "human")
+        self.render_mode = render_mode
+        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
+        self.context: Context | None = None
+        self.over = True
+        self.steps = 0
+        self.episode, self.episode_seed = -1, 0
+        self._next_episode = 0
+        size = frame_bytes(self.config, 1)
+        self._memory = None if in_process else shared_memory_file(size)
+        buffer: Any = bytearray(size) if self._memory is None else mmap.mmap(self._memory, 0)
+        self.frame = {name: array[0] for name, array in map_frames(buffer, self.config, 1).items()}
+        self._runner: list[Simulator | Worker] = []
+        self._finalizer = weakref.finalize(self, _end, self._runner, self._memory)
+
+    # -- episodes ------------------------------------------------------------------------------------------------------
+
+    def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
+        """Begin an episode: the first one of a new base ``seed``, the one that ``options`` name, or the next one.
+
+        Raises:
+            IzooError: an unknown option or an unusable value.
+        """
+        options = options or {}
+        for name in options:
+            if name not in OPTIONS:
+                raise unknown_choice("reset option", name, OPTIONS)
+        if seed is not None:
+            check_range("seed", seed, 0, np.inf)
+            self.schedule, self._next_episode = reseed(self.schedule, int(seed)), 0
+        if "context" in options:
+            context, episode_seed, episode = options["context"], 0, -1
+            if not isinstance(context, Context):
+                raise IzooError(f"the reset option 'context' is a {type(context).__name__}; give an izoo Context.")
+        else:
+            episode = int(options.get("episode", self._next_episode))
+            context, episode_seed = self.schedule(episode)
+            self._next_episode = episode + 1
+        episode_seed = int(options.get("episode_seed", episode_seed))
+        self.over = True
+        runner = self._ready_runner()
+        self._ask(runner.reset, context, episode_seed, episode)
+        self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
+        self.over = False
+
+    def commands(self) -> Commands:
+        """Return commands that leave every CV to SUMO, to be filled in."""
+        count = self.config.num_agents
+        return Commands(np.zeros(count, np.float32), np.ones(count, bool), np.full(count, KEEP_LANE, np.int64))
+
+    def step(self, commands: Commands) -> None:
+        """Simulate one step.
+
+        Raises:
+            IzooError: no episode is running.
+            RuntimeError: the simulation's process was lost.
+        """
+        self.require_running()
+        for name, values in commands._asdict().items():
+            self.frame[name][:] = values
+        self._ask(self._runner[0].step)
+        self.steps += 1
+        self.over = bool(self.frame["truncated"][0])
+
+    def require_running(self) -> None:
+        """Raise :class:`IzooError` unless an episode is running."""
+        if self.context is None:
+            raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
+        if self.over:
+            raise IzooError("step() came after the end of the episode; call reset(), it starts the next one.")
+
+    def _ready_runner(self) -> Simulator | Worker:
+        if self._runner and isinstance(self._runner[0], Worker):
+            worker = self._runner[0]
+            if worker.episodes >= self.config.recycle_episodes or worker.process.poll() is not None:
+                self.close()
+        if not self._runner:
+            if self._memory is None:
+                from izoo.envs.sumo.simulator import Simulator
+
+                self._runner.append(Simulator(self.config, self.frame, load_weights()))
+            else:
+                setup = (self.config, 0, 1, load_weights())
+                self._runner.append(Worker(self._memory, setup, self.config.watchdog_s))
+        return self._runner[0]
+
+    def _ask(self, question: Callable[..., Any], *values: Any) -> None:
+        """Call the simulator; where it is another process, wait until that has done what it was asked to."""
+        runner = self._runner[0]
+        try:
+            question(*values)
+            if isinstance(runner, Worker):
+                runner.wait()
+        except IzooError:
+            raise
+        except WorkerLost as error:
+            self._discard()
+            raise RuntimeError(
+                f"the simulation was lost: {error}; call reset(), it begins anew in a new process."
+            ) from error
+        except BaseException:
+            # An answer may still be on the way; nothing must take it for the answer to the next question.
+            self._discard()
+            raise
+
+    def _discard(self) -> None:
+        self.over = True
+        runner = self._runner.pop()
+        if isinstance(runner, Worker):
+            runner.kill()
+        else:
+            runner.close()
+
+    def close(self) -> None:
+        """End the simulation; a later :meth:`begin` starts it again."""
+        self.context, self.over = None, True
+        _stop(self._runner)
+
+    # -- what is in the frame ------------------------------------------------------------------------------------------
+
+    @property
+    def mask(self) -> np.ndarray:
+        """Slots that hold a CV, ``[A]`` bool."""
+        return self.frame["mask"].astype(bool)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Number in the episode's demand of the CV in every slot, ``[A]`` int64; -1 where there is none."""
+        number = self.frame["vehicle_ints"][self.frame["agent_vehicle"], NUMBER]
+        return np.where(self.mask, number, -1).astype(np.int64)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time, warm-up included."""
+        return (self.config.warmup_steps + self.steps) * self.config.step_s
+
+    def metrics(self) -> dict[str, dict[str, Any]]:
+        """Return the ended episode's ``{"approach": {name: [P]}, "episode": {name: number}}``."""
+        approach, episode = self.frame["approach_metrics"], self.frame["episode_metrics"]
+        return {
+            "approach": {name: approach[:, column].copy() for column, name in enumerate(APPROACH_METRICS)},
+            "episode": {name: float(episode[column]) for column, name in enumerate(EPISODE_METRICS)},
+        }
+
+    def plan(self) -> dict[str, Any]:
+        """Return what is being played: the context's name, and the episode's number and seed."""
+        name = "" if self.context is None else self.context.name
+        return {"context": name, "episode": self.episode, "episode_seed": self.episode_seed}
+
+    def info(self) -> dict[str, Any]:
+        """Return the time, and at the episode's end the metrics."""
+        return {"time_s": self.time_s, "metrics": self.metrics()} if self.over else {"time_s": self.time_s}
+
+    def render(self, span_m: float = 120.0, size_px: int = 640) -> np.ndarray:
+        """Return a top view ``[size_px, size_px, 3]`` uint8; no screen is needed."""
+        if self.context is None:
+            raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
+        from izoo.envs.views.render import draw
+        from izoo.networks.net.build import build_net
+        from izoo.networks.road import read_road
+
+        road, frame = read_road(build_net(self.context.intersection)), self.frame
+        vehicles = dict(zip(VEHICLE_FLOATS, frame["vehicle_floats"].T, strict=True))
+        vehicles |= zip(VEHICLE_INTS, frame["vehicle_ints"].T, strict=True)
+        vehicles |= zip(VEHICLE_FLAGS, frame["vehicle_flags"].T.astype(bool), strict=True)
+        title = f"{self.context.name}   t = {self.time_s:.1f} s"
+        return draw(road, vehicles, frame["signal_colour"], title=title, span_m=span_m, size_px=size_px)
+
+
+def render_modes() -> list[str]:
+    """The render modes that this machine has."""
+    return list(RENDER_MODES) if has_screen() else ["rgb_array"]
+
+
+def _stop(runner: list[Simulator | Worker]) -> None:
+    while runner:
+        runner.pop().close()
+
+
+def _end(runner: list[Simulator | Worker], memory: int | None) -> None:
+    _stop(runner)
+    if memory is not None:
+        os.close(memory)

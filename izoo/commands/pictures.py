@@ -1,0 +1,75 @@
+"""What ``python -m izoo.contexts draw`` draws: finds the intersections that a word or a path means."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from izoo.contexts import catalogue
+from izoo.contexts.cities import rebuilt as cities
+from izoo.contexts.spec import IntersectionSpec
+from izoo.errors import IzooError
+from izoo.networks.dataset.intersections import find_intersections, load_intersection, load_specs
+from izoo.networks.draw.intersection import draw_features, draw_intersection
+from izoo.networks.net.build import build_net
+from izoo.networks.osm.store import CMDP_FILE, load_record
+from izoo.networks.road import read_road
+from izoo.networks.signals.search import search_plan
+
+
+def draw(what: str, png: Path) -> Path:
+    """Draw ``what`` to ``png`` and return the path that was written.
+
+    Args:
+        what: an id of the catalogue, a city's name (its features), ``CITY/NUMBER``, an intersection's folder or
+            ``.json`` file, or a folder of several (their features).
+
+    Raises:
+        IzooError: it is none of these, or the picture cannot be written.
+    """
+    check_png(png)
+    path = Path(what).expanduser()
+    if what.isascii() and what.lstrip("-").isdigit():
+        return _draw_one(catalogue.get(int(what)).intersection, {}, png)
+    if path.exists():
+        return _draw_path(path, png)
+    city, _, number = what.partition("/")
+    if city.strip().lower().replace("-", "_") not in cities.SIZES:
+        raise IzooError(
+            f"{what!r} is neither a path, nor an id of the catalogue, nor one of the cities {', '.join(cities.CITIES)}."
+        )
+    if not number:
+        return draw_features(cities.get(city), png, title=cities.city_name(city))
+    size = len(cities.get(city))
+    if not number.isdecimal() or int(number) >= size:
+        raise IzooError(f"intersection {number} of {city} does not exist; legal: 0 to {size - 1}.")
+    return _draw_one(cities.get(city)[int(number)], {}, png)
+
+
+def check_png(path: Path) -> None:
+    """Refuse a path that no picture can be written to, before any work is done."""
+    if path.suffix.lower() != ".png":
+        raise IzooError(f"pictures are written as PNG; {path} must end in .png.")
+    if path.is_dir():
+        raise IzooError(f"{path} is a folder; give the name of a file in it.")
+
+
+def _draw_path(path: Path, png: Path) -> Path:
+    if path.suffix == ".json" and path.is_file() and path.name != CMDP_FILE:
+        return _draw_one(*load_record(path), png)
+    if not (path / CMDP_FILE).is_file():
+        folders = find_intersections(path)
+        if len(folders) == 1:
+            return _draw_one(load_intersection(folders[0]), {}, png)
+    specs = [with_plan(spec) for spec in load_specs(path)]
+    return draw_features(specs, png, title=path.resolve().name)
+
+
+def _draw_one(spec: IntersectionSpec, streets: dict[str, str], png: Path) -> Path:
+    spec = with_plan(spec)
+    return draw_intersection(spec, png, road=read_road(build_net(spec)), streets=streets)
+
+
+def with_plan(spec: IntersectionSpec) -> IntersectionSpec:
+    """Return the intersection with the plan that its net has."""
+    return spec if spec.signal_plan else dataclasses.replace(spec, signal_plan=search_plan(spec))

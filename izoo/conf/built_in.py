@@ -1,0 +1,118 @@
+"""The choices ``contexts=city`` and ``contexts=catalogue``: the ten built-in cities, by feature or by scenario id."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from izoo.contexts import catalogue
+from izoo.contexts.cities.rebuilt import city_name
+from izoo.contexts.source import ContextSource
+from izoo.errors import IzooError, check_range
+
+Season = Literal["winter", "spring", "summer", "fall"]
+Hour = Literal["peak", "off-peak"]
+Engine = Literal["combustion", "electric"]
+Split = Literal["train", "validation", "test", "all"]
+LAST_ID = catalogue.SIZE - 1
+
+
+@dataclass(frozen=True)
+class CityContexts:
+    """Intersections of the built-in cities, which are rebuilt from published statistics.
+
+    ``city``, ``season``, ``hour``, ``engine`` and ``adoption`` take one value, a list of values, or null for all.
+
+    Attributes:
+        name: the source.
+        city: one of the ten cities, for example ``atlanta``; ``python -m izoo.contexts cities`` lists them.
+        season: season of the weather.
+        hour: ``peak`` or ``off-peak``.
+        engine: of controlled vehicles, ``combustion`` or ``electric``.
+        adoption: share of controlled vehicles, 0 to 1; null: the catalogue's 0.1, 0.2, 0.5, 0.75 and 1.
+        split: ``train``, ``validation`` and ``test`` share out the intersections 80/10/10; ``all``: every one.
+        approaches: ``one``: a context per incoming approach, fed from it alone; ``all``: one per intersection.
+        weather: ``county``: by city and season; ``published``: the values of the paper's summer experiments
+            (Salt Lake City and Atlanta).
+        cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+    """
+
+    name: Literal["city"] = "city"
+    city: str | list[str] | None = "salt_lake_city"
+    season: Season | list[Season] | None = "summer"
+    hour: Hour | list[Hour] | None = "peak"
+    engine: Engine | list[Engine] | None = "combustion"
+    adoption: float | list[float] | None = 1.0 / 3.0
+    split: Split = "all"
+    approaches: Literal["one", "all"] = "one"
+    weather: Literal["county", "published"] = "county"
+    cv_vehicle: Literal["paper", "human"] = "paper"
+
+    def __post_init__(self) -> None:
+        for city in [self.city] if isinstance(self.city, str) else self.city or []:
+            city_name(city)
+        for share in [self.adoption] if isinstance(self.adoption, float) else self.adoption or []:
+            check_range("contexts.adoption", share, 0.0, 1.0)
+        if self.weather == "published" and self.season not in ("summer", ["summer"]):
+            raise IzooError(
+                f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
+                "summer; choose contexts.season=summer or contexts.weather=county."
+            )
+
+    def build(self) -> ContextSource:
+        """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""
+        return catalogue.Scenarios(
+            city=self.city,
+            season=self.season,
+            hour=self.hour,
+            engine=self.engine,
+            adoption=self.adoption,
+            split=self.split,
+            approaches=self.approaches,
+            weather=self.weather,
+            cv_vehicle=self.cv_vehicle,
+        )
+
+
+@dataclass(frozen=True)
+class CatalogueContexts:
+    """Scenarios of the catalogue by id.
+
+    Attributes:
+        name: the source.
+        ids: ids, and ranges of ids with both ends included: ``[17,100..199]``; ``python -m izoo.contexts list`` finds
+            them, ``show ID`` prints one.
+        cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+    """
+
+    name: Literal["catalogue"] = "catalogue"
+    ids: tuple[int | str, ...] = ()
+    cv_vehicle: Literal["paper", "human"] = "paper"
+
+    def __post_init__(self) -> None:
+        self._ranges()
+
+    def build(self) -> ContextSource:
+        """Return the scenarios, lazily."""
+        ranges = self._ranges()
+        if not ranges:
+            raise IzooError(
+                f"contexts.ids is empty; give ids from 0 to {catalogue.SIZE - 1}: contexts.ids=[17,100..199]."
+            )
+        return catalogue.by_ids(ranges, self.cv_vehicle)
+
+    def _ranges(self) -> list[range]:
+        return [_range(item) for item in self.ids]
+
+
+def _range(item: int | str) -> range:
+    low, dots, high = str(item).partition("..")
+    try:
+        first, last = int(low), int(high if dots else low)
+    except ValueError:
+        raise IzooError(f"contexts.ids has {item!r}; give an id, or a range of ids like 100..199.") from None
+    if not (0 <= first <= LAST_ID and 0 <= last <= LAST_ID):
+        raise IzooError(f"contexts.ids has {item!r}; ids go from 0 to {LAST_ID}.")
+    if first > last:
+        raise IzooError(f"contexts.ids has the range {item}, which is upside down; its low end must come first.")
+    return range(first, last + 1)

@@ -1,0 +1,1 @@
+"""The ten built-in cities, rebuilt from published statistics."""

@@ -1,0 +1,99 @@
+"""Compares intersections with a city's published feature distributions: total variation per feature, table and plot."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from izoo.contexts.cities.copula import FEATURES, marginal
+from izoo.contexts.cities.plans import measure
+from izoo.contexts.cities.rebuilt import get
+from izoo.contexts.context import HOUR_FACTOR
+from izoo.contexts.spec import IntersectionSpec
+
+
+def feature_table(specs: Iterable[IntersectionSpec]) -> np.ndarray:
+    """Return ``[R, 7]``: the features of every approach, as published (flow at peak, before the cap of 900 veh/h).
+
+    Phase count and green share are measured on the signal plan, not copied from what it was built to meet.
+    Intersections without a plan are left out.
+    """
+    rows = []
+    for spec in specs:
+        if spec.signal_plan is None:
+            continue
+        for leg in spec.legs:
+            if leg.approach is None:
+                continue
+            phase_count, green_share = measure(spec.signal_plan, leg.name)
+            values = {
+                "lane_count": leg.approach.lane_count,
+                "grade": leg.approach.grade,
+                "lane_length_m": leg.approach.length_m,
+                "speed_limit_mps": leg.approach.speed_limit_mps,
+                "inflow_peak_vph": leg.approach.aadt_per_lane * HOUR_FACTOR["peak"],
+                "signal_time_ratio": green_share,
+                "phase_count": phase_count,
+            }
+            rows.append([float(values[name]) for name in FEATURES])
+    return np.asarray(rows).reshape(-1, len(FEATURES))
+
+
+def total_variation(table: np.ndarray, city: str) -> dict[str, float]:
+    """Return half the summed absolute difference to the published distribution, per feature, in [0, 1]."""
+    distances = {}
+    for index, name in enumerate(FEATURES):
+        published = marginal(city, name)
+        share = published.prob / published.prob.sum()
+        distances[name] = 0.5 * float(np.abs(published.histogram(table[:, index]) - share).sum())
+    return distances
+
+
+def compare_cities(cities: Iterable[str]) -> dict[str, np.ndarray]:
+    """Return the feature table of each rebuilt city."""
+    return {city: feature_table(get(city)) for city in cities}
+
+
+def format_distances(tables: Mapping[str, np.ndarray]) -> str:
+    """Return the distances as a text table, one line per city."""
+    width = max(len(city) for city in tables)
+    lines = ["  ".join([" " * width, *FEATURES])]
+    for city, table in tables.items():
+        cells = [f"{value:.3f}".rjust(len(name)) for name, value in total_variation(table, city).items()]
+        lines.append("  ".join([city.ljust(width), *cells]))
+    return "\n".join(lines)
+
+
+def write_csv(tables: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write one line per city and feature."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["city", "feature", "approaches", "total_variation"])
+        for city, table in tables.items():
+            for name, value in total_variation(table, city).items():
+                writer.writerow([city, name, len(table), f"{value:.5f}"])
+
+
+def write_png(tables: Mapping[str, np.ndarray], path: Path) -> None:
+    """Draw published (bars) against rebuilt (line) histograms, one row per city."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(2.6 * len(FEATURES), 1.9 * len(tables)), layout="constrained")
+    axes = np.atleast_2d(figure.subplots(len(tables), len(FEATURES)))
+    for row, (city, table) in zip(axes, tables.items(), strict=True):
+        for index, (axis, name) in enumerate(zip(row, FEATURES, strict=True)):
+            published = marginal(city, name)
+            rebuilt = published.histogram(table[:, index])
+            edges = published.edges
+            if edges is None:
+                assert published.values is not None
+                edges = np.append(published.values - 0.5, published.values[-1] + 0.5)
+            axis.stairs(published.prob / published.prob.sum(), edges, fill=True, color="0.75", label="published")
+            axis.stairs(rebuilt, edges, color="tab:blue", linewidth=1.0, label="rebuilt")
+            axis.set_title(f"{city}: {name}", fontsize=7)
+            axis.tick_params(labelsize=6)
+    axes[0, 0].legend(fontsize=6)
+    figure.savefig(path, dpi=70)

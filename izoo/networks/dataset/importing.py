@@ -1,0 +1,253 @@
+"""Import of a downloaded dataset: every intersection is checked, the usable ones are copied and indexed.
+
+The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. Files are staged
+in the target and moved into place at the end; until then a marker stands in the target, and no reader accepts it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path, PurePosixPath
+
+from izoo.contexts.spec import IntersectionSpec
+from izoo.errors import IzooError, os_reason
+from izoo.networks.dataset.archive import Archive, open_archive
+from izoo.networks.dataset.intersections import INFLOW_FILE, MARKER, NET_FILE, load_intersection, natural_key
+from izoo.networks.road import read_road
+
+MANIFEST, INDEX = "manifest.json", "index.csv"
+FORMAT = "izoo-dataset-1"
+_STAGING = ".staging"
+_SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
+Progress = Callable[[int, int], None]
+"""Called with the number of folders done and their total."""
+
+
+@dataclass(frozen=True)
+class IndexRow:
+    """One imported intersection: a line of ``index.csv``."""
+
+    dataset: str
+    intersection: str
+    city: str
+    legs: str
+    approaches: str
+    with_demand: str
+    net_sha256: str
+    inflows_sha256: str
+    imputed: str
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What an import did.
+
+    Attributes:
+        target: the folder to give to :func:`izoo.networks.dataset.intersections.load_dataset`.
+        usable: the imported intersections, in natural order.
+        unusable: why each of the other folders was left out, by its path in the source.
+    """
+
+    target: Path
+    usable: tuple[IndexRow, ...]
+    unusable: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        legs = sum(len(row.approaches) for row in self.usable)
+        idle = legs - sum(len(row.with_demand) for row in self.usable)
+        lines = [
+            f"imported {len(self.usable)} intersections with {legs} approaches ({idle} of them without demand) "
+            f"into {self.target}"
+        ]
+        lines += [f"unusable: {place}: {reason}" for place, reason in self.unusable.items()]
+        return "\n".join(lines)
+
+
+def import_dataset(source: Path | str, target: Path | str, progress: Progress | None = None) -> ImportReport:
+    """Check every intersection folder of ``source``, copy the usable ones into ``target`` and index them.
+
+    Args:
+        source: a folder or a zip archive of intersection folders, with or without a folder per city around them.
+        target: a new or empty folder, or an earlier import, which is replaced once the new one is complete.
+        progress: called after each folder.
+
+    Raises:
+        IzooError: the source is missing, hostile or holds no usable intersection, or the target holds other files.
+            The target is then as it was before; an import that is stopped while it replaces an earlier one leaves
+            a target that readers refuse, and that the next import replaces.
+    """
+    source, target = Path(source).expanduser(), Path(target).expanduser().absolute()
+    with open_archive(source) as archive:
+        places = _find_places(archive)
+        if not places:
+            raise IzooError(f"{source} holds no intersection folders with {NET_FILE} and {INFLOW_FILE}.")
+        _check_target(target, source)
+        fresh = not target.exists()
+        staging = target / _STAGING
+        try:
+            shutil.rmtree(staging, ignore_errors=True)
+            staging.mkdir(parents=True)
+            rows, unusable = _stage(archive, places, staging, progress)
+            if not rows:
+                first = next(iter(unusable.items()))
+                raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
+            _publish(target, staging, rows, unusable, source.name)
+        except BaseException as error:
+            shutil.rmtree(staging, ignore_errors=True)
+            if fresh and target.is_dir() and not any(target.iterdir()):
+                target.rmdir()
+            if isinstance(error, OSError):
+                raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
+            raise
+    return ImportReport(target, tuple(rows), unusable)
+
+
+def _find_places(archive: Archive) -> list[PurePosixPath]:
+    """Folders of the archive that are intersections, or stand beside intersections, in natural order."""
+    holders = {name.parent for name in archive.files() if name.name in (NET_FILE, INFLOW_FILE)}
+    around = {holder.parent for holder in holders if holder != PurePosixPath(".")}
+    beside = {folder for folder in archive.folders() if folder.parent in around and folder not in around}
+    found = {place for place in holders | beside if not any(part.startswith((".", "__")) for part in place.parts)}
+    return sorted(found, key=lambda place: [natural_key(part) for part in place.parts])
+
+
+def _names(archive: Archive, place: PurePosixPath) -> tuple[str, str]:
+    """Names of the dataset and of the intersection at ``place``."""
+    dataset, intersection = ("imported", *archive.label, *place.parts)[-2:]
+    for name in (dataset, intersection):
+        if not _SAFE_NAME.fullmatch(name) or name in (MANIFEST, INDEX):
+            raise IzooError(f"the folder name {name!r} cannot be used; rename it to letters, digits, - and _.")
+    return dataset, intersection
+
+
+def _stage(
+    archive: Archive, places: list[PurePosixPath], staging: Path, progress: Progress | None
+) -> tuple[list[IndexRow], dict[str, str]]:
+    rows: list[IndexRow] = []
+    unusable: dict[str, str] = {}
+    for number, place in enumerate(places, start=1):
+        try:
+            rows.append(_stage_one(archive, place, staging))
+        except IzooError as error:
+            unusable["/".join(("imported", *archive.label, *place.parts)[-2:])] = str(error)
+        if progress is not None:
+            progress(number, len(places))
+    return rows, unusable
+
+
+def _stage_one(archive: Archive, place: PurePosixPath, staging: Path) -> IndexRow:
+    dataset, intersection = _names(archive, place)
+    folder = staging / dataset / intersection
+    if folder.exists():
+        raise IzooError(f"another folder is called {dataset}/{intersection} too; rename one of them.")
+    present = set(archive.files())
+    for name in (NET_FILE, INFLOW_FILE):
+        if place / name not in present:
+            raise IzooError(f"it has no {name}; fetch the folder again.")
+    data = {name: archive.read(place / name) for name in (NET_FILE, INFLOW_FILE)}
+    folder.mkdir(parents=True)
+    try:
+        for name, content in data.items():
+            (folder / name).write_bytes(content)
+        spec = load_intersection(folder)
+        read_road(folder / NET_FILE)
+    except IzooError as error:
+        shutil.rmtree(folder)
+        raise IzooError(str(error).replace(f"{folder.absolute()}{os.sep}", "")) from error
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+        shutil.rmtree(folder)
+        raise IzooError(f"{NET_FILE} is not a complete SUMO net ({error!r}); fetch the file again.") from error
+    return _index_row(spec, dataset, intersection, hashlib.sha256(data[INFLOW_FILE]).hexdigest())
+
+
+def _index_row(spec: IntersectionSpec, dataset: str, intersection: str, inflows_sha256: str) -> IndexRow:
+    demand = (leg.name for leg in spec.legs if leg.approach is not None and leg.approach.aadt_per_lane > 0.0)
+    return IndexRow(
+        dataset=dataset,
+        intersection=intersection,
+        city=spec.city or "",
+        legs="".join(spec.leg_names),
+        approaches="".join(spec.approach_names),
+        with_demand="".join(demand),
+        net_sha256=spec.net_sha256 or "",
+        inflows_sha256=inflows_sha256,
+        imputed="; ".join(spec.imputed),
+    )
+
+
+def _check_target(target: Path, source: Path) -> None:
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        raise IzooError(f"the target {target} is not a folder; choose a new one.")
+    inside, outside = target.resolve(), source.resolve()
+    if inside == outside or (source.is_dir() and (inside in outside.parents or outside in inside.parents)):
+        raise IzooError(f"the target {target} and the source {source} lie within each other; choose another target.")
+    if not target.exists():
+        return
+    links = [child.name for child in target.iterdir() if child.is_symlink()]
+    if links:
+        raise IzooError(f"the target {target} holds the symbolic link {links[0]}; choose a new folder.")
+    known = {MANIFEST, INDEX, MARKER, _STAGING, *_imported_folders(target)}
+    foreign = sorted(child.name for child in target.iterdir() if child.name not in known)
+    if foreign:
+        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
+
+
+def _imported_folders(target: Path) -> list[str]:
+    """Dataset folders that an earlier import, finished or not, has written into ``target``."""
+    names: list[str] = []
+    for file in (target / MANIFEST, target / MARKER):
+        if file.is_file():
+            try:
+                found = json.loads(file.read_text(encoding="utf-8"))
+                names += [name for name in found["datasets"] if _SAFE_NAME.fullmatch(name)]
+            except (ValueError, KeyError, TypeError) as error:
+                raise IzooError(f"{file} is damaged ({error}); remove {target} and import again.") from error
+    return names
+
+
+def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[str, str], source_name: str) -> None:
+    """Replace an earlier import by the staged one; the marker stands from the first change to the last."""
+    datasets = sorted({row.dataset for row in rows})
+    earlier = _imported_folders(target)
+    _write(target / MARKER, staging, json.dumps({"datasets": sorted({*datasets, *earlier})}).encode())
+    (target / MANIFEST).unlink(missing_ok=True)
+    for name in earlier:
+        shutil.rmtree(target / name, ignore_errors=True)
+    for name in datasets:
+        (staging / name).replace(target / name)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(asdict(rows[0])), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    index = table.getvalue().encode()
+    _write(target / INDEX, staging, index)
+    manifest = {
+        "format": FORMAT,
+        "source": source_name,
+        "datasets": datasets,
+        "intersections": len(rows),
+        "approaches": sum(len(row.approaches) for row in rows),
+        "index_sha256": hashlib.sha256(index).hexdigest(),
+        "unusable": unusable,
+    }
+    _write(target / MANIFEST, staging, json.dumps(manifest, indent=1).encode())
+    staging.rmdir()
+    (target / MARKER).unlink()
+
+
+def _write(path: Path, staging: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    partial = staging / f"{path.name}.part"
+    with partial.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)

@@ -1,0 +1,1 @@
+"""Pictures of intersections and of the features of a set of them."""

@@ -1,0 +1,289 @@
+"""Pictures of intersections and of the features of a set of them, as PNG files.
+
+An intersection with a net is drawn from the net's lanes, any other from its description. Every movement has the colour
+of its signal group: movements that are green in the same phases share one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
+
+from izoo.contexts.cities.plans import measure
+from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
+from izoo.contexts.spec import IntersectionSpec, SignalPlan
+from izoo.errors import IzooError
+from izoo.networks.draw.plan_view import LANE_M, Layout, layout_of_road, layout_of_spec
+from izoo.networks.road import RoadNet, read_road
+
+GROUP_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f4fa0", "#8c564b")
+NEVER_GREEN, NO_PLAN, YELLOW = "#c0392b", "#2f6f9f", "#f2c300"
+_ASPHALT, _INSIDE, _MARK, _TEXT = "#8d9299", "#b4b8bd", "#ffffff", "#222222"
+_BARS = {"G": (0.72, 1.0, ""), "g": (0.72, 0.45, ""), "y": (0.72, 1.0, YELLOW), "s": (0.12, 1.0, "#999999")}
+"""Height, opacity and colour of a signal bar; an empty colour is that of the group."""
+_ARROWS = {
+    "s": ((0.0, -3.0), (0.0, 3.0)),
+    "r": ((0.0, -3.0), (0.0, 0.5), (1.3, 1.2)),
+    "l": ((0.0, -3.0), (0.0, 0.5), (-1.3, 1.2)),
+}
+"""Strokes of the painted arrows: metres to the right and forward."""
+_DPI = 150
+
+
+def draw_intersection(
+    spec: IntersectionSpec,
+    path: Path | str,
+    *,
+    road: RoadNet | None = None,
+    streets: Mapping[str, str] | None = None,
+) -> Path:
+    """Draw lanes, turn arrows, movements in the colours of their signal groups, leg names and the signal plan.
+
+    Args:
+        spec: the intersection.
+        path: the PNG to write; its folder is made if need be.
+        road: its net, where one has been built; a spec with ``net_path`` brings its own.
+        streets: street names per leg, for the labels.
+
+    Returns:
+        the path that was written.
+    """
+    if road is None and spec.net_path is not None:
+        road = read_road(spec.net_path)
+    layout = layout_of_spec(spec) if road is None else layout_of_road(road, spec)
+    colours = group_colours(spec.signal_plan, [(movement.origin, movement.exit) for movement in layout.movements])
+    figure = Figure(figsize=(12.5, 7.6), facecolor="white")
+    plan_axes = figure.add_axes((0.75, 0.10, 0.24, 0.76))
+    _draw_layout(figure.add_axes((0.0, 0.0, 0.69, 0.92)), spec, layout, colours, streets or {})
+    _draw_plan(plan_axes, spec, colours)
+    figure.text(0.02, 0.955, spec.name, fontsize=14, weight="bold", color=_TEXT)
+    notes = [f"{len(spec.approach_names)} approaches, source {spec.source}"]
+    if spec.imputed:
+        kinds = sorted({name.rsplit(" of ", 1)[0] for name in spec.imputed})
+        notes.append("imputed on some legs: " + ", ".join(kinds))
+    figure.text(0.02, 0.928, "; ".join(notes), fontsize=9, color="#555555")
+    return _save(figure, path)
+
+
+def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: str = "") -> Path:
+    """Draw histograms of the approach features of a set of intersections, for example a city.
+
+    Args:
+        specs: the intersections; at least one.
+        path: the PNG to write.
+        title: what the set is.
+    """
+    table = feature_table(specs)
+    count = len(table["lane_count"])
+    figure = Figure(figsize=(12.5, 6.2), facecolor="white")
+    panels = (
+        ("lane_count", "lanes at the stop line", 1.0),
+        ("length_m", "approach length (m)", None),
+        ("speed_limit_mps", "speed limit (m/s)", None),
+        ("grade_pct", "grade (%)", None),
+        ("inflow_peak_vph", "peak inflow per lane (veh/h)", None),
+        ("legs", "legs of the intersection", 1.0),
+        ("phase_count", "phases that serve the approach", 1.0),
+        ("green_ratio", "green over cycle", None),
+    )
+    for number, (name, label, width) in enumerate(panels, start=1):
+        axes = figure.add_subplot(2, 4, number)
+        values = table[name][np.isfinite(table[name])]
+        _histogram(axes, values, width)
+        axes.set_xlabel(label, fontsize=9, color=_TEXT)
+        if number in (1, 5):
+            axes.set_ylabel("share of approaches", fontsize=9, color=_TEXT)
+    figure.suptitle(f"{title or 'Approach features'} ({count} approaches)", fontsize=13, weight="bold", color=_TEXT)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
+    return _save(figure, path)
+
+
+def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
+    """Features per approach, over all intersections; NaN for signal features of a spec without a plan.
+
+    ``green_ratio`` is the share of the cycle in which some movement of the approach is green, ``phase_count`` the
+    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap (spec 2).
+    """
+    rows: list[dict[str, float]] = []
+    for spec in specs:
+        for leg in spec.legs:
+            if leg.approach is None:
+                continue
+            phases, ratio = measure(spec.signal_plan, leg.name) if spec.signal_plan else (math.nan, math.nan)
+            rows.append(
+                {
+                    "lane_count": leg.approach.lane_count,
+                    "length_m": leg.approach.length_m,
+                    "speed_limit_mps": leg.approach.speed_limit_mps,
+                    "grade_pct": 100.0 * leg.approach.grade,
+                    "inflow_peak_vph": min(leg.approach.aadt_per_lane * HOUR_FACTOR["peak"], FLOW_CAP_VPH_PER_LANE),
+                    "legs": len(spec.legs),
+                    "phase_count": phases,
+                    "green_ratio": ratio,
+                }
+            )
+    if not rows:
+        raise IzooError("there is no intersection to draw; check the filter or the path that selected them.")
+    return {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
+
+
+def group_colours(plan: SignalPlan | None, movements: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
+    """Colour of each movement ``(from leg, to leg)``: one per signal group."""
+    found: dict[tuple[str, str], str] = {}
+    groups: dict[tuple[int, ...], str] = {}
+    for movement in sorted(set(movements)):
+        if plan is None:
+            found[movement] = NO_PLAN
+            continue
+        pattern = tuple(k for k, phase in enumerate(plan.phases) if _colour(phase.states, movement) in ("G", "g"))
+        if pattern and pattern not in groups:
+            groups[pattern] = GROUP_COLOURS[len(groups) % len(GROUP_COLOURS)]
+        found[movement] = groups[pattern] if pattern else NEVER_GREEN
+    return found
+
+
+def _colour(states: tuple[tuple[str, str, str], ...], movement: tuple[str, str]) -> str:
+    return next((colour for origin, to, colour in states if (origin, to) == movement), "r")
+
+
+def _draw_layout(
+    axes: Axes,
+    spec: IntersectionSpec,
+    layout: Layout,
+    colours: Mapping[tuple[str, str], str],
+    streets: Mapping[str, str],
+) -> None:
+    for lane in layout.lanes:
+        axes.add_patch(Polygon(_ribbon(lane.points), facecolor=_ASPHALT, edgecolor=_MARK, linewidth=0.7))
+    for movement in layout.movements:
+        axes.add_patch(Polygon(_ribbon(movement.points), facecolor=_INSIDE, edgecolor="none", zorder=0))
+    for movement in layout.movements:
+        colour = colours[movement.origin, movement.exit]
+        points = movement.points
+        axes.plot(points[:, 0], points[:, 1], color=colour, linewidth=1.5, zorder=3, solid_capstyle="round")
+        tip, back = points[-1], points[-2]
+        axes.annotate("", tip, back, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.2}, zorder=3)
+    for lane in layout.lanes:
+        if lane.turns:
+            _draw_arrows(axes, lane.points, lane.turns)
+            _draw_stop_line(axes, lane.points)
+    for leg in spec.legs:
+        _label(axes, spec, leg.name, streets.get(leg.name, ""), layout.extent_m)
+    axes.set_xlim(-1.55 * layout.extent_m, 1.55 * layout.extent_m)
+    axes.set_ylim(-1.2 * layout.extent_m, 1.2 * layout.extent_m)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def _ribbon(points: np.ndarray, width: float = LANE_M) -> np.ndarray:
+    """Outline ``[2n, 2]`` of a lane of ``width`` m around the line ``points`` ``[n, 2]``."""
+    direction = np.gradient(points, axis=0)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1) * width / 2.0
+    return np.concatenate([points + normal, (points - normal)[::-1]])
+
+
+def _frame(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """End of a lane, its direction of travel, and the direction to its right."""
+    along = points[-1] - points[-2]
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
+    return points[-1], along, np.array([along[1], -along[0]])
+
+
+def _draw_arrows(axes: Axes, points: np.ndarray, turns: str) -> None:
+    """Paint the lane's arrow 5 m before the stop line."""
+    end, along, right = _frame(points)
+    head = {"arrowstyle": "-|>", "color": _MARK, "lw": 0.9, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0}
+    for turn in turns:
+        stroke = np.array([end + (forward - 5.0) * along + side * right for side, forward in _ARROWS[turn]])
+        axes.plot(stroke[:, 0], stroke[:, 1], color=_MARK, linewidth=1.3, zorder=4)
+        last = stroke[-1] - stroke[-2]
+        axes.annotate("", stroke[-1] + 0.6 * last / np.linalg.norm(last), stroke[-2], arrowprops=head, zorder=4)
+
+
+def _draw_stop_line(axes: Axes, points: np.ndarray) -> None:
+    end, _, right = _frame(points)
+    ends = np.array([end - 0.46 * LANE_M * right, end + 0.46 * LANE_M * right])
+    axes.plot(ends[:, 0], ends[:, 1], color=_MARK, linewidth=2.2, zorder=4)
+
+
+def _label(axes: Axes, spec: IntersectionSpec, name: str, street: str, extent_m: float) -> None:
+    leg = spec.leg(name)
+    out = np.array([math.sin(math.radians(leg.bearing_deg)), math.cos(math.radians(leg.bearing_deg))])
+    lines = [street] if street else []
+    if leg.approach is None:
+        lines.append("leads away only")
+    else:
+        approach = leg.approach
+        lines.append(
+            f"{approach.length_m:.0f} m, {approach.speed_limit_mps:.1f} m/s, {100 * approach.grade + 0.0:+.1f} %"
+        )
+        lines.append(f"{approach.aadt_per_lane:,.0f} veh/day per lane")
+    if leg.exit_lanes == 0:
+        lines.append("leads in only")
+    x, y = out * (extent_m + 3.0)
+    across = "left" if out[0] > 0.35 else "right" if out[0] < -0.35 else "center"
+    up = "bottom" if out[1] > 0.35 else "top" if out[1] < -0.35 else "center"
+    axes.text(x, y, "\n".join(lines), fontsize=8, ha=across, va=up, color=_TEXT, linespacing=1.25)
+    x, y = out * (extent_m - 7.0)
+    badge = {"boxstyle": "circle,pad=0.25", "facecolor": "white", "edgecolor": _TEXT, "linewidth": 0.8}
+    axes.text(x, y, name, fontsize=12, weight="bold", ha="center", va="center", color=_TEXT, bbox=badge, zorder=6)
+
+
+def _draw_plan(axes: Axes, spec: IntersectionSpec, colours: Mapping[tuple[str, str], str]) -> None:
+    """Bars of green, yellow and right on red over the cycle, one row per movement."""
+    if spec.signal_plan is None:
+        axes.axis("off")
+        axes.text(0.0, 1.0, "No signal plan given:\none is searched when\nthe net is built.", va="top", color="#555555")
+        return
+    movements = sorted(colours)
+    begin = 0.0
+    for phase in spec.signal_plan.phases:
+        for row, movement in enumerate(movements):
+            colour = _colour(phase.states, movement)
+            if colour in _BARS:
+                height, alpha, fixed = _BARS[colour]
+                axes.barh(
+                    row, phase.duration_s, left=begin, height=height, alpha=alpha, color=fixed or colours[movement]
+                )
+        begin += phase.duration_s
+        axes.axvline(begin, color="#dddddd", linewidth=0.7, zorder=0)
+    axes.set_yticks(range(len(movements)), [f"{origin} to {to}" for origin, to in movements], fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, spec.signal_plan.cycle_s)
+    axes.set_xlabel("seconds of the cycle", fontsize=9)
+    axes.set_title(
+        "Signal plan: green (pale: permissive), yellow,\nthin grey: right turn on red", fontsize=9, loc="left"
+    )
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+
+
+def _histogram(axes: Axes, values: np.ndarray, width: float | None) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    if values.size == 0:
+        axes.text(0.5, 0.5, "no signal plan", ha="center", va="center", transform=axes.transAxes, color="#777777")
+        return
+    bins: int | list[float] = 20
+    if width is not None:
+        bins = np.arange(values.min() - width / 2.0, values.max() + width, width).tolist()
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.hist(values, bins=bins, weights=np.full(values.size, 1.0 / values.size), color=GROUP_COLOURS[0], rwidth=0.92)
+
+
+def _save(figure: Figure, path: Path | str) -> Path:
+    path = Path(path).expanduser()
+    if path.suffix.lower() != ".png":
+        raise IzooError(f"pictures are written as PNG; {path} must end in .png.")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure).print_figure(str(path), dpi=_DPI, facecolor="white")
+    return path

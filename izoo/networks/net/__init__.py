@@ -1,0 +1,1 @@
+"""SUMO nets from intersections: plain XML, ``netconvert``, heights, and their cache."""

@@ -1,0 +1,171 @@
+"""From an :class:`IntersectionSpec` to a SUMO net file: plain XML, ``netconvert``, checks, cache."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import sumo
+
+from izoo.contexts.spec import IntersectionSpec, Leg
+from izoo.errors import IzooError
+from izoo.networks.net import cache
+from izoo.networks.net.connections import Link
+from izoo.networks.net.heights import add_heights
+from izoo.networks.net.plain import PlainNet, plain_net
+from izoo.networks.net.programs import stop_mutual_waits
+from izoo.networks.signals.search import search_plan
+
+BUILDER_VERSION = 2
+"""To be raised whenever the same spec gives another net."""
+NETCONVERT_TIMEOUT_S = 120.0
+MIN_LANE_M = 2.0
+_TURN_OF_DIR = {"r": "r", "R": "r", "s": "s", "l": "l", "L": "l", "t": "l"}
+_OPTIONS = {
+    "no-turnarounds": "true",
+    "offset.disable-normalization": "true",
+    "precision": "6",
+    "xml-validation": "never",
+}
+_SIGNAL_LINK = re.compile(
+    r'<connection from="([A-F])2TL(?:_intern)?" to="TL2([A-F])" fromLane="(\d+)" toLane="(\d+)"[^>]*? '
+    r'tl="TL" linkIndex="(\d+)" dir="(\w)"'
+)
+_LANE = re.compile(r'<lane id="((?:[A-F]2TL(?:_intern)?|TL2[A-F])_\d+)"[^>]*? length="([\d.]+)"')
+
+
+def build_net(spec: IntersectionSpec, cache_dir: Path | None = None) -> Path:
+    """Return the path of a SUMO net for ``spec``, built when it is not in the cache.
+
+    A spec that brings its own net (``net_path``) is returned as it is. Several processes may build at the same time.
+
+    Args:
+        spec: the intersection; without a signal plan one is searched for.
+        cache_dir: where nets are kept; see :func:`izoo.networks.net.cache.cache_folder`.
+
+    Raises:
+        IzooError: the spec contradicts itself, ``netconvert`` refuses it, or the cache cannot be written to.
+    """
+    if spec.net_path is not None:
+        path = Path(spec.net_path)
+        if not path.is_file():
+            raise IzooError(f"the net {path} of intersection {spec.name} does not exist; import the dataset again.")
+        return path
+    folder = cache.cache_folder(cache_dir)
+    key = net_key(spec)
+    return cache.lookup(folder, key) or cache.store(folder, key, _build(spec, folder))
+
+
+def net_key(spec: IntersectionSpec) -> str:
+    """Return the hash of all that the net of ``spec`` depends on; with a plan given, demand is not part of it."""
+    fields = dataclasses.asdict(spec)
+    for name in ("name", "city", "imputed", "net_path", "net_sha256"):
+        fields.pop(name)
+    fields["source"] = spec.source == "procedural"
+    if spec.signal_plan is not None:
+        for leg in fields["legs"]:
+            if leg["approach"] is not None:
+                leg["approach"].pop("aadt_per_lane")
+    content = json.dumps([BUILDER_VERSION, _sumo_version(), fields], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:40]
+
+
+@functools.cache
+def _sumo_version() -> str:
+    return importlib.metadata.version("eclipse-sumo")
+
+
+def _build(spec: IntersectionSpec, folder: Path) -> str:
+    plain = plain_net(spec, spec.signal_plan or search_plan(spec))
+    with cache.workspace(folder) as scratch:
+        text, messages = _netconvert(spec.name, plain, scratch)
+    text = _checked_links(spec.name, text, plain.links, messages)
+    _check_lanes(spec, text, messages)
+    # The header holds the date and the folder of the build; without it equal specs give equal files.
+    return add_heights(stop_mutual_waits(re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)), spec)
+
+
+def _netconvert(name: str, plain: PlainNet, scratch: Path) -> tuple[str, str]:
+    """Run ``netconvert``; return the net and what it said."""
+    inputs = {
+        "node-files": plain.nodes,
+        "edge-files": plain.edges,
+        "connection-files": plain.connections,
+        "tllogic-files": plain.signals,
+    }
+    command = [str(Path(sumo.SUMO_HOME, "bin", "netconvert"))]
+    for option, text in inputs.items():
+        (scratch / f"{option}.xml").write_text(text)
+        command += [f"--{option}", f"{option}.xml"]
+    command += [word for option, value in _OPTIONS.items() for word in (f"--{option}", value)]
+    command += ["--output-file", "net.xml"]
+    try:
+        run = subprocess.run(
+            command,
+            cwd=scratch,
+            env={**os.environ, "SUMO_HOME": sumo.SUMO_HOME},
+            capture_output=True,
+            text=True,
+            timeout=NETCONVERT_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise IzooError(f"netconvert did not end within {NETCONVERT_TIMEOUT_S:g} s for intersection {name}.") from error
+    except OSError as error:
+        raise IzooError(f"cannot run {command[0]} ({error.strerror}); install the package eclipse-sumo.") from error
+    messages = run.stderr.strip()
+    result = scratch / "net.xml"
+    if run.returncode != 0 or not result.is_file():
+        raise IzooError(f"netconvert refuses intersection {name}: {messages or run.stdout.strip()}")
+    return result.read_text(), messages
+
+
+def _checked_links(name: str, text: str, links: tuple[Link, ...], messages: str) -> str:
+    """Check that every link is there, and make the directions that SUMO reports those of the spec.
+
+    ``netconvert`` calls a movement a turn when another exit is straighter, and a sharp turn on a one-way leg a U-turn;
+    the spec's turns follow from bearings alone, and vehicles, observations and demand must all mean the same.
+    """
+    found: dict[int, Link] = {}
+
+    def settle(match: re.Match[str]) -> str:
+        start, end, lane, target, index, direction = match.groups()
+        link = links[int(index)]
+        found[int(index)] = Link(start, int(lane), end, int(target), link.turn)
+        keep = _TURN_OF_DIR.get(direction) == link.turn
+        return match.group(0) if keep else match.group(0)[:-2] + f'{link.turn}"'
+
+    text = _SIGNAL_LINK.sub(settle, text)
+    lost = [link for index, link in enumerate(links) if found.get(index) != link]
+    if lost:
+        raise IzooError(
+            f"netconvert dropped the connection from lane {lost[0].from_lane} of {lost[0].from_leg} to lane "
+            f"{lost[0].to_lane} of {lost[0].to_leg} at intersection {name}. {messages}"
+        )
+    return text
+
+
+def _check_lanes(spec: IntersectionSpec, text: str, messages: str) -> None:
+    """Check that the junctions left something of every lane."""
+    lengths = {lane: float(length) for lane, length in _LANE.findall(text)}
+    for leg in spec.legs:
+        for lane in _lane_ids(leg):
+            if lengths.get(lane, 0.0) < MIN_LANE_M:
+                raise IzooError(
+                    f"intersection {spec.name}: leg {leg.name} is too short, its junctions leave "
+                    f"{lengths.get(lane, 0.0):g} m of lane {lane}; make it longer. {messages}"
+                )
+
+
+def _lane_ids(leg: Leg) -> list[str]:
+    lanes = [f"TL2{leg.name}_{index}" for index in range(leg.exit_lanes)]
+    if leg.approach is not None:
+        lanes += [f"{leg.name}2TL_{index}" for index in range(leg.approach.main_lane_count)]
+    return lanes

@@ -1,0 +1,1 @@
+"""Intersections from OpenStreetMap extracts."""

@@ -1,0 +1,224 @@
+"""Intersections from an OpenStreetMap extract: a folder of specs that trains like a city (spec 2.4).
+
+The rules by which lanes, turns and limits are read and imputed stand in :mod:`izoo.networks.osm.tags`. Beyond those:
+
+- length: to the next junction with a signal along the street, at most 680 m; a street that ends with the extract counts
+  150 m at least and is marked as imputed;
+- turn pockets: lanes that a way next to the stop line has over the way behind it, if that begins within 150 m;
+- grade: from the elevation raster, over the whole approach; 0 and imputed without one;
+- demand: from the AADT table, else per lane by street class and imputed;
+- right turns on red: legal in North America.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from izoo.contexts.movements import exits_by_turn
+from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
+from izoo.errors import IzooError
+from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
+from izoo.networks.osm.cluster import Core, StreetGraph, find_cores
+from izoo.networks.osm.legs import Street, find_streets
+from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
+from izoo.networks.osm.store import check_target, save_cmdp
+from izoo.networks.osm.streets import Restriction, StreetMap, read_streets
+
+MAX_CORE_M = 120.0
+
+
+@dataclass(frozen=True)
+class OsmReport:
+    """What a build found.
+
+    Attributes:
+        target: the folder that was written; :func:`izoo.networks.dataset.intersections.load_dataset` reads it.
+        streets: per intersection, the name of each leg's street.
+        skipped: why other junctions with signals were left out, by id.
+        imputed: how often each kind of value was imputed.
+        approaches: number of approaches in all.
+        stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
+    """
+
+    target: Path
+    streets: dict[str, dict[str, str]]
+    approaches: int
+    stray_signals: int = 0
+    skipped: dict[str, str] = field(default_factory=dict)
+    imputed: dict[str, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        lines = [f"built {len(self.streets)} intersections with {self.approaches} approaches into {self.target}"]
+        lines += [
+            f"  {key}: " + ", ".join(f"{k} {v or '-'}" for k, v in legs.items()) for key, legs in self.streets.items()
+        ]
+        lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
+        if self.stray_signals:
+            lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
+        lines += [f"  imputed {kind}: {count} of {self.approaches} approaches" for kind, count in self.imputed.items()]
+        return "\n".join(lines)
+
+
+def build_from_osm(
+    file: Path | str, *, target: Path | str, elevation: Path | str | None = None, aadt: Path | str | None = None
+) -> OsmReport:
+    """Find the signalised intersections of an extract and write them to ``target``, all or nothing.
+
+    Args:
+        file: the extract.
+        target: a new or empty folder, or an earlier build, which is replaced.
+        elevation: a raster of heights in m.
+        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+
+    Raises:
+        IzooError: a file is missing or malformed, or the extract has no usable signalised intersection.
+    """
+    file, target = Path(file).expanduser(), Path(target).expanduser().absolute()
+    check_target(target)
+    streets = read_streets(file)
+    builder = _Builder(
+        streets,
+        target.name,
+        None if elevation is None else Elevation(elevation),
+        TrafficCounts() if aadt is None else read_counts(aadt, streets),
+    )
+    builder.build()
+    if not builder.specs:
+        reasons = "; ".join(f"{key}: {reason}" for key, reason in list(builder.skipped.items())[:3])
+        raise IzooError(
+            f"{file} has no usable intersection with traffic signals ({len(streets.signals)} signal nodes there"
+            f"{'; ' + reasons if reasons else ''}); export a larger extract, with complete ways."
+        )
+    notes = {
+        "source": file.name,
+        "source_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        "elevation": elevation is not None,
+        "aadt": aadt is not None,
+        "skipped": builder.skipped,
+    }
+    save_cmdp(target, builder.specs, builder.details, notes)
+    imputed = Counter(name.rsplit(" of ", 1)[0] for spec in builder.specs.values() for name in spec.imputed)
+    return OsmReport(
+        target=target,
+        streets={key: detail["streets"] for key, detail in builder.details.items()},
+        approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
+        stray_signals=builder.stray_signals,
+        skipped=builder.skipped,
+        imputed=dict(sorted(imputed.items())),
+    )
+
+
+class _Builder:
+    """Works through the intersections of one extract."""
+
+    def __init__(self, streets: StreetMap, name: str, elevation: Elevation | None, counts: TrafficCounts) -> None:
+        self.streets, self.name, self.elevation, self.counts = streets, name, elevation, counts
+        self.graph = StreetGraph(streets)
+        self.restrictions: dict[int, list[Restriction]] = defaultdict(list)
+        for restriction in streets.restrictions:
+            self.restrictions[restriction.from_way].append(restriction)
+        self.specs: dict[str, IntersectionSpec] = {}
+        self.details: dict[str, dict] = {}
+        self.skipped: dict[str, str] = {}
+        self.stray_signals = 0
+
+    def build(self) -> None:
+        cores = find_cores(self.graph)
+        nodes = frozenset(node for core in cores for node in core.nodes)
+        self.stray_signals = len(self.streets.signals) - sum(len(core.signals) for core in cores)
+        for core in cores:
+            try:
+                legs = find_streets(self.graph, core, nodes - core.nodes)
+                spec = self._spec(core, legs)
+            except IzooError as error:
+                self.skipped[str(core.id)] = str(error)
+                continue
+            key = str(core.id)
+            places = [self.streets.lonlat[node] for node in core.nodes]
+            self.specs[key] = spec
+            self.details[key] = {
+                "streets": {leg.name: street.name for leg, street in zip(spec.legs, legs, strict=True)},
+                "lonlat": [sum(place[axis] for place in places) / len(places) for axis in (0, 1)],
+                "nodes": sorted(core.nodes),
+            }
+
+    def _spec(self, core: Core, streets: list[Street]) -> IntersectionSpec:
+        width = max(self.graph.distance(one, two) for one in core.nodes for two in core.nodes)
+        if width > MAX_CORE_M:
+            raise IzooError(
+                f"its junction nodes are spread over {width:.0f} m; only up to {MAX_CORE_M:.0f} m is taken."
+            )
+        if not 3 <= len(streets) <= len(LEG_NAMES):
+            raise IzooError(f"{len(streets)} streets meet there; an intersection needs 3 to {len(LEG_NAMES)}.")
+        guessed = Guessed()
+        exits = [exit_of(street) for street in streets]
+        bare = [
+            Leg(name, street.bearing_deg, _ANY_APPROACH, *exit_)
+            for name, street, exit_ in zip(LEG_NAMES, streets, exits, strict=False)
+        ]
+        legs = []
+        for leg, street in zip(bare, streets, strict=True):
+            available = frozenset(exits_by_turn(bare, leg.name)) if street.arriving else frozenset[str]()
+            approach = None
+            if available:
+                out_ways = {stub.pieces[0].way.id for other in streets if other is not street for stub in other.leaving}
+                banned = self._banned({stub.pieces[0].way.id for stub in street.arriving}, out_ways)
+                approach = approach_of(self.graph, street, leg.name, available, banned, guessed)
+                approach = self._with_grade_and_demand(approach, street, leg, guessed)
+            legs.append(
+                Leg(leg.name, leg.bearing_deg, approach, leg.exit_lanes, leg.exit_length_m, leg.exit_speed_limit_mps)
+            )
+        return IntersectionSpec(
+            name=f"{self.name}/{core.id}",
+            source="osm",
+            legs=tuple(legs),
+            right_on_red=_in_north_america(*self.streets.lonlat[core.id]),
+            imputed=tuple(guessed.names),
+        )
+
+    def _banned(self, from_ways: set[int], to_ways: set[int]) -> frozenset[str]:
+        """Turns that restrictions forbid from all of an approach into streets that leave the intersection."""
+        words = {"left_turn": "l", "right_turn": "r", "straight_on": "s"}
+        found: set[str] = set()
+        for restriction in (rule for way in from_ways for rule in self.restrictions.get(way, ())):
+            if restriction.to_way in to_ways:
+                rule, _, what = restriction.kind.partition("_")
+                if what in words and rule in ("no", "only"):
+                    found |= {words[what]} if rule == "no" else set("rsl") - {words[what]}
+        return frozenset(found)
+
+    def _with_grade_and_demand(self, approach: Approach, street: Street, leg: Leg, guessed: Guessed) -> Approach:
+        stub = max(street.arriving, key=lambda stub: stub.length_m)
+        ways = [piece.way for main in street.arriving for piece in main.pieces]
+        flow = self.counts.directional(ways, both_ways=leg.exit_lanes > 0)
+        if flow is None:
+            guessed.add("AADT", leg.name)
+            aadt_per_lane = guessed.aadt_per_lane(stub.pieces[0].way)
+        else:
+            aadt_per_lane = flow / approach.main_lane_count
+        grade = self._grade(stub.nodes)
+        if grade is None:
+            guessed.add("grade", leg.name)
+        return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
+
+    def _grade(self, nodes: tuple[int, ...]) -> float | None:
+        """Rise over run towards the stop line; ``None`` where a height is missing or the slope is no street's."""
+        if self.elevation is None:
+            return None
+        run = sum(self.graph.distance(one, two) for one, two in itertools.pairwise(nodes))
+        rise = self.elevation.at(self.streets.lonlat[nodes[0]]) - self.elevation.at(self.streets.lonlat[nodes[-1]])
+        grade = rise / run if run > 0.0 else math.nan
+        return grade if abs(grade) <= 0.25 else None
+
+
+_ANY_APPROACH = Approach(("s",), 100.0, 10.0, 0.0, 0.0)
+"""Stands in while only the exits matter."""
+
+
+def _in_north_america(lon: float, lat: float) -> bool:
+    return -170.0 < lon < -50.0 and 15.0 < lat < 75.0

@@ -1,0 +1,139 @@
+"""The folder that a build from OpenStreetMap leaves: one JSON file per intersection and an index of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
+from izoo.errors import IzooError, os_reason
+from izoo.networks.net.cache import is_running
+
+CMDP_FILE = "cmdp.json"
+FORMAT = "izoo-osm-1"
+ATTRIBUTION = "Contains information from OpenStreetMap, made available under the Open Database License (ODbL) 1.0"
+_KEY = re.compile(r"-?\d+")
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)")
+
+
+def check_target(target: Path) -> None:
+    """Refuse a target that holds anything but an earlier build."""
+    if not target.exists():
+        return
+    if not target.is_dir() or target.is_symlink():
+        raise IzooError(f"the target {target} is not a folder; choose a new one.")
+    files = {child.name for child in target.iterdir()}
+    if not files:
+        return
+    known = {CMDP_FILE, *(f"{key}.json" for key in _index(target))} if CMDP_FILE in files else set()
+    if foreign := sorted(files - known):
+        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
+
+
+def save_cmdp(
+    target: Path, specs: Mapping[str, IntersectionSpec], details: Mapping[str, Any], notes: Mapping[str, Any]
+) -> None:
+    """Write a build to ``target``, replacing an earlier one; a reader sees all of it or nothing.
+
+    Args:
+        target: accepted by :func:`check_target`.
+        specs: the intersections by key; each becomes ``KEY.json``.
+        details: further facts per intersection (street names, place).
+        notes: facts about the build, for the index.
+    """
+    staging = target.with_name(f".{target.name}.partial-{os.getpid()}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _discard_partials(target)
+        staging.mkdir()
+        for key, spec in specs.items():
+            record = {"format": FORMAT, "attribution": ATTRIBUTION, "spec": asdict(spec), **details[key]}
+            (staging / f"{key}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+        index = {"format": FORMAT, "attribution": ATTRIBUTION, **notes, "intersections": list(specs)}
+        (staging / CMDP_FILE).write_text(json.dumps(index, indent=1), encoding="utf-8")
+        if target.exists():
+            shutil.rmtree(target)
+        staging.replace(target)
+    except OSError as error:
+        shutil.rmtree(staging, ignore_errors=True)
+        raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
+    except BaseException:
+        shutil.rmtree(staging, ignore_errors=True)
+        raise
+
+
+def load_cmdp(folder: Path | str) -> list[IntersectionSpec]:
+    """Load the intersections of a build in the order of its index.
+
+    Raises:
+        IzooError: a file is missing, damaged, or of another format version.
+    """
+    folder = Path(folder).expanduser()
+    return [load_record(folder / f"{key}.json")[0] for key in _index(folder)]
+
+
+def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
+    """Load one intersection of a build, and the names of its streets by leg.
+
+    Raises:
+        IzooError: the file is missing, damaged, or of another format version.
+    """
+    record = _read(file)
+    try:
+        return spec_from_dict(record["spec"]), {str(leg): str(name) for leg, name in record["streets"].items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
+
+
+def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
+    """Rebuild a spec without a signal plan from ``dataclasses.asdict``."""
+    legs = []
+    for leg in fields["legs"]:
+        approach = leg["approach"]
+        whole = None if approach is None else Approach(**{**approach, "lanes": tuple(approach["lanes"])})
+        legs.append(Leg(**{**leg, "approach": whole}))
+    return IntersectionSpec(
+        **{
+            **fields,
+            "legs": tuple(legs),
+            "signal_plan": None,
+            "ghosts": GhostSpec(**fields["ghosts"]),
+            "imputed": tuple(fields["imputed"]),
+        }
+    )
+
+
+def _index(folder: Path) -> list[str]:
+    found = _read(folder / CMDP_FILE).get("intersections")
+    if not isinstance(found, list) or not all(isinstance(key, str) and _KEY.fullmatch(key) for key in found):
+        raise IzooError(f"{folder / CMDP_FILE} is damaged: its list of intersections; build the folder again.")
+    return found
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise IzooError(f"cannot read {path}: {error.strerror}; build the folder again.") from error
+    except ValueError as error:
+        raise IzooError(f"{path} is damaged ({error}); build the folder again.") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise IzooError(f"{path} is not of the format {FORMAT}; build the folder again with this version of izoo.")
+    return record
+
+
+def _discard_partials(target: Path) -> None:
+    """Remove what builds of ``target`` left behind whose process is gone."""
+    for path in target.parent.iterdir():
+        match = _PARTIAL.fullmatch(path.name)
+        if not match or match["name"] != target.name:
+            continue
+        pid = int(match["pid"])
+        if pid == os.getpid() or not is_running(pid):
+            shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""Fixed-time signal plans where none is given: a search for the least delay."""
