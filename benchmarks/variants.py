@@ -29,7 +29,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import TOTALS, observation_names
+from izoo.envs.mdp.frame import TOTALS, observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
 from izoo.training.interrupt import workers_ignore_interrupts

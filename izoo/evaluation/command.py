@@ -17,7 +17,7 @@ from izoo.conf.mapping import to_mapping
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, episode_seed
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.evaluation.episode import Policy
 from izoo.evaluation.options import EvaluateConfig

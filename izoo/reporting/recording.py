@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.layout import METRIC
+from izoo.envs.mdp.frame import METRIC
 from izoo.envs.sumo.simulator import Simulator
 from izoo.networks.road import APPROACHING, RoadNet
 

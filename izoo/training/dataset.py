@@ -21,7 +21,7 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.options import CollectConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import SumoParallelEnv
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, unknown_choice
 from izoo.training import runs
 from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts

@@ -21,7 +21,7 @@ from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.options import TrainConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, os_reason
 from izoo.evaluation.table import write_text
 from izoo.training import checkpoint

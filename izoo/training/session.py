@@ -15,7 +15,7 @@ import torch
 from izoo.conf.options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule, episode_seed
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs

@@ -8,17 +8,11 @@ import numpy as np
 
 from izoo.envs import kernels
 from izoo.envs.config import NEIGHBOURS
-from izoo.envs.layout import (
-    APPROACH,
-    EGO_FEATURES,
-    EXIT,
-    LENGTH,
-    NEIGHBOUR_FEATURES,
-    NUM_FLAGS,
-    NUM_FLOATS,
-    NUM_INTS,
-    PRESENT,
-)
+from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES
+from izoo.envs.mdp.state import APPROACH, EXIT, LENGTH, PRESENT
+from izoo.envs.mdp.UNKNOWN_NUM_FLAGS import NUM_FLAGS
+from izoo.envs.mdp.UNKNOWN_NUM_FLOATS import NUM_FLOATS
+from izoo.envs.mdp.UNKNOWN_NUM_INTS import NUM_INTS
 from izoo.networks.road import RoadNet
 
 STEP_S = 0.5

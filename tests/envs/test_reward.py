@@ -10,8 +10,10 @@ import torch
 
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, RewardConfig
-from izoo.envs.accounting import pay, reward_terms
-from izoo.envs.layout import ACCEL, EMISSION, NUM_FLOATS, PREV_ACCEL, REWARD_VECTOR, SPEED, TTC
+from izoo.envs.mdp.pay import pay, reward_terms
+from izoo.envs.mdp.reward import REWARD_VECTOR
+from izoo.envs.mdp.state import ACCEL, EMISSION, PREV_ACCEL, SPEED, TTC
+from izoo.envs.mdp.UNKNOWN_NUM_FLOATS import NUM_FLOATS
 from tests.envs.worlds import crossing, episode, short
 
 ROWS = np.array([4, 1, 2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from izoo.envs import kernels
-from izoo.envs.layout import (
+from izoo.envs.mdp.state import (
     ACCEL,
     FRESH,
     GAP,

@@ -22,7 +22,7 @@ from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.rollouts import RolloutCollector
