@@ -16,34 +16,16 @@ from izoo.envs.mdp.state import APPROACH, EXIT, LANE_POSITION, LENGTH, PLACE, RE
 NUM_EGO, NUM_SEEN = len(EGO_COLUMNS), len(NEIGHBOUR_COLUMNS)
 
 
-def _ego_writer(columns: Sequence[Column], begin: int = 0) -> Any:
-    """Compile the declared columns into one function that writes them one after the other."""
-    if not columns:
-        return njit(lambda r, vehicles, road, clock, line: None)
-    value, scale, rest = njit(columns[0].value), columns[0].scale, _ego_writer(columns[1:], begin + 1)
-
-    @njit
-    def write(r, vehicles, road, clock, line):  # type: ignore[no-untyped-def]
-        line[begin] = value(r, vehicles, road, clock) / scale
-        rest(r, vehicles, road, clock, line)
-
-    return write
+def _writer(columns: Sequence[Column], arguments: str) -> Any:
+    """Compile declared columns into one function ``write(ARGUMENTS, line)``, a statement for each of them."""
+    names = {f"value_{k}": njit(column.value, inline="always") for k, column in enumerate(columns)}
+    lines = [f"    line[{k}] = value_{k}({arguments}) / {column.scale}" for k, column in enumerate(columns)]
+    exec("\n".join([f"def write({arguments}, line):", *lines]), names)
+    return njit(names["write"])
 
 
-def _neighbour_writer(columns: Sequence[Column], begin: int = 0) -> Any:
-    if not columns:
-        return njit(lambda other, gap_m, lane_exists, vehicles, line: None)
-    value, scale, rest = njit(columns[0].value), columns[0].scale, _neighbour_writer(columns[1:], begin + 1)
-
-    @njit
-    def write(other, gap_m, lane_exists, vehicles, line):  # type: ignore[no-untyped-def]
-        line[begin] = value(other, gap_m, lane_exists, vehicles) / scale
-        rest(other, gap_m, lane_exists, vehicles, line)
-
-    return write
-
-
-_write_ego, _write_neighbour = _ego_writer(EGO_COLUMNS), _neighbour_writer(NEIGHBOUR_COLUMNS)
+_write_ego = _writer(EGO_COLUMNS, "r, vehicles, road, clock")
+_write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicles")
 
 
 @compiled

@@ -26,18 +26,12 @@ def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray
     return numbers, np.array(individual, np.float64), np.array(shared, np.float64)
 
 
-def _evaluator(terms: Sequence[RewardTerm], begin: int = 0) -> Any:
-    """Compile terms into one function that writes their values for a vehicle one after the other."""
-    if not terms:
-        return njit(lambda r, floats, numbers, out: None)
-    value, rest = njit(terms[0].value), _evaluator(terms[1:], begin + 1)
-
-    @njit
-    def evaluate(r, floats, numbers, out):  # type: ignore[no-untyped-def]
-        out[begin] = value(r, floats, numbers)
-        rest(r, floats, numbers, out)
-
-    return evaluate
+def _evaluator(terms: Sequence[RewardTerm]) -> Any:
+    """Compile terms into one function that writes their values for a vehicle, a statement for each of them."""
+    names = {f"value_{k}": njit(term.value, inline="always") for k, term in enumerate(terms)}
+    lines = [f"    out[{k}] = value_{k}(r, floats, numbers)" for k in range(len(terms))]
+    exec("\n".join(["def evaluate(r, floats, numbers, out):", *lines, "    return"]), names)
+    return njit(names["evaluate"])
 
 
 _evaluate, _evaluate_shared = _evaluator([*INDIVIDUAL.values()]), _evaluator([*SHARED.values()])

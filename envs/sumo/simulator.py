@@ -38,8 +38,8 @@ class SumoSimulator:
     """
 
     def __init__(self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights) -> None:
-        self.config, self._frame, self._weights = config, frame, weights
-        self._session = SumoSession(gui=config.gui)
+        self.config, self.frame, self._weights = config, frame, weights
+        self.session = SumoSession(gui=config.gui)
         self._episode: Episode | None = None
         self._routes: Path | None = None
 
@@ -66,9 +66,9 @@ class SumoSimulator:
         net = build_net(context.intersection)
         road = read_road(net)
         traffic = sample_traffic(context, road, seed, config.horizon_s)
-        episode = Episode(config, self._frame, self._weights, context, seed, number, road, traffic)
+        episode = Episode(config, self.frame, self._weights, context, seed, number, road, traffic)
         self._load(net, episode)
-        self._episode, self._names = episode, Names()
+        self._episode, self.names = episode, Names()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
         self._entry_edges = _entry_edges(road, context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in road.lane_ids])
@@ -85,7 +85,7 @@ class SumoSimulator:
         self._routes = Path(name)
         try:
             write_routes(episode.traffic, episode.road, self._routes)
-            self._session.load(sumo_arguments(net, self._routes, episode.seed, self.config.step_s))
+            self.session.load(sumo_arguments(net, self._routes, episode.seed, self.config.step_s))
         except IzooError as error:
             self._remove_routes()
             raise IzooError(f"context {episode.context.name}: {error}") from error
@@ -94,7 +94,7 @@ class SumoSimulator:
 
     def _warm_up(self) -> None:
         """Drive up to the beginning of control, and enter everybody who is in the region by then."""
-        session, road = self._session, self.episode.road
+        session, road = self.session, self.episode.road
         arrived: list[str] = []
         for _ in range(self.config.warmup_steps):
             session.advance()
@@ -103,27 +103,27 @@ class SumoSimulator:
         for edge in dict.fromkeys(lane.rsplit("_", 1)[0] for lane in road.lane_ids):
             for name in session.on_edge(edge):
                 self._register(name, counted=False)
-        self._early = [int(name) for name in (*arrived, *self._names.members)]
-        self.episode.begin(session.read(self._names.members, self._lane_numbers), session.time_s)
+        self._early = [int(name) for name in (*arrived, *self.names.members)]
+        self.episode.begin(session.read(self.names.members, self._lane_numbers), session.time_s)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Apply the frame's actions, simulate one step, and write the next frame."""
-        episode, session = self.episode, self._session
+        episode, session = self.episode, self.session
         self._pass_on_orders()
         session.advance()
         self._departed.update(session.departed())
-        leavers = [name for name in session.arrived() if name in self._names.row_of]
+        leavers = [name for name in session.arrived() if name in self.names.row_of]
         for name in leavers:
-            episode.leave(self._names.row_of[name])
+            episode.leave(self.names.row_of[name])
         if leavers:
-            self._names.leave(leavers)
+            self.names.leave(leavers)
         reading = self._read_with_newcomers()
         for rear, other in session.collisions():
-            if (rear, other) not in self._collided and rear in self._names.row_of:
+            if (rear, other) not in self._collided and rear in self.names.row_of:
                 self._collided.add((rear, other))
-                episode.collide(self._names.row_of[rear])
+                episode.collide(self.names.row_of[rear])
         suspects = episode.observe(reading)
-        self._names.forget(leavers)
+        self.names.forget(leavers)
         episode.give_way(self._slowed(suspects))
         if episode.over:
             episode.finish(self._ending())
@@ -132,17 +132,17 @@ class SumoSimulator:
     def _pass_on_orders(self) -> None:
         command, target_mps, release = self.episode.orders()
         if len(release):
-            self._session.command_speeds(self._names.of(release.tolist()), [-1.0] * len(release))
-        self._session.command_speeds(self._names.of(command.tolist()), target_mps.tolist())
+            self.session.command_speeds(self.names.of(release.tolist()), [-1.0] * len(release))
+        self.session.command_speeds(self.names.of(command.tolist()), target_mps.tolist())
         if self.config.lane_change:
             self._pass_on_lane_changes()
 
     def _pass_on_lane_changes(self) -> None:
         """Pass lane changes on; a CV that asks to be left to SUMO changes lanes as SUMO has it."""
-        frame, tables, session = self._frame, self.episode.tables, self._session
+        frame, tables, session = self.frame, self.episode.tables, self.session
         asks = (frame["defer"] != 0) | np.isnan(frame["action"])
         slots = np.flatnonzero(tables.agent_row >= 0).tolist()
-        for a, name in zip(slots, self._names.of(tables.agent_row[slots].tolist()), strict=True):
+        for a, name in zip(slots, self.names.of(tables.agent_row[slots].tolist()), strict=True):
             change = int(frame["lane_change"][a])
             if asks[a] and name in self._lanes_commanded:
                 self._lanes_commanded.remove(name)
@@ -155,7 +155,7 @@ class SumoSimulator:
 
     def _read_with_newcomers(self) -> tuple[np.ndarray, ...]:
         """Read every vehicle in the region; where the entries hold more than were known, register the others first."""
-        session, names = self._session, self._names
+        session, names = self.session, self.names
         reading = session.read(names.members, self._lane_numbers)
         if session.count_on(self._entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):
             return reading
@@ -168,33 +168,33 @@ class SumoSimulator:
 
     def _register(self, name: str, counted: bool) -> None:
         """Give a vehicle that has come to the region a row."""
-        row = self.episode.enter(int(name), self._session.acceleration(name), counted)
-        self._names.add(name, row)
+        row = self.episode.enter(int(name), self.session.acceleration(name), counted)
+        self.names.add(name, row)
         if self.episode.is_agent(row):
-            self._session.check_all_speeds(name)
+            self.session.check_all_speeds(name)
 
     def _slowed(self, rows: np.ndarray) -> list[int]:
         """Return which of these rows SUMO slows for a lane change."""
         floats, step_s, slowed = self.episode.tables.floats, self.config.step_s, []
-        for row, name in zip(rows.tolist(), self._names.of(rows.tolist()), strict=True):
+        for row, name in zip(rows.tolist(), self.names.of(rows.tolist()), strict=True):
             before = floats[row, SPEED] - floats[row, ACCEL] * step_s
-            if (before - self._session.free_speed(name)) / step_s > LANE_CHANGE_BRAKING_MPS2:
+            if (before - self.session.free_speed(name)) / step_s > LANE_CHANGE_BRAKING_MPS2:
                 slowed.append(row)
         return slowed
 
     def _ending(self) -> Ending:
         """Say what became of the demand that did not reach the region."""
-        session, depart_s = self._session, self.episode.traffic.depart_s
+        session, depart_s = self.session, self.episode.traffic.depart_s
         due = np.flatnonzero(depart_s <= session.time_s - self.config.step_s)
         waiting = {int(name) for name in session.waiting()}
-        outside = [int(name) for name in session.driving() if name not in self._names.row_of]
+        outside = [int(name) for name in session.driving() if name not in self.names.row_of]
         departed = {int(name) for name in self._departed}
         dropped = [number for number in due.tolist() if number not in departed and number not in waiting]
         return Ending(due.tolist(), dropped, sorted(waiting), outside, self._early)
 
     def close(self) -> None:
         """End SUMO."""
-        self._session.close()
+        self.session.close()
         self._remove_routes()
         self._episode = None
 

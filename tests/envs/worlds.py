@@ -134,6 +134,6 @@ def same(one: TensorDictBase, other: TensorDictBase) -> bool:
 
 def process_of(env: SumoParallelEnv, index: int) -> int:
     """Return the process number of a worker."""
-    worker = env._workers[index]
+    worker = env.backend._workers[index]
     assert worker is not None
     return worker.process.pid
