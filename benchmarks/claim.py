@@ -20,7 +20,7 @@ from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation.cache import code_digest
 from izoo.evaluation.folder import differences
-from izoo.evaluation.table import write_text
+from izoo.files import write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
 from izoo.training.session import CHANGEABLE

@@ -12,18 +12,14 @@ import functools
 import hashlib
 import importlib.metadata
 import json
-import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import platformdirs
-
 import izoo
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.evaluation.table import write_text
-from izoo.networks.net.cache import CACHE_ENV
+from izoo.files import cache_root, write_text
 
 SIMULATED_BY = {
     "izoo.contexts": None,
@@ -48,10 +44,11 @@ def code_digest(drivers: bool = False) -> str:
     """
     digest = hashlib.sha256()
     for package, names in ({"izoo.algos": None} if drivers else SIMULATED_BY).items():
-        for entry in sorted(resources.files(package).iterdir(), key=lambda entry: entry.name):
-            if entry.is_file() and (names is None or entry.name in names) and not entry.name.endswith(".pyc"):
-                digest.update(f"{package}/{entry.name}\n".encode())
-                digest.update(entry.read_bytes())
+        folder = Path(str(resources.files(package)))
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and (names is None or path.name in names) and "__pycache__" not in path.parts:
+                digest.update(f"{package}/{path.relative_to(folder).as_posix()}\n".encode())
+                digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -71,7 +68,7 @@ def baseline_context(context: Context) -> Context:
 
 def default_folder() -> Path:
     """Return the folder ``baselines`` of ``$IZOO_CACHE_DIR``, or else of the user's cache."""
-    return Path(os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo")) / "baselines"
+    return cache_root() / "baselines"
 
 
 class EpisodeCache:
@@ -99,7 +96,7 @@ class EpisodeCache:
         path = self._path(driver, context, seed)
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, json.dumps(rows))
+            write_text(path, json.dumps(rows), durable=False)
 
     def _path(self, driver: str, context: Context, seed: int) -> Path:
         key = f"{driver}\n{context.content_hash}\n{seed}\n{self._settings}"
