@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from izoo import cli
-from izoo.benchmarks.timing import seconds_per_step
+from izoo.benchmarks.stopwatch import seconds_per_step
 
 SETTLE_STEPS = 400
 RESETS = 7

@@ -26,7 +26,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from izoo import cli
-from izoo.benchmarks.timing import CHUNK
+from izoo.benchmarks.stopwatch import CHUNK
 
 if TYPE_CHECKING:
     from izoo.benchmarks.variants import Sample

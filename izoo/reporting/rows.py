@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from izoo.reporting.scores import TASK, Scored
+from izoo.reporting.scored import TASK, Scored
 
 FEATURES = {
     "volume_over_capacity": "volume over capacity",

@@ -13,7 +13,7 @@ from izoo.evaluation.summary import STATISTICS, approach_table, compare
 from izoo.evaluation.table import FEATURES
 from izoo.metrics import statistics
 from izoo.metrics.benefit import GATES, PAIR, benefits, emission_pairs, ratio_of_sums
-from izoo.reporting.collect import Entry
+from izoo.reporting.material import Entry
 
 TASK = ["context_hash", "approach"]
 SEED = 0

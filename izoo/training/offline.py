@@ -20,8 +20,8 @@ from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
 from izoo.conf.options import CollectConfig
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import SumoParallelEnv
 from izoo.envs.layout import observation_names
+from izoo.envs.sumo.parallel import SumoParallelEnv
 from izoo.errors import IzooError, unknown_choice
 from izoo.training import runs
 from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts
@@ -29,7 +29,7 @@ from izoo.training.progress import ProgressBar
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
-FORMAT = "izoo-dataset-1"
+FORMAT = "izoo-steps-1"
 SCRIPTED = tuple(name for name in DRIVERS if name != "human")
 """Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
