@@ -22,6 +22,7 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
+from izoo.evaluation.aggregates import TASK
 from izoo.evaluation.baselines import baseline_context
 from izoo.evaluation.playing import run_episode
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, Candidate, as_candidate
@@ -30,7 +31,7 @@ from izoo.evaluation.sources import read_sources
 from izoo.evaluation.table import MANIFEST_FILE
 from izoo.reporting.material import Evaluated
 from izoo.reporting.recording import Recorder, geometry
-from izoo.reporting.scored import TASK, Scored
+from izoo.reporting.scored import Scored
 from izoo.training import checkpoint, runs
 
 FOLDER = "replays"

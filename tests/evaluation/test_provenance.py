@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ def digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], str]
     for name in ("__init__.py", "inner/__init__.py", "inner/rules.py", "inner/table.json", "inner/__pycache__/x.nbi"):
         (tmp_path / "made_up" / name).write_text("1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "made_up", raising=False)
     monkeypatch.setattr(provenance, "SIMULATED_BY", {"made_up": None})
     return provenance.code_digest.__wrapped__
 
