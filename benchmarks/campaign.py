@@ -14,8 +14,8 @@ from typing import Any, Literal
 import pandas as pd
 
 from izoo.algos.scripted import Glide, GlideConfig
-from izoo.benchmarks.claim import check_run, check_settings, versions
-from izoo.benchmarks.options import Entry, GeneralizationConfig
+from izoo.benchmarks.claim import check_run, check_settings
+from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
@@ -25,6 +25,7 @@ from izoo.console import duration
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.evaluation.provenance import versions
 from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
 from izoo.files import claimed
 from izoo.reporting.results import (
@@ -38,7 +39,7 @@ from izoo.reporting.results import (
     write_results,
 )
 from izoo.training import checkpoint, runs
-from izoo.training.session import train
+from izoo.training.loop import train
 
 
 @dataclass(frozen=True)

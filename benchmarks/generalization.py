@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from izoo import cli
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.options import GeneralizationConfig
+    from izoo.benchmarks.generalization_options import GeneralizationConfig
 
 
 def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -38,7 +38,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
 
 
 def _config() -> type:
-    from izoo.benchmarks.options import GeneralizationConfig
+    from izoo.benchmarks.generalization_options import GeneralizationConfig
 
     return GeneralizationConfig
 

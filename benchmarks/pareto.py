@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from izoo.benchmarks.options import FLOOR_INFIX
+from izoo.benchmarks.generalization_options import FLOOR_INFIX
 from izoo.evaluation.policies import HUMAN
 from izoo.files import replacing
 from izoo.metrics.scores import pool

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.benchmarks.timing import seconds_per_step
+from izoo.benchmarks.stopwatch import seconds_per_step
 from izoo.console import exit_code
 
 SETTLE_STEPS = 400

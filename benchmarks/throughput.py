@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from izoo.benchmarks.timing import CHUNK
+from izoo.benchmarks.stopwatch import CHUNK
 from izoo.console import exit_code
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from izoo import cli
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.sweep import TradeoffsConfig
+    from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 
 CSV_FILE, PLOT_FILE = "tradeoffs.csv", "tradeoffs.png"
 
@@ -44,7 +44,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
 
 
 def _config() -> type:
-    from izoo.benchmarks.sweep import TradeoffsConfig
+    from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 
     return TradeoffsConfig
 

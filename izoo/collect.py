@@ -23,9 +23,9 @@ def load(folder: Path | str) -> TensorDictBase:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
+        steps ``[frames]``, memory-mapped; see :func:`izoo.training.offline.load`.
     """
-    from izoo.training.dataset import load as load_dataset
+    from izoo.training.offline import load as load_dataset
 
     return load_dataset(folder)
 
@@ -40,7 +40,7 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     Returns:
         A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
     """
-    from izoo.training.dataset import replay_buffer as open_buffer
+    from izoo.training.offline import replay_buffer as open_buffer
 
     return open_buffer(folder, **options)
 
@@ -52,7 +52,7 @@ def _config() -> type:
 
 
 def _work() -> cli.Work:
-    from izoo.training.dataset import collect
+    from izoo.training.offline import collect
 
     return collect
 

@@ -9,13 +9,13 @@ from izoo import cli
 
 
 def _config() -> type:
-    from izoo.evaluation.options import EvaluateConfig
+    from izoo.conf.evaluate_options import EvaluateConfig
 
     return EvaluateConfig
 
 
 def _work() -> cli.Work:
-    from izoo.evaluation.command import evaluate
+    from izoo.commands.evaluating import evaluate
 
     return evaluate
 

@@ -35,16 +35,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     paths = _submissions(arguments.files)
 
-    from izoo.benchmarks.claim import versions
-    from izoo.reporting import leaderboard
+    from izoo.evaluation.provenance import versions
+    from izoo.reporting import submissions
 
     reference = versions()
-    checked = [leaderboard.check(leaderboard.read_submission(path), str(path), reference) for path in paths]
+    checked = [submissions.check(submissions.read_submission(path), str(path), reference) for path in paths]
     if arguments.command == "validate":
         for item in checked:
             _print_checked(item)
         return EXIT_MARKED if any(item.marks for item in checked) else 0
-    merged = leaderboard.merge(checked)
+    merged = submissions.merge(checked)
     try:
         write_json(arguments.out, merged)
     except OSError as error:
@@ -78,7 +78,7 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.table import Table
 
     from izoo.evaluation.show import percent
-    from izoo.reporting.leaderboard import headline
+    from izoo.reporting.submissions import headline
 
     console = Console()
     for group in merged["groups"]:

@@ -15,7 +15,7 @@ def _config() -> type:
 
 
 def _work() -> cli.Work:
-    from izoo.training.session import train
+    from izoo.training.loop import train
 
     return train
 

@@ -86,7 +86,7 @@ class ValidationConfig:
 
 @dataclass(frozen=True)
 class BriefEvaluationConfig:
-    """The comparison with human driving that ends a training run.
+    """The comparison with human driving that ends a training run, in episodes as long as those of training.
 
     Attributes:
         contexts: how many contexts are drawn for it; 0 leaves it out.

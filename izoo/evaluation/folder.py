@@ -36,7 +36,7 @@ class ResultFolder:
 
     Args:
         path: the folder, or ``None`` to keep nothing.
-        settings: what every row of the folder must share (:func:`izoo.evaluation.cache.settings`).
+        settings: what every row of the folder must share (:func:`izoo.evaluation.provenance.settings`).
 
     Attributes:
         done: ``(policy, context hash, seed)`` of the episodes that are there.

@@ -13,10 +13,11 @@ from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
-from izoo.evaluation import cache as caching
-from izoo.evaluation.episode import Policy
+from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_folder
 from izoo.evaluation.folder import ResultFolder
+from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate, as_candidate
+from izoo.evaluation.provenance import settings
 from izoo.evaluation.remote import play_on_ray
 from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
@@ -57,7 +58,7 @@ def evaluate_policy(
         name: the policy's name in the table.
         uncommanded: also play the CVs that nobody commands, which separates what the policy did from what the CV's
             vehicle parameters did.
-        cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.cache.default_folder`.
+        cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.baselines.default_folder`.
         source: what a policy that is given as an object can be made from again, so that a report can replay it: a
             driver's name, ``module:function``, or the path of a checkpoint.
         executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
@@ -79,8 +80,8 @@ def evaluate_policy(
     candidate = as_candidate(policy, config, name)
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
     candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
-    folder = ResultFolder(None if out_dir is None else Path(out_dir), caching.settings(config))
-    cached = caching.EpisodeCache(Path(cache) if cache else caching.default_folder(), config)
+    folder = ResultFolder(None if out_dir is None else Path(out_dir), settings(config))
+    cached = EpisodeCache(Path(cache) if cache else default_folder(), config)
     with folder.open(candidate.name, candidate.fingerprint):
         unique = list({context.content_hash: context for context in contexts}.values())
         wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
@@ -109,7 +110,7 @@ def _play(
     config: EnvConfig,
     play: Callable[..., Iterator[tuple[Task, Rows]]],
     folder: ResultFolder,
-    cached: caching.EpisodeCache,
+    cached: EpisodeCache,
     progress: bool,
 ) -> None:
     """Take policy-free episodes from the cache where it has them, and play the rest.
@@ -120,7 +121,7 @@ def _play(
     waiting: dict[Key, list[tuple[str, Context, int]]] = {}
     tasks: list[Task] = []
     for name, context, seed in entries:
-        played = caching.baseline_context(context) if name == HUMAN else context
+        played = baseline_context(context) if name == HUMAN else context
         rows = cached.get(name, played, seed) if name in POLICY_FREE else None
         if rows is not None:
             folder.add(_relabel(rows, name, context, seed))

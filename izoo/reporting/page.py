@@ -23,11 +23,11 @@ from izoo.evaluation.show import percent, score_rows
 from izoo.evaluation.summary import summarise
 from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
-from izoo.reporting.collect import Material, collect
+from izoo.reporting.material import Material, collect
 from izoo.reporting.published import PUBLISHED
 from izoo.reporting.replay import Player, scenes
 from izoo.reporting.rows import COLUMNS, FEATURES, approach_rows
-from izoo.reporting.scores import Scored, improvement, score
+from izoo.reporting.scored import Scored, improvement, score
 
 PAGE_FILE = "report.html"
 TEMPLATES = "templates"

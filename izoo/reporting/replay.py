@@ -22,14 +22,16 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
-from izoo.evaluation.cache import baseline_context, code_digest
-from izoo.evaluation.episode import run_episode
+from izoo.evaluation.aggregates import TASK
+from izoo.evaluation.baselines import baseline_context
+from izoo.evaluation.playing import run_episode
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, Candidate, as_candidate
+from izoo.evaluation.provenance import code_digest
 from izoo.evaluation.sources import read_sources
 from izoo.evaluation.table import MANIFEST_FILE
-from izoo.reporting.collect import Evaluated
+from izoo.reporting.material import Evaluated
 from izoo.reporting.recording import Recorder, geometry
-from izoo.reporting.scores import TASK, Scored
+from izoo.reporting.scored import Scored
 from izoo.training import checkpoint, runs
 
 FOLDER = "replays"

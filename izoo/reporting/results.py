@@ -8,7 +8,7 @@
       learning_curves.png            return and emission of all training runs; not where nothing was trained
       train/ENTRY/seedK/             a run folder of izoo.train: config.yaml, metrics.csv, checkpoints, ...
       evaluation/ENTRY/seedK/        evaluation.csv (izoo.evaluation.table), evaluation.json, summary.json
-      leaderboard/ENTRY.json         one submission per entry (izoo.reporting.leaderboard)
+      leaderboard/ENTRY.json         one submission per entry (izoo.reporting.submissions)
 
 An **entry** is what is compared: an algorithm with its action (``ppo``, ``ppo_residual``), or a scripted driver
 (``glide``, ``uncommanded``), which needs no training and has one run with seed 0. In ``evaluation.csv`` of an entry the

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from izoo.benchmarks import tradeoffs
-from izoo.benchmarks.options import Entry
+from izoo.benchmarks.generalization_options import Entry
 from izoo.benchmarks.pareto import on_front
 from izoo.benchmarks.plan import make_plan, train_config
-from izoo.benchmarks.sweep import TradeoffsConfig
+from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 from izoo.cli import attribute_docs
 from izoo.conf.compose import compose_config
 from izoo.errors import IzooError

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from izoo.report import main, parse
-from izoo.reporting.collect import collect
-from izoo.reporting.scores import improvement, score
-from tests.reporting.folders import METRICS, benchmark, rename_policy
+from izoo.reporting.material import collect
+from izoo.reporting.scored import improvement, score
+from tests.reporting.made_results import METRICS, benchmark, rename_policy
 
 VOID = {"meta", "link", "input"}
 HOSTILE = "<script>alert(1)</script>"

@@ -13,12 +13,12 @@ from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.reporting.collect import collect
+from izoo.reporting.material import collect
 from izoo.reporting.recording import Recorder, geometry, second_differences
 from izoo.reporting.replay import Player, scenes
-from izoo.reporting.scores import score
+from izoo.reporting.scored import score
 from tests.evaluation.conftest import SHORT
-from tests.reporting.folders import rename_policy
+from tests.reporting.made_results import rename_policy
 
 
 def positions(vehicle: list) -> np.ndarray:

@@ -24,7 +24,8 @@ import pandas as pd
 from jsonschema import Draft202012Validator
 
 from izoo.errors import IzooError
-from izoo.evaluation.across import RUN, TASK, aggregate
+from izoo.evaluation.across import RUN, aggregate
+from izoo.evaluation.aggregates import TASK
 from izoo.files import write_json
 from izoo.metrics.benefit import SIGNIFICANCE
 

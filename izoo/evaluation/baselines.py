@@ -1,64 +1,21 @@
 """Episodes that do not depend on a policy (human and uncommanded driving), kept on disk and computed once.
 
-An entry's key covers everything that decides the episode: the context's content, the seed, the environment's
-settings, the versions of SUMO, of the surrogates and of the package, and the package's own files below the policy.
+An entry's key covers everything that decides the episode: the context's content, the seed, and what
+:func:`izoo.evaluation.provenance.settings` names.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import functools
 import hashlib
-import importlib.metadata
 import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import izoo
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.evaluation.provenance import settings
 from izoo.files import cache_root, write_text
-
-SIMULATED_BY = {
-    "izoo.contexts": None,
-    "izoo.networks": None,
-    "izoo.traffic": None,
-    "izoo.emissions": None,
-    "izoo.envs": None,
-    "izoo.metrics": ("definitions.py",),
-    "izoo.evaluation": ("episode.py", "table.py", "saturation.py"),
-}
-"""Packages, or the files of a package, that decide what a row holds."""
-INDIFFERENT = ("emit", "recycle_episodes", "watchdog_s", "gui")
-"""Settings of an environment that change no number."""
-
-
-@functools.cache
-def code_digest(drivers: bool = False) -> str:
-    """SHA-256 over the files of :data:`SIMULATED_BY`, so that a changed simulator never meets old numbers.
-
-    Args:
-        drivers: over the algorithms and scripted drivers instead.
-    """
-    digest = hashlib.sha256()
-    for package, names in ({"izoo.algos": None} if drivers else SIMULATED_BY).items():
-        folder = Path(str(resources.files(package)))
-        for path in sorted(folder.rglob("*")):
-            if path.is_file() and (names is None or path.name in names) and "__pycache__" not in path.parts:
-                digest.update(f"{package}/{path.relative_to(folder).as_posix()}\n".encode())
-                digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def settings(config: EnvConfig) -> dict[str, Any]:
-    """Return what, besides context, seed and policy, decides an episode; plain values for JSON."""
-    env = {key: value for key, value in dataclasses.asdict(config).items() if key not in INDIFFERENT}
-    packages = {"sumo": "libsumo", "neuralmoves": "neuralmoves"}
-    versions = {name: importlib.metadata.version(package) for name, package in packages.items()}
-    versions |= {"izoo": izoo.__version__, "code": code_digest()}
-    return json.loads(json.dumps({"env": env, "versions": versions}))
 
 
 def baseline_context(context: Context) -> Context:

@@ -20,15 +20,15 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import SumoParallelEnv
 from izoo.envs.layout import observation_names
+from izoo.envs.sumo.parallel import SumoParallelEnv
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import ensure_empty, write_json
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
-FORMAT = "izoo-dataset-1"
+FORMAT = "izoo-steps-1"
 SCRIPTED = tuple(name for name in DRIVERS if name != "human")
 """Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
