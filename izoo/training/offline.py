@@ -17,7 +17,7 @@ from torchrl.envs.utils import ExplorationType
 from izoo import __version__
 from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.layout import observation_names

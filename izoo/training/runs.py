@@ -20,7 +20,7 @@ from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs.layout import observation_names
 from izoo.errors import IzooError
 from izoo.files import ensure_empty, write_text
