@@ -47,6 +47,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.generalization_options:GeneralizationConfig",
     work="izoo.benchmarks.generalization:run",
+    check="izoo.commands.given_paths:check_benchmark",
 )
 
 

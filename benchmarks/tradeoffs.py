@@ -52,6 +52,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.tradeoffs_options:TradeoffsConfig",
     work="izoo.benchmarks.tradeoffs:run",
+    check="izoo.commands.given_paths:check_benchmark",
 )
 
 

@@ -250,7 +250,8 @@ MISSING = {
     "report nowhere": "nowhere is no folder",
     "leaderboard validate nowhere.json": "nowhere.json does not exist",
     "contexts import nowhere data": "nowhere does not exist",
-    "benchmarks.generalization train=nowhere": "nowhere",
+    "benchmarks.generalization train=nowhere": "unknown city 'nowhere'",
+    "benchmarks.tradeoffs train=./nowhere": "nowhere is no folder",
 }
 
 

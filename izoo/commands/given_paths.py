@@ -6,7 +6,9 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.errors import IzooError
+from izoo.algos import DRIVER_NAMES
+from izoo.contexts.cities.rebuilt import city_name
+from izoo.errors import IzooError, unknown_choice
 from izoo.files import check_folder
 from izoo.training import checkpoint
 
@@ -36,10 +38,25 @@ def check_evaluate(config: EvaluateConfig) -> None:
 
 
 def check_collect(config: CollectConfig) -> None:
-    """Refuse a missing ``out``, or contexts in a folder that is none."""
+    """Refuse a missing ``out``, a policy that is neither a driver nor a run, or contexts in a folder that is none."""
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
+    # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
+    drivers = [name for name in DRIVER_NAMES if name != "human"]
+    if config.policy not in drivers and not Path(config.policy).expanduser().exists():
+        error = unknown_choice("policy", config.policy, drivers)
+        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     _check_contexts(config.contexts)
+
+
+def check_benchmark(config: Any) -> None:
+    """Refuse places to train or to test in that are neither a folder nor a city."""
+    for name in ("train", "test"):
+        place = getattr(config, name)
+        if place is not None and not Path(place).is_dir():
+            if Path(place).is_absolute():
+                raise IzooError(f"{name}={place} is no folder; give one of intersections, or one of the ten cities.")
+            city_name(place)
 
 
 def check_report(config: ReportConfig) -> None:
