@@ -16,7 +16,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.ppo_config import PPOConfig
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule
 from izoo.envs import EnvConfig
 from izoo.envs.mdp.frame import observation_names

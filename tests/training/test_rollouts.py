@@ -19,7 +19,7 @@ from izoo.algos.base import ACTION, MASK, acts_in_place
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.gaussian import CompiledPolicy
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.envs.mdp.frame import observation_names

@@ -5,31 +5,26 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
-
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
+from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import to_mapping
-from izoo.contexts.context import Context
-from izoo.contexts.source import ContextSource, episode_seed
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.episode import Policy
-from izoo.evaluation.options import EvaluateConfig
+from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import as_candidate
 from izoo.evaluation.runner import evaluate_policy
+from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
 from izoo.evaluation.show import print_summary
 from izoo.evaluation.summary import summarise
 from izoo.training import checkpoint, runs
 
-EVALUATION_STREAM = 7919
-"""Separates episode seeds and drawn contexts of evaluations from those of training."""
-DRAWN_CONTEXTS = 16
+EPISODE_LENGTH = ("horizon_s", "warmup_s")
+"""Settings that training may shorten; evaluations play full episodes unless these options are given."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +47,10 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         given: names of the options that were written on the command line; matters where a run is given.
     """
     subject = resolve(config, given)
-    drawn = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
-    contexts = list({context.content_hash: context for context in drawn}.values())
-    seeds = [episode_seed(EVALUATION_STREAM + config.seed, number) for number in range(config.seeds)]
+    contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
-    number = f"{len(contexts)} context{'' if len(contexts) == 1 else 's'}, {len(seeds)} seeds each"
-    print(f"Evaluating {subject.name}: {number}. Results: {out}", flush=True)
+    print(f"Evaluating {subject.name}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,
@@ -91,7 +84,8 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, _ = runs.load_algorithm(path)
-    env = merge_env(trained.env, config.env, given)
+    full = {name: getattr(EnvConfig(), name) for name in EPISODE_LENGTH}
+    env = merge_env(dataclasses.replace(trained.env, **full), config.env, given)
     there, given_names = observation_names(trained.env), observation_names(env)
     if there != given_names:
         changed = [f"+{name}" for name in given_names if name not in there]
@@ -107,7 +101,7 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
 
 
 def merge_env(trained: EnvConfig, chosen: EnvConfig, given: frozenset[str]) -> EnvConfig:
-    """Return the run's environment with the ``env`` options that were given, those of its groups one by one."""
+    """Return the environment ``trained`` with the ``env`` options that were given, those of its groups one by one."""
     merged: Any = trained
     for path in sorted(name.split(".")[1:] for name in given if name.startswith("env.")):
         merged = _with_option(merged, chosen, path)
@@ -119,17 +113,6 @@ def _with_option(base: Any, chosen: Any, path: list[str]) -> Any:
     name, *rest = path
     value = getattr(chosen, name)
     return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
-
-
-def choose_contexts(source: ContextSource, count: int | None, seed: int) -> list[Context]:
-    """Return all contexts of a finite source, or ``count`` drawn ones (without repetition where it is finite)."""
-    generator = np.random.default_rng([seed, EVALUATION_STREAM])
-    if not hasattr(source, "__len__"):
-        return [source.sample(generator) for _ in range(count or DRAWN_CONTEXTS)]
-    listed = cast(Sequence[Context], source)
-    if count is None or count >= len(listed):
-        return [listed[k] for k in range(len(listed))]
-    return [listed[int(k)] for k in np.sort(generator.choice(len(listed), count, replace=False))]
 
 
 def _label(subject: Subject, config: EvaluateConfig) -> str:

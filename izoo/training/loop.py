@@ -9,21 +9,19 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from izoo.conf.options import TrainConfig
-from izoo.contexts.context import Context
-from izoo.contexts.source import ContextSource, RandomSchedule, Schedule, episode_seed
+from izoo.conf.train_options import TrainConfig
+from izoo.console import Progress, graceful_interrupt
+from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
+from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
-from izoo.training.interrupt import graceful_interrupt
 from izoo.training.learner import Learner, learner_device
 from izoo.training.past import Pasts
-from izoo.training.progress import ProgressBar
 from izoo.training.validation import Validator
 
 CHANGEABLE = (
@@ -41,8 +39,6 @@ CHANGEABLE = (
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """What a disk says that is full or has become read only."""
 MAX_LEARNER_THREADS = 8
-EVALUATION_STREAM = 7919
-"""Separates the draws of evaluation contexts from those of training episodes."""
 PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""
 
@@ -174,12 +170,14 @@ class Session:
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
         try:
             self._load(batches)
-            with ProgressBar(config.total_frames, self.frames) as bar:
+            latest: dict[str, float] = {}
+            with Progress(config.total_frames, self.frames) as bar:
                 while self.frames < config.total_frames and not interrupt.requested:
                     row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
                     records.log_all(sinks, row)
-                    bar.update(self.frames, row)
+                    latest |= row
+                    bar.update(self.frames, records.in_short(latest))
                     if self.batches % config.checkpoint.every_batches == 0:
                         self._save()
                         if self.seconds - self._plotted_s >= PLOT_EVERY_S:
@@ -284,20 +282,18 @@ class Session:
             self._plotted_s = self.seconds
 
     def _evaluate(self) -> None:
-        """Print the brief comparison with human driving and store it in the run folder."""
+        """Compare briefly with human driving, in episodes as long as those of training; keep that in the run folder."""
         options = self.config.evaluation
         if options.contexts == 0 or self.batches == 0:
             return
         from izoo.evaluation import evaluate_policy, print_summary, summarise
 
-        generator = np.random.default_rng([self.config.seed, EVALUATION_STREAM])
-        contexts: list[Context] = [self.source.sample(generator) for _ in range(options.contexts)]
-        unique = list({context.content_hash: context for context in contexts}.values())
-        seeds = [episode_seed(self.config.seed + EVALUATION_STREAM, number) for number in range(options.seeds)]
-        print(f"Comparing with human driving: {len(unique)} contexts, {len(seeds)} seeds each.", flush=True)
+        contexts = choose_contexts(self.source, options.contexts, self.config.seed)
+        seeds = episode_seeds(self.config.seed + EVALUATION_STREAM, options.seeds)
+        print(f"Comparing with human driving: {describe(contexts, seeds, self.config.env)}.", flush=True)
         table = evaluate_policy(
             self.learner.policy,
-            unique,
+            contexts,
             seeds,
             self.config.env,
             num_workers=self.config.num_workers,

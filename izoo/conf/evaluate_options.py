@@ -8,7 +8,7 @@ from typing import Literal
 
 from izoo.algos import DRIVER_NAMES
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_choice, check_range
 
@@ -23,7 +23,8 @@ class EvaluateConfig:
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``random``, ``glide``), or
             ``module:function``.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
-        env: the environment; where a run is given, its own but for the ``env`` options that are given.
+        env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
+            length of an episode and its warm-up, which training may shorten and which are full here unless given.
         num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
         seeds: paired episodes per context; 3 or more for the tested gate to mean something.
         seed: base of the episode seeds and of the drawn contexts.

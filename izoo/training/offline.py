@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -16,21 +15,22 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
-from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
+from izoo.algos import DRIVER_NAMES
+from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import CollectConfig
+from izoo.conf.train_options import CollectConfig
+from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import SumoParallelEnv
+from izoo.envs.env import SumoParallelEnv
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError, unknown_choice
+from izoo.errors import IzooError
+from izoo.files import ensure_empty, write_json
 from izoo.training import runs
-from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts
-from izoo.training.progress import ProgressBar
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
-FORMAT = "izoo-dataset-1"
-SCRIPTED = tuple(name for name in DRIVERS if name != "human")
+FORMAT = "izoo-steps-1"
+SCRIPTED = tuple(name for name in DRIVER_NAMES if name != "human")
 """Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
 
@@ -57,7 +57,7 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     policy = make_policy(config)
     source = config.contexts.build()
     out = Path(config.out)
-    runs.ensure_empty(out, "out")
+    ensure_empty(out, "out")
     with workers_ignore_interrupts():
         env = SumoParallelEnv(
             config.num_workers, contexts=RandomSchedule(source, config.seed), config=config.env, seed=config.seed
@@ -74,10 +74,10 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         )
     writer = ShardWriter(config, out)
     try:
-        with graceful_interrupt() as interrupt, ProgressBar(config.frames) as bar:
+        with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
             for batch in collector:
                 writer.write(batch.transpose(0, 1).reshape(-1))
-                bar.update(writer.frames, {})
+                bar.update(writer.frames)
                 if interrupt.requested or writer.frames >= config.frames:
                     break
         writer.finish_shard()
@@ -96,9 +96,6 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
         return RandomDriver(seed=config.seed)
     if config.policy in SCRIPTED:
         return make_driver(config.policy, config.env)
-    if not Path(config.policy).expanduser().exists():
-        error = unknown_choice("policy", config.policy, SCRIPTED)
-        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     algorithm, trained, _ = runs.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(
@@ -218,9 +215,4 @@ class ShardWriter:
             "shards": self._shards,
             "options": to_mapping(self.config),
         }
-        partial = self.out / f".{MANIFEST}.partial"
-        with partial.open("w") as file:
-            json.dump(manifest, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(self.out / MANIFEST)
+        write_json(self.out / MANIFEST, manifest)

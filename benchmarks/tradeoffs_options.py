@@ -7,7 +7,7 @@ import itertools
 from dataclasses import dataclass
 from typing import Any, cast
 
-from izoo.benchmarks.options import FLOOR_INFIX, SWEPT, Entry, GeneralizationConfig, parse_entry
+from izoo.benchmarks.generalization_options import FLOOR_INFIX, SWEPT, Entry, GeneralizationConfig, parse_entry
 from izoo.envs.config import RewardConfig
 from izoo.errors import IzooError
 

@@ -10,13 +10,14 @@ import pytest
 import yaml
 
 import izoo.conf
-from izoo.conf.contexts import PcgContexts
+from izoo.commands.evaluating import merge_env, resolve
+from izoo.conf.context_choices import PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluate import main
-from izoo.evaluation.command import choose_contexts, merge_env, resolve
-from izoo.evaluation.options import EvaluateConfig
+from izoo.evaluation.selection import choose_contexts
 
 TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
 
@@ -25,13 +26,15 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["policy=tests.evaluation.drivers:gentle", f"cache={cache}", "num_contexts=1", *TOY]
+    words = ["policy=tests.evaluation.odd_policies:gentle", f"cache={cache}", "num_contexts=1", *TOY]
     assert main([*words, "seeds=1"]) == 0
     (folder,) = (tmp_path / "evaluations").iterdir()
     assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 3
     assert main([*words, "seeds=2"]) == 0
     assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 6
-    assert "gentle against human (headline)" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "1 context, 2 seeds each, episodes of 90 s of which the first 25 s are not measured" in out
+    assert "gentle against human (headline)" in out
 
 
 @pytest.mark.parametrize(
@@ -86,7 +89,7 @@ def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
 
 
 def test_an_imported_policy_is_named_after_its_function() -> None:
-    subject = resolve(EvaluateConfig(policy="tests.evaluation.drivers:gentle"), frozenset())
+    subject = resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:gentle"), frozenset())
     assert subject.name == "gentle"
     with pytest.raises(IzooError, match="nobody"):
-        resolve(EvaluateConfig(policy="tests.evaluation.drivers:nobody"), frozenset())
+        resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:nobody"), frozenset())

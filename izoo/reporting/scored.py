@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from izoo.evaluation.aggregates import TASK, aggregates, over_intersections, over_train_seeds
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
-from izoo.evaluation.summary import STATISTICS, approach_table, compare
+from izoo.evaluation.summary import approach_table, compare
 from izoo.evaluation.table import FEATURES
 from izoo.metrics import statistics
-from izoo.metrics.benefit import GATES, PAIR, benefits, emission_pairs, ratio_of_sums
-from izoo.reporting.collect import Entry
+from izoo.metrics.benefit import PAIR, benefits, emission_pairs, ratio_of_sums
+from izoo.reporting.material import Entry
 
-TASK = ["context_hash", "approach"]
 SEED = 0
 """Of all resampling, so that the same results give the same page."""
 THRESHOLDS = np.linspace(-0.5, 0.5, 201)
@@ -112,30 +112,17 @@ def _over_runs(scored: Scored, resamples: int) -> dict[str, Any]:
 
 def _block(scored: Scored, tasks: pd.Index, resamples: int) -> dict[str, Any]:
     pooled = pd.concat([table.set_index(TASK).loc[tasks] for table in scored.tables])
+    places = over_intersections(pooled, SEED, resamples)
+    seeds = over_train_seeds(len(scored.tables), SEED, resamples)
 
-    def estimate(column: str, statistic: statistics.Statistic) -> dict[str, Any]:
-        runs = scored.matrix(column).loc[tasks].to_numpy().T
-        seeds = statistics.stratified_bootstrap(runs, statistic, np.random.default_rng(SEED), resamples).to_dict()
-        places = _bootstrap(runs.reshape(-1), statistic, pooled["intersection"], resamples).to_dict()
-        return {**places, "over_seeds": [seeds["low"], seeds["high"]]}
+    def estimate(values: statistics.Array, statistic: statistics.Statistic) -> dict[str, Any]:
+        found = places(values, statistic)
+        if values.ndim > 1:
+            return found
+        interval = seeds(values, statistic)
+        return {**found, "over_seeds": [interval["low"], interval["high"]]}
 
-    def ratio(pairs: Any, sign: float = 1.0) -> dict[str, Any]:
-        return _bootstrap(pairs, lambda x: sign * ratio_of_sums(x), pooled["intersection"], resamples).to_dict()
-
-    block: dict[str, Any] = {}
-    for gate in GATES:
-        benefit = f"benefit_{gate}"
-        block[gate] = {name: estimate(benefit, statistic) for name, statistic in STATISTICS.items()}
-        block[gate]["share_gated"] = estimate(f"gated_{gate}", statistics.mean)
-        block[gate]["ratio_of_sums"] = ratio(emission_pairs(pooled, gate))
-    block["ungated"] = {name: estimate("benefit_ungated", STATISTICS[name]) for name in ("mean", "iqm")}
-    flows = pooled[["throughput_policy", "throughput_baseline"]].to_numpy(float)
-    block["throughput"] = {
-        "mean": estimate("throughput_benefit", statistics.mean),
-        "share_kept": estimate("throughput_benefit", lambda x: statistics.mean((x >= 0).astype(np.float64))),
-        "ratio_of_sums": ratio(flows, -1.0),
-    }
-    return block
+    return aggregates(pooled, estimate)
 
 
 def _bootstrap(values: Any, statistic: statistics.Statistic, groups: pd.Series, resamples: int) -> statistics.Estimate:

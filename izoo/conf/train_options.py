@@ -10,7 +10,7 @@ from izoo.algos.action import ActionConfig, DirectAction
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 
@@ -86,7 +86,7 @@ class ValidationConfig:
 
 @dataclass(frozen=True)
 class BriefEvaluationConfig:
-    """The comparison with human driving that ends a training run.
+    """The comparison with human driving that ends a training run, in episodes as long as those of training.
 
     Attributes:
         contexts: how many contexts are drawn for it; 0 leaves it out.
