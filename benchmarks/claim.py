@@ -17,7 +17,7 @@ from izoo.conf.options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import code_digest
-from izoo.evaluation.table import write_text
+from izoo.files import write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
 from izoo.training.loop import CHANGEABLE

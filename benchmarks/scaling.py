@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo import cli
 from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.console import exit_code
 
 SETTLE_STEPS = 400
 RESETS = 7
@@ -156,4 +156,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.scaling", main))
+    sys.exit(exit_code("benchmarks.scaling", main))

@@ -26,7 +26,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import pareto
     from izoo.benchmarks.campaign import Campaign
-    from izoo.evaluation.table import write_text
+    from izoo.files import write_text
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"tradeoffs-{config.scale}"

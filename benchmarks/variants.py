@@ -24,6 +24,7 @@ from izoo.algos.base import ACTION, MASK, Leaves
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
 from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
@@ -32,7 +33,6 @@ from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.layout import TOTALS, observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
-from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.runs import make_algorithm
 
 WARMUP_S = 350.0

@@ -5,30 +5,24 @@ This module imports nothing heavy, so that a command says something at once; PyT
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import inspect
 import os
 import re
-import select
 import sys
 import textwrap
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TextIO
+from typing import Any
 
 from izoo import __version__
+from izoo.console import EXIT_BAD_INPUT, exit_code, stop_requested, unheard
 from izoo.errors import IzooError, unknown_choice
 
-EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 HELP_WIDTH = 110
 Work = Callable[[Any, frozenset[str]], object]
 FOLDERS = ("run_dir", "out")
 """Options that name where a command's results go."""
-stop_requested = threading.Event()
-"""Set by work that a first Ctrl-C ends in good order: a sweep then begins no other run."""
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
 
 
@@ -59,87 +53,6 @@ def run(command: Command, argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
     return exit_code(command.name, lambda: _run(command, words))
-
-
-@contextlib.contextmanager
-def unheard() -> Iterator[None]:
-    """Let work that leaves files go on where nobody reads its output any more."""
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (None if stream is None else _Unheard(stream) for stream in before)  # type: ignore
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = before
-
-
-class _Unheard:
-    """A stream that drops what nobody reads."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self.stream = stream
-
-    def write(self, text: str) -> int:
-        """Write; return how many characters."""
-        try:
-            return self.stream.write(text)
-        except BrokenPipeError:
-            self._give_up()
-            return len(text)
-
-    def flush(self) -> None:
-        """Flush."""
-        try:
-            self.stream.flush()
-        except BrokenPipeError:
-            self._give_up()
-
-    def _give_up(self) -> None:
-        _mute(self.stream)
-        if self.stream is sys.__stdout__ and sys.stderr is not None:
-            print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.stream, name)
-
-
-def exit_code(name: str, main: Callable[[], int]) -> int:
-    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
-    try:
-        code = main()
-        if sys.stdout is not None:
-            sys.stdout.flush()
-        return code
-    except IzooError as error:
-        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    except KeyboardInterrupt:
-        print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        if not _is_unread(sys.stdout):
-            raise
-        # Whoever read the output, such as `head`, has had enough; what is left to flush must not fail again.
-        _mute(sys.stdout)
-        return 0
-
-
-def _mute(stream: TextIO) -> None:
-    """Drop what is left to be written to a stream, and what follows."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, stream.fileno())
-    os.close(nowhere)
-
-
-def _is_unread(stream: TextIO | None) -> bool:
-    """Whether a stream is a pipe that nobody reads any more."""
-    if stream is None:
-        return False
-    pipe = select.poll()
-    try:
-        pipe.register(stream.fileno(), select.POLLOUT)
-    except OSError:  # not a file at all, as in a notebook
-        return False
-    return any(event & (select.POLLERR | select.POLLHUP) for _, event in pipe.poll(0))
 
 
 def _run(command: Command, words: Sequence[str]) -> int:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from izoo import __version__
-from izoo.cli import exit_code
-from izoo.errors import IzooError, os_reason
+from izoo.console import exit_code
+from izoo.errors import IzooError
+from izoo.files import os_reason, write_json
 
 EXIT_MARKED = 1
 
@@ -36,7 +36,6 @@ def _run(arguments: argparse.Namespace) -> int:
     paths = _submissions(arguments.files)
 
     from izoo.evaluation.provenance import versions
-    from izoo.evaluation.table import write_text
     from izoo.reporting import submissions
 
     reference = versions()
@@ -47,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return EXIT_MARKED if any(item.marks for item in checked) else 0
     merged = submissions.merge(checked)
     try:
-        write_text(arguments.out, json.dumps(merged, indent=1, allow_nan=False) + "\n")
+        write_json(arguments.out, merged)
     except OSError as error:
         raise IzooError(f"cannot write {arguments.out}: {os_reason(error)}; choose another file with --out.") from error
     _print_leaderboard(merged)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from izoo import __version__
-from izoo.cli import exit_code
-from izoo.errors import IzooError, check_folder, unknown_choice
+from izoo.console import exit_code
+from izoo.errors import IzooError, unknown_choice
+from izoo.files import check_folder
 
 HELP = """Write results as one HTML page that opens from disk and asks for nothing else.
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from izoo import __version__
-from izoo.cli import exit_code
-from izoo.errors import IzooError, check_folder, unknown_choice
+from izoo.console import exit_code
+from izoo.errors import IzooError, unknown_choice
+from izoo.files import check_folder
 
 HELP = """Show the runs of a sweep side by side, averaged over their seeds.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo import cli, collect, train
+from izoo import collect, console, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
 from izoo.conf import compose
@@ -199,7 +199,7 @@ def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pyte
         raise BrokenPipeError("a worker's socket")
 
     with pytest.raises(BrokenPipeError, match="socket"):
-        cli.exit_code("train", broken)
+        console.exit_code("train", broken)
 
 
 def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:

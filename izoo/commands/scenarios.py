@@ -15,7 +15,8 @@ from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
+from izoo.files import os_reason
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 

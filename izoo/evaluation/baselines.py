@@ -9,17 +9,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
-
-import platformdirs
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.table import write_text
-from izoo.networks.net.cache import CACHE_ENV
+from izoo.files import cache_root, write_text
 
 
 def baseline_context(context: Context) -> Context:
@@ -29,7 +25,7 @@ def baseline_context(context: Context) -> Context:
 
 def default_folder() -> Path:
     """Return the folder ``baselines`` of ``$IZOO_CACHE_DIR``, or else of the user's cache."""
-    return Path(os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo")) / "baselines"
+    return cache_root() / "baselines"
 
 
 class EpisodeCache:
@@ -57,7 +53,7 @@ class EpisodeCache:
         path = self._path(driver, context, seed)
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, json.dumps(rows))
+            write_text(path, json.dumps(rows), durable=False)
 
     def _path(self, driver: str, context: Context, seed: int) -> Path:
         key = f"{driver}\n{context.content_hash}\n{seed}\n{self._settings}"

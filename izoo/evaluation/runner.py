@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
@@ -26,8 +25,6 @@ from izoo.evaluation.workers import Rows, Task, play_all
 
 EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
 """What plays episodes, by the option ``executor``."""
-LINE_EVERY_S = 10.0
-"""Where there is no terminal for a bar, a line says so often how far an evaluation is."""
 Key = tuple[str, str, int]
 """Policy name, content hash of the context it is evaluated in, seed."""
 
@@ -134,32 +131,15 @@ def _play(
             tasks.append(Task(candidates[name].name, name, played, seed))
         waiting.setdefault(key, []).append((name, context, seed))
     policies = {name: candidates[name].pack() for name in {task.policy for task in tasks}}
-    with _progress_bar(progress and bool(tasks)) as bar:
-        row = bar.add_task("episodes", total=len(tasks))
-        last_line = time.monotonic()
+    with Progress(len(tasks), unit="episodes", shown=progress) as bar:
         for number, (task, rows) in enumerate(play(tasks, policies, config), 1):
             if task.name in POLICY_FREE:
                 cached.put(task.name, task.context, task.seed, rows)
             for name, context, seed in waiting[_key(task.name, task.context, task.seed)]:
                 folder.add(_relabel(rows, name, context, seed))
-            bar.update(row, advance=1)
-            if progress and not bar.console.is_terminal and time.monotonic() - last_line >= LINE_EVERY_S:
-                last_line = time.monotonic()
-                print(f"{number:>10,} / {len(tasks):,} episodes", flush=True)
+            bar.update(number)
 
 
 def _relabel(rows: Rows, name: str, context: Context, seed: int) -> Rows:
     """Give rows the identity of the context that is evaluated, which for human driving is not the one played."""
     return [{**row, **identity(name, context, seed, row["approach"])} for row in rows]
-
-
-def _progress_bar(shown: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        disable=not shown,
-    )

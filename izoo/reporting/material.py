@@ -10,9 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from izoo.errors import IzooError, check_folder
+from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
+from izoo.files import check_folder
 from izoo.reporting.results import RESULTS_FILE, read_results
 
 CONFIG_FILE, METRICS_FILE, VALIDATION_FILE, TRADEOFFS_FILE = (

@@ -17,11 +17,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from izoo import __version__
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import percent, score_rows
 from izoo.evaluation.summary import summarise
-from izoo.evaluation.table import write_text
+from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
 from izoo.reporting.material import Material, collect
 from izoo.reporting.published import PUBLISHED

@@ -7,7 +7,6 @@ import dataclasses
 import gzip
 import hashlib
 import json
-import os
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 import pandas as pd
 from tensordict import TensorDictBase
 
+from izoo import files
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
@@ -134,7 +134,7 @@ class Player:
         packed = self._record(scene, manifest, fingerprint)
         with contextlib.suppress(OSError):  # a folder that cannot be written only costs the time of playing again
             path.parent.mkdir(exist_ok=True)
-            _write_bytes(path, packed)
+            files.write_bytes(path, packed, durable=False)
         return packed
 
     def _record(self, scene: Scene, manifest: dict[str, Any], fingerprint: str) -> bytes:
@@ -224,13 +224,3 @@ def _loaded(path: Path) -> tuple[Any, str]:
 
 def _key(scene: Scene) -> list[Any]:
     return [scene.policy, scene.baseline, scene.context_hash, scene.seed]
-
-
-def _write_bytes(path: Path, content: bytes) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)

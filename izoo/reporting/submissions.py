@@ -24,7 +24,7 @@ from jsonschema import Draft202012Validator
 from izoo.errors import IzooError
 from izoo.evaluation.across import RUN, aggregate
 from izoo.evaluation.provenance import DECISIVE
-from izoo.evaluation.table import write_text
+from izoo.files import write_json
 
 FORMAT, MERGED_FORMAT = "izoo-leaderboard-1", "izoo-leaderboard-merged-1"
 SCHEMA_FILE = "leaderboard_schema.json"
@@ -90,7 +90,7 @@ def rows_of(submission: Mapping[str, Any]) -> pd.DataFrame:
 def write_submission(path: Path, submission: Mapping[str, Any]) -> None:
     """Write a submission, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(submission, indent=1, allow_nan=False) + "\n")
+    write_json(path, submission)
 
 
 def read_submission(path: Path) -> dict[str, Any]:

@@ -16,10 +16,10 @@ from torchrl.envs.utils import ExplorationType
 
 from izoo import cluster
 from izoo.conf.options import TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
-from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.past import EpisodePast
 from izoo.training.rollouts import ProcessesCollector, RolloutCollector
 

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from izoo.conf.options import TrainConfig
+from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.layout import observation_names
 from izoo.errors import IzooError
@@ -19,10 +20,8 @@ from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, descri
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
-from izoo.training.interrupt import graceful_interrupt
 from izoo.training.learner import Learner, learner_device
 from izoo.training.past import Pasts
-from izoo.training.progress import ProgressBar
 from izoo.training.validation import Validator
 
 CHANGEABLE = (
@@ -171,12 +170,14 @@ class Session:
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
         try:
             self._load(batches)
-            with ProgressBar(config.total_frames, self.frames) as bar:
+            latest: dict[str, float] = {}
+            with Progress(config.total_frames, self.frames) as bar:
                 while self.frames < config.total_frames and not interrupt.requested:
                     row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
                     records.log_all(sinks, row)
-                    bar.update(self.frames, row)
+                    latest |= row
+                    bar.update(self.frames, records.in_short(latest))
                     if self.batches % config.checkpoint.every_batches == 0:
                         self._save()
                         if self.seconds - self._plotted_s >= PLOT_EVERY_S:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,13 @@ from izoo import __version__
 from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
 from izoo.conf.options import CollectConfig
+from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.layout import observation_names
 from izoo.envs.sumo.parallel import SumoParallelEnv
 from izoo.errors import IzooError, unknown_choice
+from izoo.files import ensure_empty, write_json
 from izoo.training import runs
-from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts
-from izoo.training.progress import ProgressBar
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
@@ -57,7 +56,7 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     policy = make_policy(config)
     source = config.contexts.build()
     out = Path(config.out)
-    runs.ensure_empty(out, "out")
+    ensure_empty(out, "out")
     with workers_ignore_interrupts():
         env = SumoParallelEnv(
             config.num_workers, contexts=RandomSchedule(source, config.seed), config=config.env, seed=config.seed
@@ -74,10 +73,10 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         )
     writer = ShardWriter(config, out)
     try:
-        with graceful_interrupt() as interrupt, ProgressBar(config.frames) as bar:
+        with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
             for batch in collector:
                 writer.write(batch.transpose(0, 1).reshape(-1))
-                bar.update(writer.frames, {})
+                bar.update(writer.frames)
                 if interrupt.requested or writer.frames >= config.frames:
                     break
         writer.finish_shard()
@@ -218,9 +217,4 @@ class ShardWriter:
             "shards": self._shards,
             "options": to_mapping(self.config),
         }
-        partial = self.out / f".{MANIFEST}.partial"
-        with partial.open("w") as file:
-            json.dump(manifest, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(self.out / MANIFEST)
+        write_json(self.out / MANIFEST, manifest)

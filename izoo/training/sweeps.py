@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from izoo.conf.mapping import to_mapping
-from izoo.errors import IzooError, check_folder
+from izoo.errors import IzooError
 from izoo.evaluation.table import SUMMARY_FILE, write_csv
+from izoo.files import check_folder
 from izoo.metrics import statistics
 from izoo.training import plots, runs
 from izoo.training.records import MetricsTable

@@ -24,6 +24,7 @@ from izoo.conf.options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import choose_contexts, episode_seeds
+from izoo.files import write_json
 from izoo.training import checkpoint
 from izoo.training.records import MetricsTable
 
@@ -233,9 +234,7 @@ def _end_with_parent() -> None:
 
 def main(checkpoint_file: str, result_file: str) -> None:
     """Validate a checkpoint and write the row as JSON, whole or not at all."""
-    from izoo.evaluation.table import write_text
-
-    write_text(Path(result_file), json.dumps(validate(Path(checkpoint_file)), allow_nan=False) + "\n")
+    write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)
 
 
 if __name__ == "__main__":

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import shutil
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import platformdirs
+from izoo.errors import IzooError
+from izoo.files import CACHE_ENV, cache_root, is_partial, os_reason, write_bytes
 
-from izoo.errors import IzooError, os_reason
-
-CACHE_ENV = "IZOO_CACHE_DIR"
 MAX_ENTRIES = 20_000
 """Procedural training never ends, so the oldest nets (of about 50 kB) go when there are more than this."""
 SPARE_S = 3600.0
 """Nets younger than this stay, whatever their number: someone may be about to load them."""
 _SEAL = "<!-- sha256 "
 _TIDY_EVERY = 500
-_NEW, _WORK = ".new-", ".work-"
+_WORK = ".work-"
 _stored = 0
 
 
@@ -36,8 +33,7 @@ def cache_folder(cache_dir: Path | None = None) -> Path:
     Raises:
         IzooError: the folder cannot be made.
     """
-    root = Path(cache_dir or os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo"))
-    folder = root / "nets"
+    folder = Path(cache_dir or cache_root()) / "nets"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -65,14 +61,8 @@ def store(folder: Path, key: str, text: str) -> Path:
     global _stored
     body = text.encode()
     try:
-        handle, name = tempfile.mkstemp(prefix=_NEW, dir=folder)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(body + _SEAL.encode() + _digest(body))
-            Path(name).replace(_entry(folder, key))
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+        # A loss of power may leave a file that the seal gives away.
+        write_bytes(_entry(folder, key), body + _SEAL.encode() + _digest(body), durable=False)
     except OSError as error:
         raise _unwritable(folder, error) from error
     _stored += 1
@@ -87,7 +77,7 @@ def tidy(folder: Path, max_entries: int = MAX_ENTRIES, spare_s: float = SPARE_S)
     leftovers: list[tuple[float, Path]] = []
     for path in folder.iterdir():
         with contextlib.suppress(OSError):
-            kept = leftovers if path.name.startswith((_NEW, _WORK)) else entries
+            kept = leftovers if path.name.startswith(_WORK) or is_partial(path) else entries
             kept.append((path.stat().st_mtime, path))
     surplus = sorted(entries)[: max(len(entries) - max_entries, 0)]
     for written_s, path in surplus + leftovers:
@@ -123,14 +113,3 @@ def _unwritable(folder: Path, error: OSError) -> IzooError:
         f"cannot write to the cache folder {folder} ({os_reason(error)}); set {CACHE_ENV} to a folder that can "
         "be written to."
     )
-
-
-def is_running(pid: int) -> bool:
-    """Whether there is a process of this number, of whomever."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
