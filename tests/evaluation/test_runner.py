@@ -27,7 +27,7 @@ from izoo.evaluation.table import COLUMNS, read_csv
 from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.reporting.material import collect
-from tests.evaluation import drivers
+from tests.evaluation import odd_policies as drivers
 from tests.evaluation.conftest import SHORT
 
 SEEDS = [11, 12]
