@@ -20,7 +20,7 @@ from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.console import duration
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy

@@ -13,7 +13,7 @@ from yaml import YAMLError
 
 from izoo.benchmarks.generalization_options import SWEPT
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import code_digest

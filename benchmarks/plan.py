@@ -13,9 +13,9 @@ import numpy as np
 from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig, is_folder
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.compose import compose_config
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts import protocols
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED

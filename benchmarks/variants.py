@@ -24,7 +24,7 @@ from izoo.algos.base import ACTION, MASK, Leaves
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context

@@ -16,7 +16,7 @@ from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 
 from izoo import collect
-from izoo.conf.options import CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
 from izoo.training import offline
 

@@ -20,7 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import files, train
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.layout import observation_names
@@ -208,7 +208,7 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint.torch, "save", full)
+    monkeypatch.setattr("torch.save", full)
     with pytest.raises(OSError, match="No space left"):
         checkpoint.save(tmp_path, 200, make_state(), keep=1)
     assert checkpoint.listed(tmp_path) == [first]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import to_mapping
 from izoo.envs.config import EnvConfig

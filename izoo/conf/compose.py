@@ -49,6 +49,12 @@ def _composed(config_name: str, overrides: Sequence[Override], words: Sequence[s
         return compose(config_name=config_name, overrides=list(words))
 
 
+def register(config_name: str, cls: type) -> None:
+    """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
+    if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
+        ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
+
+
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
     """Parse ``option=value`` words; values that Hydra's grammar cannot read, such as odd paths, are taken literally.
 
@@ -102,6 +108,7 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
         IzooError: an option or choice is unknown, or a value is refused.
     """
     overrides = parse(words)
+    register(config_name, cls)
     check_names(config_name, overrides)
     try:
         composed = _composed(config_name, overrides, [_word(override) for override in overrides])

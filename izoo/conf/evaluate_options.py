@@ -8,7 +8,7 @@ from typing import Literal
 
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_choice, check_range
 

@@ -21,7 +21,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from izoo import cli
+from izoo.commands.help_page import as_word, attribute_docs
+from izoo.commands.option_command import OptionCommand
 from izoo.conf import compose
 from izoo.errors import IzooError, unknown_choice
 
@@ -38,7 +39,7 @@ def option_docs(config: type) -> dict[str, str]:
     """Return what the docstrings of a dataclass and of those it extends say of each option."""
     docs: dict[str, str] = {}
     for owner in reversed(config.__mro__):
-        docs |= cli.attribute_docs(owner)
+        docs |= attribute_docs(owner)
     return docs
 
 
@@ -52,7 +53,7 @@ def modules() -> dict[str, Any]:
     return {name: module for name, module in found.items() if hasattr(module, "main")}
 
 
-def hydra_commands() -> list[cli.Command]:
+def hydra_commands() -> list[OptionCommand]:
     """Return the commands whose options Hydra composes."""
     return [module.COMMAND for module in modules().values() if hasattr(module, "COMMAND")]
 
@@ -61,7 +62,7 @@ def options_page(_: str = "") -> str:
     """Return every option of every command as tables: its default in each choice, and its meaning."""
     lines: list[str] = []
     for command in hydra_commands():
-        config_class = command.config()
+        config_class = command.config_class()
         config: Any = compose.compose_config(command.name, config_class, [])
         lines += [f"## python -m izoo.{command.name}", "", command.summary, ""]
         lines += _table(config_class, {"default": config}, "")
@@ -92,7 +93,7 @@ def options_of(group: str, choice: str) -> Any:
     """
     for command in hydra_commands():
         with contextlib.suppress(IzooError, AttributeError):
-            config = getattr(compose.compose_config(command.name, command.config(), [f"{group}={choice}"]), group)
+            config = getattr(compose.compose_config(command.name, command.config_class(), [f"{group}={choice}"]), group)
             # Commands change defaults of the environment, which has one choice: what it is by itself is wanted.
             return type(config)() if choice == "default" else config
     raise IzooError(f"no command has the option {group}={choice}; izoo/conf has a file that nothing reads.")
@@ -120,7 +121,7 @@ def _table(config_class: type, presets: dict[str, Any], prefix: str) -> list[str
                 lines += _rows(f"{field.name}.", values[0])
                 continue
         else:
-            shown = [f"`{cli._as_word(value)}`" for value in values]
+            shown = [f"`{as_word(value)}`" for value in values]
         lines.append(f"| `{prefix}{field.name}` | {' | '.join(shown)} | {_meaning(docs, field.name)} |")
     return [*lines, ""]
 
@@ -129,7 +130,7 @@ def _rows(prefix: str, config: Any) -> list[str]:
     """Rows of a group of options that has no choices."""
     docs = option_docs(type(config))
     return [
-        f"| `{prefix}{field.name}` | `{cli._as_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
+        f"| `{prefix}{field.name}` | `{as_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
         for field in dataclasses.fields(config)
     ]
 

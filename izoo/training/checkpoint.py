@@ -8,8 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from izoo.errors import IzooError
 from izoo.files import replacing
 
@@ -39,6 +37,8 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
     folder = folder_of(run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"step-{frames:012d}.pt"
+    import torch
+
     try:
         with replacing(path) as partial:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
@@ -64,6 +64,8 @@ def load(path: Path) -> dict[str, Any]:
     Raises:
         IzooError: the file is missing, cut short, or not a checkpoint of izoo; the one before it is named.
     """
+    import torch
+
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.registry import make_algorithm
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 
 COLLECTS_ON = torch.device("cpu")

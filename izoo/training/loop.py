@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.layout import observation_names

@@ -15,21 +15,22 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
-from izoo.algos.scripted import DRIVERS, RandomDriver, make_driver
+from izoo.algos import DRIVER_NAMES
+from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.layout import observation_names
 from izoo.envs.sumo.parallel import SumoParallelEnv
-from izoo.errors import IzooError, unknown_choice
+from izoo.errors import IzooError
 from izoo.files import ensure_empty, write_json
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
 FORMAT = "izoo-steps-1"
-SCRIPTED = tuple(name for name in DRIVERS if name != "human")
+SCRIPTED = tuple(name for name in DRIVER_NAMES if name != "human")
 """Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
 
@@ -95,9 +96,6 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
         return RandomDriver(seed=config.seed)
     if config.policy in SCRIPTED:
         return make_driver(config.policy, config.env)
-    if not Path(config.policy).expanduser().exists():
-        error = unknown_choice("policy", config.policy, SCRIPTED)
-        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     algorithm, trained, _ = runs.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(

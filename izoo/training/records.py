@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from izoo.conf.options import LoggerConfig
+from izoo.conf.train_options import LoggerConfig
 from izoo.errors import IzooError
 from izoo.files import replacing
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import choose_contexts, episode_seeds

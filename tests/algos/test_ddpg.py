@@ -26,7 +26,7 @@ from izoo.algos.ddpg import ACTION_VALUE, DDPG
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 

@@ -15,7 +15,7 @@ from izoo.algos.gcrl import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNe
 from izoo.algos.ppo_config import GCRLConfig
 from izoo.algos.sets import places
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.layout import DISTANCE_SCALE_M, observation_names
 from izoo.errors import IzooError

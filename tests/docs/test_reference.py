@@ -74,7 +74,7 @@ def test_options() -> None:
     rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)\|$", page, re.MULTILINE))
     expected = set()
     for command in pages.hydra_commands():
-        expected |= leaves(compose.compose_config(command.name, command.config(), []))
+        expected |= leaves(compose.compose_config(command.name, command.config_class(), []))
     for group, choices in compose.choices().items():
         for choice in choices:
             config = pages.options_of(group, choice)

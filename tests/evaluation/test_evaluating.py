@@ -11,7 +11,7 @@ import yaml
 
 import izoo.conf
 from izoo.commands.evaluating import merge_env, resolve
-from izoo.conf.contexts import PcgContexts
+from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig, RewardConfig

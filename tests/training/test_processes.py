@@ -17,7 +17,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule
 from izoo.envs import EnvConfig
 from izoo.training import collectors

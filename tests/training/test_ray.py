@@ -14,9 +14,10 @@ import pandas as pd
 import pytest
 import torch
 
-from izoo import cluster, evaluate, train
+from izoo import evaluate, train
 from izoo.algos.registry import make_algorithm
 from izoo.errors import IzooError
+from izoo.evaluation import ray_cluster as cluster
 from izoo.training import runs
 
 TOY = [

@@ -20,7 +20,7 @@ from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.gaussian import CompiledPolicy
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.algos.registry import make_algorithm
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.errors import IzooError

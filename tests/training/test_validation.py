@@ -17,9 +17,9 @@ import torch
 from izoo import evaluate, train
 from izoo.commands.evaluating import resolve
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import PcgContexts
+from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.options import TrainConfig, ValidationConfig
+from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError

@@ -9,11 +9,12 @@ import pandas as pd
 import pytest
 from matplotlib import image
 
-from izoo import sweep, train
+from izoo import report, train
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import PPOConfig
-from izoo.conf.options import TrainConfig
-from izoo.training import runs, sweeps
+from izoo.conf.train_options import TrainConfig
+from izoo.reporting import sweeps
+from izoo.training import runs
 from izoo.training.records import MetricsTable
 
 
@@ -46,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_choices_are_averaged_over_their_seeds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert sweep.main([str(folder)]) == 0
+    assert report.main([str(folder)]) == 0
     table = pd.read_csv(folder / sweeps.SWEEP_FILE)
     assert table["algo.name"].tolist() == ["ppo", "ddpg"], "hyper-parameters that one algorithm lacks do not vary"
     assert table["runs"].tolist() == [2, 2] and table["finished"].tolist() == [2, 1]
@@ -78,7 +79,7 @@ def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys:
     (folder / "0-run" / "summary.json").write_text("{")
     with (folder / "1-run" / runs.METRICS_FILE).open("a") as file:
         file.write("20")  # a row cut short by a kill
-    assert sweep.main([str(folder)]) == 0
+    assert report.main([str(folder)]) == 0
     assert "5-run: cannot read" in capsys.readouterr().out.replace("\n", "")
     rows = pd.read_csv(folder / sweeps.RUNS_FILE)
     assert rows["frames"].tolist() == [1000, 1000, 1000, 400, 0]
@@ -89,7 +90,7 @@ def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys:
     [
         ([], "give one folder"),
         (["missing"], "missing is no folder"),
-        (["."], "holds no training runs"),
+        (["."], "holds no results"),
         (["--hlep"], "Did you mean '--help'"),
     ],
 )
@@ -97,7 +98,7 @@ def test_bad_input(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert sweep.main(words) == 2
+    assert report.main(words) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -107,6 +108,6 @@ def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: py
     words = ["contexts=pcg_easy", "env.horizon_s=75", "algo.hidden=[8]", "evaluation.contexts=0", "total_frames=100"]
     sizes = ["algo.frames_per_batch=100", "algo.minibatch_rows=64", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     assert train.main(["-m", *words, *sizes, "algo.lr=1e-3,1e-4", "seed=0"]) == 0
-    assert sweep.main([str(tmp_path / "sweep")]) == 0
+    assert report.main([str(tmp_path / "sweep")]) == 0
     table = pd.read_csv(tmp_path / "sweep" / sweeps.SWEEP_FILE)
     assert table["algo.lr"].tolist() == [1e-3, 1e-4] and table["finished"].tolist() == [1, 1]

@@ -10,7 +10,7 @@ from izoo.algos.action import ActionConfig, DirectAction
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
 

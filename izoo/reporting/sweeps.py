@@ -14,9 +14,11 @@ from rich.table import Table
 
 from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError
-from izoo.evaluation.table import SUMMARY_FILE, write_csv
+from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, write_csv
 from izoo.files import check_folder
 from izoo.metrics import statistics
+from izoo.reporting.material import TRADEOFFS_FILE
+from izoo.reporting.results import RESULTS_FILE
 from izoo.training import plots, runs
 from izoo.training.records import MetricsTable
 from izoo.training.validation import VALIDATION_FILE
@@ -34,6 +36,12 @@ MEASURES = {
 with the exact gate; the return is the mean of the last :data:`LAST_ROWS` batches that report one."""
 LAST_ROWS = 5
 Row = dict[str, Any]
+
+
+def is_sweep(folder: Path) -> bool:
+    """Whether a folder holds training runs, and is neither one itself nor of a benchmark or an evaluation."""
+    own = (runs.CONFIG_FILE, RESULTS_FILE, TRADEOFFS_FILE, CSV_FILE, MANIFEST_FILE, JOURNAL_FILE)
+    return not any((folder / name).exists() for name in own) and next(folder.rglob(runs.CONFIG_FILE), None) is not None
 
 
 def find_runs(folder: Path) -> list[Path]:
