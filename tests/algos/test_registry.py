@@ -14,7 +14,7 @@ from izoo.algos.action import DirectAction
 from izoo.algos.registry import ALGORITHMS, Home, choices, make_algorithm, preset
 from izoo.conf import compose
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.training import runs
