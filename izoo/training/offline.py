@@ -15,13 +15,13 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs.env import SumoParallelEnv
+from izoo.envs import SumoParallelEnv
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import ensure_empty, write_json
