@@ -25,7 +25,7 @@ _HOME = {
     "EcoDrivingEnv": "env",
     "EnvConfig": "config",
     "RewardConfig": "config",
-    "SumoParallelEnv": "parallel",
+    "SumoParallelEnv": "sumo.parallel",
 }
 __all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv"]
 

@@ -23,7 +23,7 @@ from tensordict import TensorDict
 from izoo.contexts.context import Context
 from izoo.contexts.source import FixedSchedule
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
-from izoo.envs.sumo.session import simulator
+from izoo.envs.sumo import simulator
 from izoo.envs.sumo.worker import AWAKE_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
+from izoo.networks.dataset import importing
 from izoo.networks.dataset.importing import import_dataset
-from izoo.networks.dataset.intersections import importing, load_dataset
+from izoo.networks.dataset.intersections import load_dataset
 from tests.networks.test_dataset import NET, write
 
 

@@ -14,8 +14,8 @@ import sumo
 from izoo.contexts.spec import Approach, IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_dataset, load_specs
+from izoo.networks.osm import store as osm_store
 from izoo.networks.osm.extract import OsmReport, build_from_osm
-from izoo.networks.osm.extract import store as osm_store
 from izoo.networks.osm.streets import Way, read_streets
 from izoo.networks.osm.tags import Lanes, assign_turns, lanes_towards, parse_speed, speed_limit
 
