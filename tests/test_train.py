@@ -89,6 +89,7 @@ def test_the_single_collector(tmp_path: Path) -> None:
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
 
 
+@pytest.mark.slow
 def test_the_multisync_collector(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [*TOY, "collector=multisync", "total_frames=400", f"run_dir={run_dir}"]
@@ -152,6 +153,7 @@ def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     assert state["frames"] == int(rows(run_dir)[-1]["frames"])
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "izoo.train", "-m", "seed=0,1", *TOY, "total_frames=100000000"]
     process = subprocess.Popen(
@@ -244,6 +246,7 @@ def test_a_resumed_schedule_plays_the_episodes_that_follow() -> None:
     assert ShiftedSchedule(schedule, 40)(2)[1] == 42
 
 
+@pytest.mark.slow
 def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=200", "logger=wandb", f"run_dir={run_dir}"]

@@ -216,7 +216,7 @@ def survive(kills: int, seed: int) -> None:
 
 
 def test_random_kills_lose_only_the_killed_episodes() -> None:
-    survive(kills=4, seed=1)
+    survive(kills=2, seed=1)
 
 
 @pytest.mark.slow
@@ -341,13 +341,7 @@ ENDINGS = {
 
 @pytest.mark.parametrize(
     "ending",
-    [
-        *("killed in the middle of steps", "Ctrl-C", "an exception"),
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("killed while idle", "terminated", "falling off the end")
-        ),
-    ],
+    [pytest.param(name, marks=() if name == "killed in the middle of steps" else pytest.mark.slow) for name in ENDINGS],
 )
 def test_no_orphans_and_nothing_left(ending: str, tmp_path: Path) -> None:
     code, number = ENDINGS[ending]

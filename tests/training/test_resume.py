@@ -71,10 +71,9 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
 @pytest.mark.parametrize(
     "words",
     [
-        ["collector=single"],
-        ["collector=parallel", "num_workers=2", *DDPG],
+        pytest.param(["collector=single"], id="single-ppo"),
+        pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
     ],
-    ids=["single-ppo", "parallel-ddpg"],
 )
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
     words = [*TOY, *words]
