@@ -111,7 +111,7 @@ def test_same_seed_same_weights_and_another_seed_others(finished: Path, tmp_path
 
 def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=400", f"run_dir={run_dir}"]) == 0
     assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600, 800]
     assert runs.read_config(run_dir).total_frames == 800
@@ -219,7 +219,7 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
 
 def test_a_full_disk_ends_the_run_with_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
     (run_dir / "metrics.partial").symlink_to("/dev/full")  # every write there meets a full disk
     assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
     error = capsys.readouterr().err
@@ -261,7 +261,7 @@ def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
 
 def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
     assert list((run_dir / "tensorboard").rglob("events.*"))
 
 

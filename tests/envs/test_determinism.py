@@ -120,7 +120,9 @@ def by_episode(frames: TensorDict) -> dict[int, str]:
     return found
 
 
-@pytest.mark.parametrize(("workers", "changes"), [(1, {}), (2, {"recycle_episodes": 1}), (4, {})])
+@pytest.mark.parametrize(
+    ("workers", "changes"), [(1, {}), (2, {"recycle_episodes": 1}), pytest.param(4, {}, marks=pytest.mark.slow)]
+)
 def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, changes: dict[str, Any]) -> None:
     """And before and after a worker process has been replaced on schedule."""
     env = SumoParallelEnv(workers, schedule(), config=short(**changes))

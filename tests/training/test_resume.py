@@ -93,7 +93,7 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
     before = flat(checkpoint.load(checkpoint.find(run_dir)))
     for path in checkpoint.listed(run_dir):
         path.unlink()
@@ -120,7 +120,7 @@ def play(
     return torch.stack(frames, 1), root
 
 
-@pytest.mark.parametrize("steps", [40, 150, 190])
+@pytest.mark.parametrize("steps", [40, pytest.param(150, marks=pytest.mark.slow), 190])
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     pasts = Pasts.fresh(2)
