@@ -15,7 +15,7 @@ from izoo.networks.net.cache import CACHE_ENV
 LONGEST = (
     *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),
     *("tests/test_packaging.py", "tests/test_train.py", "tests/envs/test_steadiness.py", "tests/training/"),
-    *("tests/evaluation/", "tests/benchmarks/", "tests/docs/", "tests/envs/"),
+    *("tests/test_cli.py", "tests/envs/", "tests/evaluation/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
 )
 """Files and folders whose tests begin first, longest first: none of them goes on alone while other workers are idle."""
 
