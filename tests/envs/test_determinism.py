@@ -121,7 +121,8 @@ def by_episode(frames: TensorDict) -> dict[int, str]:
 
 
 @pytest.mark.parametrize(
-    ("workers", "changes"), [(1, {}), (2, {"recycle_episodes": 1}), pytest.param(4, {}, marks=pytest.mark.slow)]
+    ("workers", "changes"),
+    [(2, {"recycle_episodes": 1}), *(pytest.param(count, {}, marks=pytest.mark.slow) for count in (1, 4))],
 )
 def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, changes: dict[str, Any]) -> None:
     """And before and after a worker process has been replaced on schedule."""

@@ -224,7 +224,9 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
 @pytest.mark.parametrize(
     ("policy", "num_workers", "error", "message"),
     [
-        (drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        pytest.param(
+            drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep", marks=pytest.mark.slow
+        ),
         (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
         (drivers.silent, 0, IzooError, "action"),
         pytest.param(drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL", marks=pytest.mark.slow),

@@ -120,7 +120,7 @@ def play(
     return torch.stack(frames, 1), root
 
 
-@pytest.mark.parametrize("steps", [40, pytest.param(150, marks=pytest.mark.slow), 190])
+@pytest.mark.parametrize("steps", [40, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (150, 190))])
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     pasts = Pasts.fresh(2)
@@ -147,6 +147,7 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     second.close()
 
 
+@pytest.mark.slow
 def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
     pasts = Pasts.fresh(2)
     first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
@@ -172,6 +173,7 @@ def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
         script.at(0, torch.tensor([True, False, False, False]))
 
 
+@pytest.mark.slow
 def test_another_number_of_workers_leaves_the_episodes_in_progress_out(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0

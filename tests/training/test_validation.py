@@ -44,7 +44,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of five batches."""
     folder = tmp_path_factory.mktemp("runs") / "toy"
-    assert train.main([*TOY, "total_frames=1000", f"run_dir={folder}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=1000", f"run_dir={folder}"]) == 0
     return folder
 
 
@@ -61,8 +61,8 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
 
 
 def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:
-    words = [*TOY, "validation.every_batches=0", "total_frames=1000", f"run_dir={tmp_path / 'run'}"]
-    assert train.main(words) == 0
+    words = [*TOY, "collector=single", "validation.every_batches=0", "total_frames=1000"]
+    assert train.main([*words, f"run_dir={tmp_path / 'run'}"]) == 0
     with_it, without = (runs.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run"))
     assert all(torch.equal(with_it[key], without[key]) for key in with_it)
     assert not (tmp_path / "run" / validation.VALIDATION_FILE).exists()
