@@ -166,6 +166,7 @@ def test_output_that_nobody_reads_ends_a_command_quietly(reader: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("errors", "collector"), [("", "single"), ("2>&1", "parallel")])
 def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path, errors: str, collector: str) -> None:
     words = f"contexts=pcg_easy total_frames=400 num_workers=1 evaluation.contexts=0 run_dir={tmp_path / 'run'}"

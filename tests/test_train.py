@@ -89,6 +89,7 @@ def test_the_single_collector(tmp_path: Path) -> None:
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
 
 
+@pytest.mark.slow
 def test_the_multisync_collector(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [*TOY, "collector=multisync", "total_frames=400", f"run_dir={run_dir}"]
@@ -110,7 +111,7 @@ def test_same_seed_same_weights_and_another_seed_others(finished: Path, tmp_path
 
 def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=400", f"run_dir={run_dir}"]) == 0
     assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600, 800]
     assert runs.read_config(run_dir).total_frames == 800
@@ -152,6 +153,7 @@ def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     assert state["frames"] == int(rows(run_dir)[-1]["frames"])
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "izoo.train", "-m", "seed=0,1", *TOY, "total_frames=100000000"]
     process = subprocess.Popen(
@@ -219,7 +221,7 @@ def test_a_full_disk_ends_the_run_with_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
     partial, real = tmp_path / "partial", files.partial_of
     partial.symlink_to("/dev/full")  # every write there meets a full disk
     monkeypatch.setattr(files, "partial_of", lambda path: partial if path.name == "metrics.csv" else real(path))
@@ -248,6 +250,7 @@ def test_a_resumed_schedule_plays_the_episodes_that_follow() -> None:
     assert ShiftedSchedule(schedule, 40)(2)[1] == 42
 
 
+@pytest.mark.slow
 def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=200", "logger=wandb", f"run_dir={run_dir}"]
@@ -262,7 +265,7 @@ def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
 
 def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
     assert list((run_dir / "tensorboard").rglob("events.*"))
 
 

@@ -234,7 +234,7 @@ def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_
         ),
         *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
     ]
-    assert train.main(words) == 0
+    assert train.main([*words, "collector=single"]) == 0
     with (run_dir / runs.METRICS_FILE).open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]

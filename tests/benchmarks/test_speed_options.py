@@ -36,6 +36,7 @@ def test_an_interrupt_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     assert console.exit_code("benchmarks.scaling", lambda: 7) == 7
 
 
+@pytest.mark.slow
 def test_throughput_compares_like_with_like(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,6 +67,7 @@ def test_the_front_is_what_nobody_beats() -> None:
     assert on_front(costs, allowed).tolist() == [True, True, False, True, False, False, True]
 
 
+@pytest.mark.slow
 def test_a_sweep_leaves_points_and_a_plot(tmp_path: Path) -> None:
     words = ["protocol=systematicity", "frames=150", "horizon_s=100", "test_limit=1", "num_workers=0", "beta=[-1,-9]"]
     words += ["floors_mps=[2,8]", 'train_options=["algo.frames_per_batch=150","algo.epochs=1"]']

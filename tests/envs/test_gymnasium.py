@@ -147,7 +147,9 @@ def test_ego_needs_controlled_vehicles() -> None:
 # -- vector forms ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "mode"), [(JOINT, None), (EGO, None), (EGO, "async")])
+@pytest.mark.parametrize(
+    ("name", "mode"), [(JOINT, None), (EGO, None), pytest.param(EGO, "async", marks=pytest.mark.slow)]
+)
 def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest) -> None:
     """Every environment of a vector plays what one alone with its seed does."""
     env = request.getfixturevalue("joint" if name == JOINT else "ego")

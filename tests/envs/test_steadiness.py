@@ -80,7 +80,12 @@ def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s:
 
 
 @pytest.mark.parametrize(
-    ("number", "limit_s", "index"), [(signal.SIGKILL, 1.0, 0), (signal.SIGSTOP, 4.0, 0), (signal.SIGSTOP, 4.0, 1)]
+    ("number", "limit_s", "index"),
+    [
+        (signal.SIGKILL, 1.0, 0),
+        pytest.param(signal.SIGSTOP, 4.0, 0, marks=pytest.mark.slow),
+        (signal.SIGSTOP, 4.0, 1),
+    ],
 )
 def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
@@ -139,6 +144,7 @@ def run_out_of_memory() -> None:
     raise RuntimeError("no memory")
 
 
+@pytest.mark.slow
 def test_a_failure_of_the_parent_leaves_no_answer_unread(
     pair: SumoParallelEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -215,12 +221,8 @@ def survive(kills: int, seed: int) -> None:
         single.close()
 
 
-def test_random_kills_lose_only_the_killed_episodes() -> None:
-    survive(kills=4, seed=1)
-
-
 @pytest.mark.slow
-def test_fifty_random_kills() -> None:
+def test_fifty_random_kills_lose_only_the_killed_episodes() -> None:
     survive(kills=50, seed=2)
 
 
@@ -341,13 +343,7 @@ ENDINGS = {
 
 @pytest.mark.parametrize(
     "ending",
-    [
-        *("killed in the middle of steps", "Ctrl-C", "an exception"),
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("killed while idle", "terminated", "falling off the end")
-        ),
-    ],
+    [pytest.param(name, marks=() if name == "killed in the middle of steps" else pytest.mark.slow) for name in ENDINGS],
 )
 def test_no_orphans_and_nothing_left(ending: str, tmp_path: Path) -> None:
     code, number = ENDINGS[ending]

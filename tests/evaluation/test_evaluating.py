@@ -46,6 +46,7 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
         (["run=no/such/run"], "does not exist"),
         (["polciy=glide"], "Did you mean 'policy'"),
         (["policy=glide", "seeds=0"], "seeds is 0"),
+        (["policy=glide", "algo=ppo"], "'algo'"),
         (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
     ],
 )

@@ -84,6 +84,7 @@ print("rows", len(table))
 """
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     """Workers do not run the user's script again, and classes that it defines reach them."""
     (tmp_path / "script.py").write_text(SCRIPT)
@@ -223,10 +224,12 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
 @pytest.mark.parametrize(
     ("policy", "num_workers", "error", "message"),
     [
-        (drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        pytest.param(
+            drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep", marks=pytest.mark.slow
+        ),
         (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
         (drivers.silent, 0, IzooError, "action"),
-        (drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL"),
+        pytest.param(drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL", marks=pytest.mark.slow),
     ],
 )
 def test_a_failing_episode_names_its_context(

@@ -15,7 +15,7 @@ from izoo.networks.net import net_cache as cache
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 
-PROCESSES = 8
+PROCESSES = 4
 
 
 def build_and_read(folder: str, barrier, results) -> None:

@@ -17,7 +17,10 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)
 WIDE, PHONE = (1280, 900), (390, 844)
 
-pytestmark = pytest.mark.skipif(BROWSER is None, reason=f"no Chromium on PATH ({', '.join(BROWSERS)})")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(BROWSER is None, reason=f"no Chromium on PATH ({', '.join(BROWSERS)})"),
+]
 
 
 @pytest.fixture(scope="module")

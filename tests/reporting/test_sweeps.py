@@ -106,6 +106,7 @@ def test_bad_input(
 def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ["contexts=pcg_easy", "env.horizon_s=75", "algo.hidden=[8]", "evaluation.contexts=0", "total_frames=100"]
+    words += ["collector=single"]
     sizes = ["algo.frames_per_batch=100", "algo.minibatch_rows=64", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     assert train.main(["-m", *words, *sizes, "algo.lr=1e-3,1e-4", "seed=0"]) == 0
     assert report.main([str(tmp_path / "sweep")]) == 0

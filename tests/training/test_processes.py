@@ -93,6 +93,7 @@ def test_rows_are_those_of_single_environments(policy: TensorDictModuleBase) -> 
         source.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("between_batches", [True, False])
 def test_a_process_that_dies_is_noticed(between_batches: bool, policy: TensorDictModuleBase) -> None:
     source = BatchSource(CONFIG, policy, SCHEDULE)

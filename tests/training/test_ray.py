@@ -58,6 +58,7 @@ def run(command: str, words: list[str], address: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @needs_ray
 def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
