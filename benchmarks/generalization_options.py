@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES, choices
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_range, unknown_choice
 
@@ -233,15 +233,13 @@ def parse_entry(name: str) -> Entry:
     Raises:
         IzooError: neither an algorithm nor a driver.
     """
-    from izoo.conf.compose import choices
-
     if ":" in name:
         return Entry(name.rpartition(":")[2], "scripted", policy=name)
     if name in DRIVER_NAMES and name != "human":
         return Entry(name, "scripted", policy=name)
     if name.startswith(FLOOR_INFIX):
         return Entry(name, "scripted", policy="glide", floor_mps=_floor(name))
-    presets = choices()["algo"]
+    presets = choices()
     action = "residual" if name.endswith(RESIDUAL_SUFFIX) else "direct"
     preset = name.removesuffix(RESIDUAL_SUFFIX)
     if preset not in presets:

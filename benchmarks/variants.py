@@ -22,6 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.base import ACTION, MASK, Leaves
 from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
 from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.console import workers_ignore_interrupts
@@ -30,10 +31,9 @@ from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import TOTALS, observation_names
+from izoo.envs.layout import TOTALS
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
-from izoo.training.runs import make_algorithm
 
 WARMUP_S = 350.0
 """Time in which the region fills, with nobody commanding."""
@@ -256,7 +256,7 @@ class Collected:
             num_workers=self.plan.workers,
         )
         torch.manual_seed(0)
-        policy = self.policy or make_algorithm(options, len(observation_names(options.env))).policy
+        policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
         return BatchSource(options, policy, schedule)
 
     def close(self) -> None:

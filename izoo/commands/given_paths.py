@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import check_folder

@@ -17,12 +17,15 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from izoo.algos import registry
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.contexts.cities.rebuilt import CITIES, city_name
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
 CONFIG_MODULE = "izoo.conf"
+DEFAULT_ALGORITHM = "ppo"
+"""As in ``train.yaml``."""
 MAX_CHECKED = 200
 
 
@@ -33,6 +36,7 @@ def choices() -> dict[str, tuple[str, ...]]:
         folder.name: tuple(sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".yaml")))
         for folder in folders
     }
+    groups["algo"] = registry.choices()
     return {name: groups[name] for name in sorted(groups) if groups[name]}
 
 
@@ -40,6 +44,15 @@ def register(config_name: str, cls: type) -> None:
     """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
     if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
         ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
+
+
+def _composed(config_name: str, overrides: Sequence[Override], words: Sequence[str]) -> DictConfig:
+    """Compose ``words``, after telling Hydra the hyper-parameters of the algorithms that ``overrides`` choose."""
+    named = [value for override in overrides if override.key_or_group == "algo" for value in _values(override)]
+    for choice in {DEFAULT_ALGORITHM, *named}:
+        ConfigStore.instance().store(choice, to_mapping(registry.preset(choice)), group="algo")
+    with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
+        return compose(config_name=config_name, overrides=list(words))
 
 
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
@@ -82,8 +95,7 @@ def check_names(config_name: str, overrides: Sequence[Override]) -> None:
                 raise unknown_choice(override.key_or_group, value, groups[override.key_or_group])
     # A sweep over a group is checked against its first choice: the options of the others differ in the algorithm's own.
     words = [f"{override.key_or_group}={_values(override)[0]}" for override in chosen]
-    with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
-        skeleton = compose(config_name=config_name, overrides=words)
+    skeleton = _composed(config_name, overrides, words)
     for override in overrides:
         if override not in chosen and not override.key_or_group.startswith("hydra"):
             _check_key(skeleton, override.key_or_group)
@@ -99,8 +111,7 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
     register(config_name, cls)
     check_names(config_name, overrides)
     try:
-        with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
-            composed = compose(config_name=config_name, overrides=[_word(override) for override in overrides])
+        composed = _composed(config_name, overrides, [_word(override) for override in overrides])
     except (HydraException, OmegaConfBaseException) as error:
         raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
     return to_dataclass(composed, cls)
@@ -175,8 +186,11 @@ def _choices_with(key: str) -> list[str]:
     group, _, name = key.partition(".")
     found = []
     for choice in choices().get(group, ()):
-        text = (resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text()
-        if name in OmegaConf.create(text):
+        if group == "algo":
+            options: Any = vars(registry.preset(choice))
+        else:
+            options = OmegaConf.create((resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text())
+        if name in options:
             found.append(f"{group}={choice}")
     return found
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Union
+from typing import Literal
 
 from izoo.algos.action import ActionConfig, DirectAction
-from izoo.algos.ddpg_config import DDPGConfig
-from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_range
-
-AlgoConfig = Union[PPOConfig, DDPGConfig, MAPPOConfig, GCRLConfig]  # noqa: UP007 - OmegaConf reads this form
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,10 @@
 """Leaderboard files: one JSON file per entry of a benchmark, which anyone can check and merge.
 
-A **submission** follows ``leaderboard_schema.json`` beside this module. Its rows are its evidence: benefits must follow
-from the emissions and throughputs of their row, aggregates from the rows, and the hash from everything. What can be
-checked without simulating is checked; that the rows were really measured, only running the benchmark again can show.
+A **submission** follows ``leaderboard_schema.json`` beside this module; its rows are its evidence. That the rows were
+really measured, only running the benchmark again can show.
 
-A **leaderboard** (:func:`merge`) groups submissions by protocol. Those with a mark (other versions, missing contexts,
-numbers that do not follow) are listed with their marks and get no rank.
+A **leaderboard** (:func:`merge`) groups submissions by protocol. Those with a mark (other versions, another
+environment, missing contexts, a file that was changed by hand) are listed with their marks and get no rank.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -25,19 +23,15 @@ from jsonschema import Draft202012Validator
 
 from izoo.errors import IzooError
 from izoo.evaluation.across import RUN, aggregate
-from izoo.evaluation.aggregates import TASK
+from izoo.evaluation.provenance import DECISIVE
 from izoo.files import write_json
-from izoo.metrics.benefit import SIGNIFICANCE
 
 FORMAT, MERGED_FORMAT = "izoo-leaderboard-1", "izoo-leaderboard-merged-1"
 SCHEMA_FILE = "leaderboard_schema.json"
-COMPARED_VERSIONS = ("izoo", "sumo", "neuralmoves", "code")
-"""Versions that a number depends on."""
 COMPARABLE = ("protocol", "title", "train", "test", "form", "weather", "test_set", "horizon_s", "test_count")
 """Options of the protocol that submissions of one group share."""
 FULL_TRAIN_SEEDS, FULL_EVAL_SEEDS = 4, 3
-"""Seeds that the protocols ask for (spec 10 and 11)."""
-TOLERANCE = 1e-9
+"""Seeds that the protocols ask for."""
 
 
 @functools.cache
@@ -136,99 +130,31 @@ class Checked:
 
 
 def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) -> Checked:
-    """Check a well-formed submission against itself, its protocol and the versions that it is to be compared in.
+    """Check a well-formed submission against its hash, its protocol and the versions that it is to be compared in.
 
     Args:
-        versions: the reference, of :data:`COMPARED_VERSIONS`.
+        versions: the reference, of :data:`izoo.evaluation.provenance.DECISIVE`.
     """
     marks = []
     if content_hash(submission) != submission["hash"]:
         marks.append("the hash does not match: the file was changed after it was written")
-    rows = rows_of(submission)
-    marks += _row_marks(rows, submission)
-    if not rows.duplicated([RUN, *TASK]).any():
-        differing = _first_difference(submission["aggregates"], json.loads(json.dumps(aggregate(rows))))
-        if differing:
-            marks.append(f"the aggregates do not follow from the rows: {differing}")
-    for name in COMPARED_VERSIONS:
+    for name in DECISIVE:
         if submission["versions"][name] != versions[name]:
             old, new = (text[:12] for text in (submission["versions"][name], versions[name]))
             marks.append(f"other version of {name}: {old}, not {new}")
     if "env" in submission["protocol"]:
         marks.append(f"evaluated in another environment: {submission['protocol']['env']}")
-    marks += _plan_marks(rows, submission)
+    there, count = len({row["context_hash"] for row in submission["rows"]}), submission["protocol"]["test_count"]
+    if there < count:
+        marks.append(f"{count - there} of {count} test contexts are missing")
+    if len(submission["eval_seeds"]) < FULL_EVAL_SEEDS:
+        marks.append(f"{len(submission['eval_seeds'])} evaluation seed(s); the protocol asks for {FULL_EVAL_SEEDS}")
     notes = []
     if submission["policy"]["kind"] == "trained" and len(submission["train_seeds"]) < FULL_TRAIN_SEEDS:
         notes.append(f"{len(submission['train_seeds'])} training seed(s) of {FULL_TRAIN_SEEDS}")
     if submission["protocol"]["scale"] != "paper":
         notes.append(f"trained at scale {submission['protocol']['scale']}")
     return Checked(source, submission, tuple(marks), tuple(notes))
-
-
-def _plan_marks(rows: pd.DataFrame, submission: Mapping[str, Any]) -> list[str]:
-    """In what a submission falls short of its protocol: contexts and evaluation seeds.
-
-    The contexts of the built-in cities and of the procedural protocol are rebuilt; of the user's own folders, only
-    the number is known.
-    """
-    from izoo.benchmarks.plan import evaluation_seeds, published_test_set
-
-    protocol, there = submission["protocol"], set(rows["context_hash"])
-    known = published_test_set(protocol)
-    count = protocol["test_count"] if known is None else len(known)
-    marks = []
-    missing = count - len(there if known is None else there & known)
-    if missing > 0:
-        marks.append(f"{missing} of {count} test contexts are missing")
-    if known is not None and there - known:
-        marks.append(f"{len(there - known)} context(s) are not of the protocol's test set")
-    seeds = submission["eval_seeds"]
-    if len(seeds) < FULL_EVAL_SEEDS:
-        marks.append(f"{len(seeds)} evaluation seed(s); the protocol asks for {FULL_EVAL_SEEDS}")
-    if seeds != evaluation_seeds(len(seeds)):
-        marks.append("the evaluation seeds are not the protocol's")
-    return marks
-
-
-def _row_marks(rows: pd.DataFrame, submission: Mapping[str, Any]) -> list[str]:
-    """What in the rows contradicts the rows, or what the submission says of them."""
-    marks = []
-    if rows.duplicated([RUN, *TASK]).any():
-        marks.append("an approach appears twice for one training seed")
-    if set(rows[RUN]) != set(submission["train_seeds"]):
-        marks.append("the rows are of other training seeds than the file says")
-    if rows.groupby(RUN).size().nunique() > 1 or rows.groupby(list(TASK)).size().nunique() > 1:
-        marks.append("the training seeds were not evaluated on the same approaches")
-    if (rows["seeds"] != len(submission["eval_seeds"])).any():
-        marks.append("rows rest on other numbers of episodes than the file has evaluation seeds")
-    for number, row in enumerate(submission["rows"]):
-        problem = _row_problem(row)
-        if problem:
-            marks.append(f"row {number} ({row['context']}, approach {row['approach']}): {problem}")
-            break
-    return marks
-
-
-def _row_problem(row: Mapping[str, Any]) -> str:
-    """Say what does not follow within a row, or nothing; with demand from all approaches another may have gated it."""
-    counted = row["left_out"] == ""
-    ungated = 0.0
-    if row["emission_baseline_g"] and row["emission_policy_g"] is not None:
-        ungated = 1.0 - row["emission_policy_g"] / row["emission_baseline_g"]
-    if not math.isclose(row["benefit_ungated"], ungated, abs_tol=TOLERANCE):
-        return "its benefit does not follow from its emissions"
-    falls = {
-        "exact": row["throughput_policy"] < row["throughput_baseline"],
-        "tested": row["throughput_p"] < SIGNIFICANCE,
-    }
-    for gate, fell in falls.items():
-        gated = row[f"gated_{gate}"]
-        if gated != (fell and counted) and not (row["demand"] == "all" and gated and counted):
-            return f"its {gate} gate does not follow from its throughput"
-        expected = None if not counted else 0.0 if gated else row["benefit_ungated"]
-        if row[f"benefit_{gate}"] != expected:
-            return f"its benefit under the {gate} gate does not follow"
-    return ""
 
 
 def merge(checked: Sequence[Checked]) -> dict[str, Any]:
@@ -270,19 +196,3 @@ def _line(item: Checked) -> dict[str, Any]:
         "marks": list(item.marks),
         "notes": list(item.notes),
     }
-
-
-def _first_difference(old: Any, new: Any, path: str = "") -> str:
-    """Name the first place in which two nested values differ by more than rounding, or return nothing."""
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        for key in sorted({*old, *new}):
-            found = _first_difference(old.get(key), new.get(key), f"{path}/{key}")
-            if found:
-                return found
-        return ""
-    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        pairs = enumerate(zip(old, new, strict=True))
-        return next(filter(None, (_first_difference(a, b, f"{path}/{k}") for k, (a, b) in pairs)), "")
-    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (old, new))
-    same = math.isclose(old, new, rel_tol=1e-6, abs_tol=TOLERANCE) if numbers else old == new
-    return "" if same else f"{path.lstrip('/')} is {old}, not {new}"

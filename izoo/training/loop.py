@@ -114,7 +114,7 @@ class Session:
         torch.manual_seed(config.seed)
         self.config, self.run_dir, self.source = config, run_dir, source
         self.features = len(observation_names(config.env))
-        self.learner = Learner(config, self.features, learner_device(config.device))
+        self.learner = Learner(config, learner_device(config.device))
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0

@@ -15,7 +15,7 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import CollectConfig

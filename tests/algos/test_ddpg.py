@@ -323,7 +323,7 @@ def test_update_improves_a_bandit() -> None:
 
 
 @pytest.mark.parametrize(("choice", "config"), [("ddpg", DDPGConfig()), ("ddpg_paper", DDPGConfig.paper())])
-def test_yaml_equals_dataclass(choice: str, config: DDPGConfig) -> None:
+def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfig) -> None:
     assert compose_config("train", TrainConfig, [f"algo={choice}"]).algo == config
     assert from_mapping(DDPGConfig, to_mapping(config)) == config
 

@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo import train
 from izoo.algos import base
 from izoo.algos.action import DirectAction, ResidualAction
+from izoo.algos.registry import ALGORITHMS, make_algorithm
 from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolicy
 from izoo.algos.scripted import DEFER
 from izoo.conf.compose import compose_config
@@ -58,7 +59,7 @@ def nominal(**values: float) -> float:
 def make(algo: str, *words: str) -> Residual:
     torch.manual_seed(3)
     options = compose_config("train", TrainConfig, [f"algo={algo}", "algo.hidden=[8]", "action=residual", *words])
-    algorithm = runs.make_algorithm(options, len(NAMES))
+    algorithm = make_algorithm(options.algo, options.action, options.env)
     assert isinstance(algorithm, Residual)
     return algorithm
 
@@ -134,7 +135,7 @@ def test_whom_glide_leaves_alone_is_commanded_only_to_brake() -> None:
     assert not ResidualPolicy(Learned(), NominalDriver(ENV), threshold_mps2=0.1)(batch)[DEFER].any()
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_training_starts_from_the_nominal_controller(algo: str) -> None:
     algorithm, batch = make(algo), make_batch()
     acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
@@ -145,7 +146,7 @@ def test_training_starts_from_the_nominal_controller(algo: str) -> None:
     torch.testing.assert_close(acted[base.ACTION], (expected + acted[RESIDUAL]).clamp(-4.5, 2.6))
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_residuals_stay_in_their_range_and_sums_in_the_environments(algo: str) -> None:
     algorithm = make(algo, "action.half_width_mps2=0.5")
     acted = act(algorithm, make_batch(t=40))
@@ -167,7 +168,7 @@ def test_log_probabilities_are_those_of_the_residual(algo: str) -> None:
     assert abs(float(wrong["loss_objective"].detach())) > 1e-3, "the sum in the place of the residual must show here"
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_update_sees_the_residual_and_leaves_the_batch_alone(algo: str) -> None:
     one, other = (make(algo, *_now(algo)) for _ in range(2))
     acted = act(one, make_batch())
@@ -180,7 +181,7 @@ def test_update_sees_the_residual_and_leaves_the_batch_alone(algo: str) -> None:
     assert other.learned.update(before.set(base.ACTION, before[RESIDUAL]), 0.0) == pytest.approx(stats)
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_state_is_restored(algo: str) -> None:
     one, other = (make(algo, *_now(algo)) for _ in range(2))
     acted = act(one, make_batch())
@@ -206,7 +207,7 @@ def test_what_cannot_work_is_refused() -> None:
         ResidualAction(half_width_mps2=0.0)
     blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))
     with pytest.raises(IzooError, match="glide needs leader_present"):
-        runs.make_algorithm(blind, len(observation_names(blind.env)))
+        make_algorithm(blind.algo, blind.action, blind.env)
 
 
 def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import (
     DRIVERS,
     ConstantSpeed,

@@ -14,7 +14,6 @@ from izoo.benchmarks.plan import (
     evaluation_seeds,
     limit_contexts,
     make_plan,
-    published_test_set,
     train_config,
 )
 from izoo.conf.compose import compose_config
@@ -76,18 +75,8 @@ def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-u
     assert all(context.approach is not None for context in plan.test)
 
 
-def test_published_test_sets_are_rebuilt_and_folders_are_not() -> None:
-    base = {"form": "split", "weather": None, "test_set": "grid", "test": None}
-    cities = published_test_set({**base, "protocol": "in_distribution", "train": "seattle"})
-    assert cities == set(hashes(protocols.in_distribution("seattle").test))
-    assert len(published_test_set({**base, "protocol": "systematicity", "train": None}) or ()) == 128
-    assert published_test_set({**base, "protocol": "in_distribution", "train": "my-folder"}) is None
-
-
 def test_a_folder_named_like_a_city_is_not_that_city() -> None:
-    base = {"form": "split", "weather": None, "test_set": "grid", "test": None, "protocol": "in_distribution"}
     assert _place("datasets/atlanta") == "atlanta/" and _place("atlanta") == "atlanta" and _place(None) is None
-    assert published_test_set({**base, "train": _place("datasets/atlanta")}) is None
 
 
 def test_evaluation_seeds_extend() -> None:

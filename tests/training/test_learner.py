@@ -46,7 +46,7 @@ def collect(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def make(name: str, device: torch.device) -> Learner:
     torch.manual_seed(0)
-    return Learner(CONFIGS[name], FEATURES, device)
+    return Learner(CONFIGS[name], device)
 
 
 def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:
@@ -82,7 +82,7 @@ def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatc
     first.update(collect(first, monkeypatch), 0.25)
     state = copy.deepcopy(first.state_dict())
     torch.manual_seed(99)
-    second = Learner(CONFIGS[name], FEATURES, CPU)
+    second = Learner(CONFIGS[name], CPU)
     second.load_state_dict(state)
     assert torch.equal(torch.get_rng_state(), state["torch_rng"])
     expected = weights(first.policy)

@@ -19,14 +19,13 @@ from izoo.algos.base import ACTION, MASK, acts_in_place
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.gaussian import CompiledPolicy
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.layout import observation_names
 from izoo.errors import IzooError
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.rollouts import RolloutCollector
-from izoo.training.runs import make_algorithm
 from tests.envs.worlds import crossing
 
 GROUPS = ("vehicles", "signal", "context", "reward_vector", "metrics")
@@ -43,7 +42,7 @@ OPTIONS = {
 
 def policy_of(options: TrainConfig) -> TensorDictModuleBase:
     torch.manual_seed(0)
-    return make_algorithm(options, len(observation_names(CONFIG))).policy
+    return make_algorithm(options.algo, options.action, CONFIG).policy
 
 
 @contextmanager
