@@ -32,9 +32,6 @@ MARKER = re.compile(r"^<!-- (options|commands|source)(?:: (\S+))? -->$", re.MULT
 HELP_COLUMNS = "100"
 
 
-# -- options -----------------------------------------------------------------------------------------------------------
-
-
 def option_docs(config: type) -> dict[str, str]:
     """Return what the docstrings of a dataclass and of those it extends say of each option."""
     docs: dict[str, str] = {}
@@ -143,9 +140,6 @@ def _choice(config: Any) -> str:
     return str(getattr(config, "name", "default"))
 
 
-# -- help of the other commands ----------------------------------------------------------------------------------------
-
-
 def argparse_commands() -> dict[str, Callable[[list[str]], object]]:
     """Return the functions ``main`` of the commands that Hydra does not compose, by module name."""
     return {name: module.main for name, module in modules().items() if not hasattr(module, "COMMAND")}
@@ -183,9 +177,6 @@ def subcommands(page: str) -> list[str]:
     return re.split(r",\s*", found.group(1)) if found else []
 
 
-# -- sources -----------------------------------------------------------------------------------------------------------
-
-
 def source(path: str) -> str:
     """Return a file beside the pages as a block that folds out."""
     text = (FOLDER / path).read_text()
@@ -195,9 +186,6 @@ def source(path: str) -> str:
 
 MARKERS: dict[str, Callable[[str], str]] = {"options": options_page, "commands": commands_page, "source": source}
 """``<!-- options -->``, ``<!-- commands -->``, ``<!-- source: examples/NAME.py -->``, each alone on its line."""
-
-
-# -- what MkDocs calls -------------------------------------------------------------------------------------------------
 
 
 def on_config(config: Any) -> Any:
