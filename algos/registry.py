@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from izoo.envs.config import EnvConfig
-from izoo.envs.layout import observation_names
 from izoo.errors import unknown_choice
 
 if TYPE_CHECKING:
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
 
     from izoo.algos.action import ActionConfig
     from izoo.algos.base import Algorithm
+    from izoo.envs.config import EnvConfig
 
 DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
 """Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`)."""
@@ -96,6 +95,8 @@ def make_algorithm(
     algo: AlgoConfig, action: ActionConfig, env: EnvConfig, device: torch.device | str = "cpu"
 ) -> Algorithm:
     """Build the algorithm of the options ``algo`` and ``action`` for what ``env`` lets it observe, on ``device``."""
+    from izoo.envs.mdp.frame import observation_names
+
     build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device)
     return action.algorithm(build, algo, len(observation_names(env)), env)
 

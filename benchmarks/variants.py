@@ -31,7 +31,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import TOTALS
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
 
@@ -269,7 +269,7 @@ def _simulation(plan: Plan, context: Context, worker: int) -> Iterator[Any]:
     """A simulator of this process, after its warm-up."""
     with contextlib.closing(EcoDrivingEnv(context, config=plan.env(emit=()))) as env:
         env.reset(context=context, seed=episode_seed(0, worker))
-        yield env.simulator
+        yield env.backend
 
 
 def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
@@ -280,7 +280,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
         for step in range(CHUNK + plan.steps):
             simulator.step()
             if step >= CHUNK:
-                vehicles += len(simulator.roster.rows)
+                vehicles += len(simulator.names.members)
                 agents += int(simulator.frame["mask"].sum())
     return vehicles / plan.steps, agents / plan.steps
 

@@ -23,7 +23,7 @@ from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs
 from izoo.training.collectors import ShiftedSchedule

@@ -1,7 +1,6 @@
 """The one door to SUMO: starts, loads, steps and reads one libsumo simulation in this process.
 
-Vehicle names stop here in one sense: everything above this module holds them only to hand them back. A vehicle's name
-is its number in the demand, as a decimal string.
+Names of vehicles go no further than this room (:mod:`izoo.envs.sumo.names`).
 """
 
 from __future__ import annotations
@@ -138,6 +137,7 @@ class SumoSession:
         self._on_edge = api.edge.getLastStepVehicleIDs
         self._count_on_edge = getattr(flat, "edge_getLastStepVehicleNumber", api.edge.getLastStepVehicleNumber)
         self._simulation = api.simulation
+        self._departed = getattr(flat, "simulation_getDepartedIDList", api.simulation.getDepartedIDList)
         self._vehicle = vehicle
         self._advance = api.simulationStep
 
@@ -153,6 +153,14 @@ class SumoSession:
     def arrived(self) -> Sequence[str]:
         """Vehicles that reached the end of their route in the last step."""
         return self._simulation.getArrivedIDList()
+
+    def departed(self) -> Sequence[str]:
+        """Vehicles that entered the network in the last step."""
+        return self._departed()
+
+    def driving(self) -> Sequence[str]:
+        """All vehicles in the network."""
+        return self._vehicle.getIDList()
 
     def on_edge(self, edge: str) -> Sequence[str]:
         """Vehicles on an edge."""

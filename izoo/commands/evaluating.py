@@ -13,7 +13,7 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import to_mapping
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import as_candidate

@@ -24,11 +24,14 @@ from typing import Any
 from izoo.commands.help_page import as_word, attribute_docs
 from izoo.commands.option_command import OptionCommand
 from izoo.conf import compose
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.envs.mdp.observation import observation_columns
+from izoo.envs.mdp.reward import TERMS
 from izoo.errors import IzooError, unknown_choice
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent.parent
-MARKER = re.compile(r"^<!-- (options|commands|source)(?:: (\S+))? -->$", re.MULTILINE)
+MARKER = re.compile(r"^<!-- (options|commands|source|observation|reward)(?:: (\S+))? -->$", re.MULTILINE)
 HELP_COLUMNS = "100"
 
 
@@ -184,7 +187,35 @@ def source(path: str) -> str:
     return f'??? example "{path}"\n\n    ```python\n{body}\n    ```\n'
 
 
-MARKERS: dict[str, Callable[[str], str]] = {"options": options_page, "commands": commands_page, "source": source}
+# -- declarations ------------------------------------------------------------------------------------------------------
+
+
+def observation_table(_: str = "") -> str:
+    """Return the columns of an observation with default settings as a table."""
+    config = EnvConfig()
+    lines = ["| | column | unit | divided by | meaning |", "|---|---|---|---|---|"]
+    for place, column in enumerate(observation_columns(config.neighbours, config.observed)):
+        lines.append(f"| {place} | `{column.name}` | {column.unit} | {column.scale:g} | {column.meaning} |")
+    return "\n".join(lines)
+
+
+def reward_table(_: str = "") -> str:
+    """Return the terms of the reward as a table."""
+    lines = ["| column | unit | weight | default | in the vector |", "|---|---|---|---|---|"]
+    for option, term in TERMS.items():
+        where = "the smallest value, shared" if term.most is not None else f"own, and `fleet_{term.name}`"
+        weight = getattr(RewardConfig(), option)
+        lines.append(f"| `{term.name}` | {term.unit} | `env.reward.{option}` | {weight:g} | {where} |")
+    return "\n".join(lines)
+
+
+MARKERS: dict[str, Callable[[str], str]] = {
+    "options": options_page,
+    "commands": commands_page,
+    "source": source,
+    "observation": observation_table,
+    "reward": reward_table,
+}
 """``<!-- options -->``, ``<!-- commands -->``, ``<!-- source: examples/NAME.py -->``, each alone on its line."""
 
 

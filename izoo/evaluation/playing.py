@@ -49,7 +49,7 @@ def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> None
 
 
 def _rows(env: EcoDrivingEnv, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
-    road = env.simulator.road
+    road = env.road
     metrics = env.reader.metrics()
     approach, episode = metrics.get("approach"), metrics.get("episode")
     sums = {metric: approach.get(metric).tolist() for metric in APPROACH_METRICS}

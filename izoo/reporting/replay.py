@@ -149,7 +149,7 @@ class Player:
             played = baseline_context(context) if driver.name == HUMAN else context
             content[side] = self._play(config, driver, played, context, scene)
         assert self._env is not None
-        content["net"] = geometry(self._env.simulator.road)
+        content["net"] = geometry(self._env.road)
         return gzip.compress(json.dumps(content, separators=(",", ":")).encode(), mtime=0)
 
     def _play(
@@ -161,7 +161,7 @@ class Player:
         env, recorder = self._env, Recorder()
 
         def watched(tensordict: TensorDictBase) -> TensorDictBase:
-            recorder.take(env.simulator)
+            recorder.take(env.scene())
             return driver.policy(tensordict)
 
         rows = run_episode(env, watched, driver.name, played, scene.seed)

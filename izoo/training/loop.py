@@ -14,7 +14,7 @@ import torch
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
 from izoo.training import checkpoint, plots, records, runs

@@ -21,8 +21,8 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs.layout import observation_names
-from izoo.envs.sumo.parallel import SumoParallelEnv
+from izoo.envs import SumoParallelEnv
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import ensure_empty, write_json
 from izoo.training import runs

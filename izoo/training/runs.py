@@ -15,7 +15,7 @@ from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import ensure_empty, write_text
 from izoo.training import checkpoint

@@ -37,12 +37,10 @@ def test_a_recording_says_where_vehicles_were(contexts) -> None:
     try:
         state = env.reset(context=contexts[0], seed=1)
         for _ in range(180):
-            recorder.take(env.simulator)
-            columns, rows = env.simulator.vehicles(), env.simulator.roster.rows
-            numbers = columns["vehicle_number"][rows].tolist()
-            where = zip(
-                columns["path_position_m"][rows], columns["region_lane"][rows], columns["is_cv"][rows], strict=True
-            )
+            recorder.take(env.scene())
+            columns = env.scene().vehicles
+            numbers = columns["vehicle_number"].tolist()
+            where = zip(columns["path_position_m"], columns["region_lane"], columns["is_cv"], strict=True)
             seen.append(dict(zip(numbers, where, strict=True)))
             state = env.rand_action(state)
             state = env.step(state)["next"]

@@ -269,7 +269,7 @@ def test_a_worker_lost_in_a_batch() -> None:
     """Its step is reported as truncated, from and to the same state; the other goes on."""
     with collecting(RolloutCollector, policy_of(OPTIONS["ppo"]), workers=2) as collector:
         next(iter(collector))
-        os.kill(collector.env._workers[1].process.pid, signal.SIGKILL)
+        os.kill(collector.env.backend._workers[1].process.pid, signal.SIGKILL)
         batch = next(iter(collector))
         assert batch["next", "truncated"][1, 0].all() and not batch["next", "truncated"][0, 0].any()
         following = batch["next"]

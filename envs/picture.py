@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from izoo.envs.mdp.episode import Scene
 from izoo.networks.clock import GREEN, YELLOW
 from izoo.networks.road import APPROACHING, RoadNet
 
@@ -29,23 +30,11 @@ def vehicle_pose(shape: np.ndarray, length_m: float, position_m: float) -> tuple
     return float(x), float(y), float(np.arctan2(step[k, 1], step[k, 0]))
 
 
-def draw(
-    road: RoadNet,
-    vehicles: dict[str, np.ndarray],
-    colour: np.ndarray,
-    *,
-    title: str = "",
-    span_m: float = 120.0,
-    size_px: int = 640,
-) -> np.ndarray:
-    """Draw a state as ``[size_px, size_px, 3]`` uint8.
+def draw(scene: Scene, *, span_m: float = 120.0, size_px: int = 640) -> np.ndarray:
+    """Draw the state of an environment as ``[size_px, size_px, 3]`` uint8.
 
     Args:
-        road: the road net.
-        vehicles: ``[V]`` arrays of ``("vehicles", name)``: ``present``, ``is_cv``, ``region_lane``,
-            ``lane_position_m``, ``length_m``.
-        colour: ``[P, Q]`` 0 green, 1 yellow, 2 red, as ``("signal", "colour")``.
-        title: a line above the picture.
+        scene: the state.
         span_m: width of the part of the world that is shown, around the junction.
         size_px: width and height of the picture.
     """
@@ -55,6 +44,7 @@ def draw(
     figure = Figure(figsize=(size_px / 100, size_px / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    road = scene.road
     centre = junction_centre(road)
     axes.set_facecolor("#e8ece4")
     axes.set_aspect("equal")
@@ -64,9 +54,9 @@ def draw(
     figure.patch.set_facecolor("#e8ece4")
     points_per_m = size_px * 0.72 / span_m
     _draw_lanes(axes, road, points_per_m)
-    _draw_signals(axes, road, colour, points_per_m)
-    _draw_vehicles(axes, road, vehicles)
-    _draw_legend(axes, title)
+    _draw_signals(axes, road, scene.colour, points_per_m)
+    _draw_vehicles(axes, road, scene.vehicles)
+    _draw_legend(axes, f"{scene.context.name}   t = {scene.time_s:.1f} s")
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -111,7 +101,7 @@ def _draw_signals(axes: Any, road: RoadNet, colour: np.ndarray, points_per_m: fl
 def _draw_vehicles(axes: Any, road: RoadNet, vehicles: dict[str, np.ndarray]) -> None:
     from matplotlib.patches import Polygon
 
-    for v in np.flatnonzero(vehicles["present"]):
+    for v in range(len(vehicles["is_cv"])):
         lane, length = int(vehicles["region_lane"][v]), float(vehicles["length_m"][v])
         x, y, heading = vehicle_pose(road.shapes[lane], road.lane_length[lane], vehicles["lane_position_m"][v])
         ahead = np.array([np.cos(heading), np.sin(heading)])
@@ -130,14 +120,5 @@ def _draw_legend(axes: Any, title: str) -> None:
         Line2D([], [], marker="s", ls="", color=HDV_COLOUR, label="human-driven (HDV)"),
     ]
     axes.legend(handles=handles, loc="lower left", fontsize=8, framealpha=0.9).set_zorder(9)
-    if title:
-        axes.text(
-            0.02,
-            0.97,
-            title,
-            transform=axes.transAxes,
-            va="top",
-            fontsize=9,
-            zorder=9,
-            bbox={"fc": "white", "alpha": 0.8},
-        )
+    box = {"fc": "white", "alpha": 0.8}
+    axes.text(0.02, 0.97, title, transform=axes.transAxes, va="top", fontsize=9, zorder=9, bbox=box)
