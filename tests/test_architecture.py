@@ -18,7 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors"},
-    {"files", "console"},
+    {"files", "console", "compiling"},
     {"metrics", "emissions"},
     {"contexts"},
     {"networks"},
