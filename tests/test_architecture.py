@@ -18,7 +18,8 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors"},
-    {"files", "console", "compiling"},
+    {"files", "console"},
+    {"compiling"},
     {"metrics", "emissions"},
     {"contexts"},
     {"networks"},
