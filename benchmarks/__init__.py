@@ -1,1 +1,1 @@
-"""Room: benchmarks."""
+"""Protocols that compare algorithms, and how fast environments run."""

@@ -19,7 +19,8 @@ from typing import Any
 
 import filelock
 import numba
-import platformdirs
+
+from izoo.files import cache_root
 
 SOURCES = {
     "izoo.algos": ("acting.py", "graph_acting.py"),
@@ -57,7 +58,7 @@ def folder() -> Path:
         here.mkdir(parents=True, exist_ok=True)
         (here / "writable").touch()
     except OSError:
-        return Path(platformdirs.user_cache_dir("izoo", False)) / here.name
+        return cache_root() / here.name
     for old in beside.glob("compiled-*"):
         if old != here:
             shutil.rmtree(old, ignore_errors=True)

@@ -32,7 +32,7 @@ from izoo.envs.mdp.tally import book_unfinished
 from izoo.envs.mdp.world import MEMBERS, PHASE, SUSPECTS, Frame, demand_arrays, empty_tables, grown, hold, rules_of
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
-from izoo.traffic.episode import Traffic
+from izoo.traffic.sampling import Traffic
 
 Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""

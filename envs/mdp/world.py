@@ -16,7 +16,7 @@ from izoo.envs.mdp.pay import NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
-from izoo.traffic.episode import Traffic
+from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
 (MEMBERS, LEAVERS, SUSPECTS, PHASE) = range(4)

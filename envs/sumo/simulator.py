@@ -21,7 +21,7 @@ from izoo.envs.sumo.session import SumoSession, sumo_arguments
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import INSIDE, RoadNet, read_road
-from izoo.traffic.episode import sample_traffic, write_routes
+from izoo.traffic.sampling import sample_traffic, write_routes
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
 """A CV is left to SUMO while it is on a lane that does not lead to its exit and SUMO itself braked it harder than this

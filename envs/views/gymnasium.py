@@ -1,7 +1,7 @@
 """Gymnasium views: all controlled vehicles of an intersection as one padded agent, or one of them.
 
-``import izoo.envs`` registers ``izoo/EcoDriving-v0`` (:class:`EcoDrivingJoint`) and ``izoo/EcoDrivingEgo-v0``
-(:class:`EcoDrivingEgo`); ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` imports it first. They simulate what
+``gymnasium.make("izoo/EcoDriving-v0")`` makes an :class:`EcoDrivingJoint`, ``"izoo/EcoDrivingEgo-v0"`` an
+:class:`EcoDrivingEgo`; nothing of izoo has to be imported first. They simulate what
 :class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories. Each simulation
 has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in parallel.
 

@@ -76,11 +76,15 @@ def as_word(value: Any) -> str:
 
 
 def attribute_docs(owner: type) -> dict[str, str]:
-    """Return the texts of the ``Attributes:`` sections of a class's docstring and its bases', by name."""
+    """Return what is said of each attribute of a class, by name.
+
+    It is said in the ``Attributes:`` sections of the class's docstring and its bases', or by a field's metadata ``help``.
+    """
     docs: dict[str, str] = {}
     for part in reversed(owner.__mro__[:-1]):
         docs.update(_section(inspect.cleandoc(part.__doc__ or "")))
-    return docs
+    fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+    return docs | {field.name: field.metadata["help"] for field in fields if "help" in field.metadata}
 
 
 def _section(text: str) -> dict[str, str]:

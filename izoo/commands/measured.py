@@ -1,4 +1,4 @@
-"""Rebuilt Salt Lake City beside measured intersections: features, human driving, and signal plans (spec 2.2).
+"""Rebuilt Salt Lake City beside measured intersections: features, human driving, and signal plans.
 
 The measured intersections are those of a folder of the published dataset. Human driving is simulated with demand from
 all approaches at peak, in the published weather, in as many rebuilt intersections as there are measured ones.

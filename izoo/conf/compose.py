@@ -42,6 +42,12 @@ def choices() -> dict[str, tuple[str, ...]]:
     return {name: groups[name] for name in sorted(groups) if groups[name]}
 
 
+def register(config_name: str, cls: type) -> None:
+    """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
+    if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
+        ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
+
+
 def _compose(config_name: str, words: Sequence[str]) -> DictConfig:
     """Let Hydra compose ``words``, after telling it what the dataclasses alone say.
 
@@ -66,12 +72,6 @@ def _compose(config_name: str, words: Sequence[str]) -> DictConfig:
 def _skeleton(config_name: str, words: tuple[str, ...]) -> DictConfig:
     """Return every option that there is beside these choices; composing takes a tenth of a second."""
     return _compose(config_name, words)
-
-
-def register(config_name: str, cls: type) -> None:
-    """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
-    if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
-        ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
 
 
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:

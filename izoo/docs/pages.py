@@ -35,9 +35,6 @@ MARKER = re.compile(r"^<!-- (options|commands|source|observation|reward)(?:: (\S
 HELP_COLUMNS = "100"
 
 
-# -- options -----------------------------------------------------------------------------------------------------------
-
-
 def option_docs(config: type) -> dict[str, str]:
     """Return what the docstrings of a dataclass and of those it extends say of each option."""
     docs: dict[str, str] = {}
@@ -146,9 +143,6 @@ def _choice(config: Any) -> str:
     return str(getattr(config, "name", "default"))
 
 
-# -- help of the other commands ----------------------------------------------------------------------------------------
-
-
 def argparse_commands() -> dict[str, Callable[[list[str]], object]]:
     """Return the functions ``main`` of the commands that Hydra does not compose, by module name."""
     return {name: module.main for name, module in modules().items() if not hasattr(module, "COMMAND")}
@@ -184,9 +178,6 @@ def subcommands(page: str) -> list[str]:
     """Return the subcommands that a help page lists in braces."""
     found = re.search(r"\{([\w,\n -]+)\} \.\.\.", page)
     return re.split(r",\s*", found.group(1)) if found else []
-
-
-# -- sources -----------------------------------------------------------------------------------------------------------
 
 
 def source(path: str) -> str:
@@ -226,9 +217,6 @@ MARKERS: dict[str, Callable[[str], str]] = {
     "reward": reward_table,
 }
 """``<!-- options -->``, ``<!-- commands -->``, ``<!-- source: examples/NAME.py -->``, each alone on its line."""
-
-
-# -- what MkDocs calls -------------------------------------------------------------------------------------------------
 
 
 def on_config(config: Any) -> Any:

@@ -17,11 +17,11 @@ from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_fo
 from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate, as_candidate
+from izoo.evaluation.processes import Rows, Task, play_all
 from izoo.evaluation.provenance import settings
 from izoo.evaluation.remote import play_on_ray
 from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
-from izoo.evaluation.workers import Rows, Task, play_all
 
 EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
 """What plays episodes, by the option ``executor``."""

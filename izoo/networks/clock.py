@@ -1,4 +1,4 @@
-"""The fixed-time plan of the main signal, seen from a movement (spec 4).
+"""The fixed-time plan of the main signal, seen from a movement.
 
 All tables are indexed by movement ``[P, Q]`` and phase ``[K]``; times count from the beginning of the phase, so the
 clock at time ``t`` is a table entry minus the time already spent in the phase.

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.base import acts_in_place
+from izoo.envs.env import EcoDrivingBase
 from izoo.envs.recorder import BatchRecorder
 
 CHECK_S = 1.0
@@ -26,7 +27,8 @@ CHECK_S = 1.0
 class RolloutCollector(Collector):
     """TorchRL's collector with a shorter loop; the batches are the same.
 
-    It expects izoo's environments, everything on the CPU, and no replay buffer. Frames are copied straight into the
+    It expects everything on the CPU, and no replay buffer. An environment that is not izoo's own, such as one with
+    transforms around it, is stepped as TorchRL does. Else frames are copied straight into the
     batch, whose memory the next batch re-uses; a policy that has a method ``in_place``
     (:class:`izoo.algos.base.InPlace`) reads and writes there without TensorDicts.
 
@@ -50,6 +52,8 @@ class RolloutCollector(Collector):
     @torch.no_grad()
     def rollout(self) -> TensorDictBase:
         """Collect ``frames_per_batch`` steps; the batch ``[*B, T]`` is valid until the next call."""
+        if not isinstance(self.env, EcoDrivingBase):  # transforms around it have their say in every step
+            return super().rollout()
         batch: TensorDictBase = self._final_rollout
         policy, env, recorder = self._wrapped_policy, self.env, self._recorder
         if recorder is None or not recorder.serves(batch):

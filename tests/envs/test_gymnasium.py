@@ -13,7 +13,6 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-import izoo.envs  # registers the ids
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
 

@@ -28,7 +28,7 @@ from izoo.envs.sumo.worker import AWAKE_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet
-from izoo.traffic.episode import Traffic, write_routes
+from izoo.traffic.sampling import Traffic, write_routes
 from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")

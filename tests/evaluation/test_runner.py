@@ -23,8 +23,8 @@ from izoo.evaluation import approach_table, evaluate_policy, print_summary, summ
 from izoo.evaluation.baselines import EpisodeCache, baseline_context
 from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.policies import fingerprint
+from izoo.evaluation.processes import EpisodeFailed
 from izoo.evaluation.table import COLUMNS, read_csv
-from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.reporting.material import collect
 from tests.evaluation import odd_policies as drivers

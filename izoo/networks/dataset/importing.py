@@ -25,7 +25,7 @@ from izoo.networks.dataset.intersections import INFLOW_FILE, MARKER, NET_FILE, l
 from izoo.networks.road import read_road
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
-FORMAT = "izoo-dataset-1"
+FORMAT = "izoo-intersections-1"
 _STAGING = ".staging"
 _SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
 Progress = Callable[[int, int], None]

@@ -111,7 +111,7 @@ def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
     """Features per approach, over all intersections; NaN for signal features of a spec without a plan.
 
     ``green_ratio`` is the share of the cycle in which some movement of the approach is green, ``phase_count`` the
-    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap (spec 2).
+    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap.
     """
     rows: list[dict[str, float]] = []
     for spec in specs:

@@ -1,4 +1,4 @@
-"""Intersections from an OpenStreetMap extract: a folder of specs that trains like a city (spec 2.4).
+"""Intersections from an OpenStreetMap extract: a folder of specs that trains like a city.
 
 The rules by which lanes, turns and limits are read and imputed stand in :mod:`izoo.networks.osm.tags`. Beyond those:
 

@@ -110,7 +110,7 @@ class _Worker:
 
     def __init__(self, setup: int) -> None:
         ours, child = socket.socketpair()
-        call = f"from izoo.evaluation.workers import worker_main; worker_main({child.fileno()}, {setup})"
+        call = f"from izoo.evaluation.processes import worker_main; worker_main({child.fileno()}, {setup})"
         self.process = start_process(call, child.fileno(), setup)
         child.close()
         self.connection = Connection(ours.detach())
