@@ -56,7 +56,7 @@ SCALES = {
     ),
 }
 """``smoke``: minutes on two cores, shows that everything works and nothing else. ``small``: hours. ``paper``: the
-published scale (spec 11: 5,000 episodes, 4 seeds, every test context)."""
+published scale (5,000 episodes, 4 seeds, every test context)."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ SCORES: dict[str, Score] = {
     "nan_share": Score("share of commands that were NaN", ("nan_actions",), "agent_steps", "", "lower"),
     "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
 }
-"""Every score by name, the headline first (spec 10). ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
+"""Every score by name, the headline first. ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
 
 TIME_WEIGHT_G_PER_S = 1.0
 """Default lambda of the objective J, in g CO2 per vehicle second: about what an idling car emits."""

@@ -1,4 +1,4 @@
-"""Room: reporting. Results as one HTML page that needs nothing else, and as leaderboard files.
+"""Results as one HTML page that needs nothing else, and as leaderboard files.
 
 - :mod:`~izoo.reporting.material`: what a results folder holds.
 - :mod:`~izoo.reporting.scored`, :mod:`~izoo.reporting.rows`: the numbers, per policy and per approach.

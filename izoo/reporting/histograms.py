@@ -13,7 +13,7 @@ from izoo.reporting.published import PUBLISHED
 from izoo.reporting.scored import Scored
 
 BINS, LIMIT_PCT = 150, 100.0
-"""The published histogram: benefit clipped to +-100 %, 150 bins (spec 11)."""
+"""The published histogram: benefit clipped to +-100 %, 150 bins."""
 
 
 def histogram(benefit: ArrayLike, title: str, name: str, colour: str = PALETTE[0]) -> Figure:

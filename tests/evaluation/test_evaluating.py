@@ -42,7 +42,7 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     [
         (["policy=glied"], "Did you mean 'glide'"),
         ([], "give one of run=RUN_DIR and policy=NAME"),
-        (["policy=glide", "run=x"], "give one of"),
+        (["policy=glide", "run=."], "give one of"),
         (["run=no/such/run"], "does not exist"),
         (["polciy=glide"], "Did you mean 'policy'"),
         (["policy=glide", "seeds=0"], "seeds is 0"),
