@@ -53,7 +53,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=256, num_vehicles=1024))
     try:
         env.reset()
-        simulator = env.backend
+        simulator: Any = env.backend
         resets = []
         for _ in range(RESETS):
             begin = time.perf_counter()

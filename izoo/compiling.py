@@ -68,12 +68,13 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """``numba.njit`` with a cache on disk, in :func:`folder` unless ``NUMBA_CACHE_DIR`` says where."""
     if function is None:
         return functools.partial(compiled, **options)
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = before or str(folder())
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = before or str(folder())
     try:
         return numba.njit(cache=True, **options)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
 
 
 @contextlib.contextmanager

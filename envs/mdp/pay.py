@@ -15,13 +15,14 @@ from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig, Reward
 
 NUM_TERMS, NUM_SHARED = len(INDIVIDUAL), len(SHARED)
 _MOST = np.array([term.most for term in SHARED.values()], np.float64)
-Numbers = namedtuple("Numbers", [field.name for field in fields(RewardConfig) if field.name not in TERMS])
+_NUMBERS = tuple(field.name for field in fields(RewardConfig) if field.name not in TERMS)
+Numbers: Any = namedtuple("Numbers", _NUMBERS)  # type: ignore[misc]
 """What terms may depend on: the numbers of :class:`~izoo.envs.mdp.reward.RewardConfig` that are no weights."""
 
 
 def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray]:
     """Return the numbers of a configuration, and the weights of its individual and of its shared terms."""
-    numbers = Numbers(**{name: getattr(config, name) for name in Numbers._fields})
+    numbers = Numbers(**{name: getattr(config, name) for name in _NUMBERS})
     individual, shared = ([getattr(config, option) for option in terms] for terms in (INDIVIDUAL, SHARED))
     return numbers, np.array(individual, np.float64), np.array(shared, np.float64)
 

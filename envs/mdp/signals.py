@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,13 +30,9 @@ class ClockArrays(NamedTuple):
 def clock_arrays(clock: SignalClock) -> ClockArrays:
     """Return the arrays of a clock, whose state is still to be read."""
     shape = clock.colour.shape[:2]
-    return ClockArrays(
-        *(getattr(clock, name) for name in ClockArrays._fields[:8]),
-        now=np.zeros(shape, np.int64),
-        time_left_s=np.zeros(shape),
-        until_second_s=np.zeros(shape),
-        until_third_s=np.zeros(shape),
-    )
+    tables: dict[str, Any] = {name: getattr(clock, name) for name in ClockArrays._fields[:8]}
+    state: dict[str, Any] = {name: np.zeros(shape) for name in ClockArrays._fields[9:]}
+    return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
 
 
 @compiled

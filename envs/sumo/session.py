@@ -170,7 +170,9 @@ class SumoSession:
         """Number of vehicles on these edges together."""
         return sum(map(self._count_on_edge, edges))
 
-    def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
+    def read(
+        self, names: Sequence[str], lane_numbers: dict[str, int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""
         n = len(names)
         return (

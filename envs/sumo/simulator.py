@@ -14,7 +14,7 @@ import numpy as np
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
-from izoo.envs.mdp.episode import Ending, Episode, Scene
+from izoo.envs.mdp.episode import Ending, Episode, Reading, Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
@@ -153,7 +153,7 @@ class SumoSimulator:
             if change != KEEP_LANE and not tables.flags[tables.agent_row[a], DEFERRED]:
                 session.change_lane(name, change - 1, self.config.step_s)
 
-    def _read_with_newcomers(self) -> tuple[np.ndarray, ...]:
+    def _read_with_newcomers(self) -> Reading:
         """Read every vehicle in the region; where the entries hold more than were known, register the others first."""
         session, names = self.session, self.names
         reading = session.read(names.members, self._lane_numbers)
@@ -164,7 +164,10 @@ class SumoSimulator:
         ]
         for name in newcomers:
             self._register(name, counted=True)
-        return tuple(map(np.concatenate, zip(reading, session.read(newcomers, self._lane_numbers), strict=True)))
+        lane, position, speed, signals = map(
+            np.concatenate, zip(reading, session.read(newcomers, self._lane_numbers), strict=True)
+        )
+        return lane, position, speed, signals
 
     def _register(self, name: str, counted: bool) -> None:
         """Give a vehicle that has come to the region a row."""

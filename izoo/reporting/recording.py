@@ -44,6 +44,7 @@ class Recorder:
         columns = scene.vehicles
         positions = np.rint(columns["path_position_m"] * DM_PER_M).astype(int)
         starts = np.rint((columns["path_position_m"] - columns["lane_position_m"]) * DM_PER_M).astype(int)
+        lanes = columns["region_lane"]
         for k, number in enumerate(columns["vehicle_number"].tolist()):
             track = self._tracks.get(number)
             if track is None:
@@ -55,7 +56,7 @@ class Recorder:
                     int(columns["exit"][k]),
                 )
             track.positions.append(int(positions[k]))
-            lane = int(columns["region_lane"][k])
+            lane = int(lanes[k])
             if track.lanes and track.lanes[-1][0] == lane:
                 track.lanes[-1][1] += 1
             else:
@@ -64,8 +65,10 @@ class Recorder:
         if not self._signals or self._signals[-1][1] != colours:
             self._signals.append([self.frames, colours])
         if self.frames % COUNTER_STEPS == 0:
-            sums = scene.approach_metrics.sum(axis=0)
-            self._counters.append([float(sums[METRIC["crossed"]]), round(float(sums[METRIC["emission_g"]]), 1)])
+            crossed, emission_g = (
+                float(scene.approach_metrics[:, METRIC[name]].sum()) for name in ("crossed", "emission_g")
+            )
+            self._counters.append([crossed, round(emission_g, 1)])
         self.frames += 1
 
     def content(self) -> dict[str, Any]:
