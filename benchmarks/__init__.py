@@ -1,1 +1,1 @@
-"""Protocols that compare algorithms, and how fast environments run."""
+"""Protocols that compare algorithms, and measurements of speed."""

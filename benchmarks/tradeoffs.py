@@ -16,7 +16,7 @@ from izoo.commands.option_command import OptionCommand
 if TYPE_CHECKING:
     from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 
-CSV_FILE, PLOT_FILE = "tradeoffs.csv", "tradeoffs.png"
+PLOT_FILE = "tradeoffs.png"
 
 
 def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -26,6 +26,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     from izoo.benchmarks import pareto
     from izoo.benchmarks.campaign import Campaign
     from izoo.files import write_text
+    from izoo.reporting.material import TRADEOFFS_FILE
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"tradeoffs-{config.scale}"
@@ -35,10 +36,10 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     with campaign.open():
         results = campaign.run(submit=False)
         points = pareto.points(folder, results, config.weights())
-        write_text(folder / CSV_FILE, points.to_csv(index=False))
+        write_text(folder / TRADEOFFS_FILE, points.to_csv(index=False))
         pareto.plot(points, folder / PLOT_FILE, results.title)
     Console().print(pareto.table(points))
-    print(f"Results: {folder / CSV_FILE} and {PLOT_FILE}", flush=True)
+    print(f"Results: {folder / TRADEOFFS_FILE} and {PLOT_FILE}", flush=True)
     return folder
 
 

@@ -14,6 +14,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from gymnasium.envs.registration import register
+
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
     from izoo.envs.env import EcoDrivingEnv, SumoParallelEnv
@@ -31,3 +33,11 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+for _name, _view in (("EcoDriving", "Joint"), ("EcoDrivingEgo", "Ego")):
+    register(
+        id=f"izoo/{_name}-v0",
+        entry_point=f"izoo.envs.views.gymnasium:EcoDriving{_view}",
+        vector_entry_point=f"izoo.envs.views.gymnasium:{_view.lower()}_vector",
+    )

@@ -1,9 +1,10 @@
 """Gymnasium views: all controlled vehicles of an intersection as one padded agent, or one of them.
 
-``gymnasium.make("izoo/EcoDriving-v0")`` makes an :class:`EcoDrivingJoint`, ``"izoo/EcoDrivingEgo-v0"`` an
-:class:`EcoDrivingEgo`; nothing of izoo has to be imported first. They simulate what
-:class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories. Each simulation
-has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in parallel.
+``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` makes an :class:`EcoDrivingJoint`, ``"izoo/EcoDrivingEgo-v0"`` an
+:class:`EcoDrivingEgo`; what stands before the colon is imported first (Gymnasium looks for no plug-ins since 1.0). They
+simulate what :class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories.
+Each simulation has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in
+parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.host.OPTIONS`.

@@ -78,7 +78,8 @@ def as_word(value: Any) -> str:
 def attribute_docs(owner: type) -> dict[str, str]:
     """Return what is said of each attribute of a class, by name.
 
-    It is said in the ``Attributes:`` sections of the class's docstring and its bases', or by a field's metadata ``help``.
+    It is said in the ``Attributes:`` sections of the class's docstring and its bases', or by ``help`` in a field's
+    metadata.
     """
     docs: dict[str, str] = {}
     for part in reversed(owner.__mro__[:-1]):

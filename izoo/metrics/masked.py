@@ -13,11 +13,6 @@ from torch import Tensor
 Dim = int | tuple[int, ...]
 
 
-def masked_count(x: Tensor, mask: Tensor, dim: Dim = -1, keepdim: bool = False) -> Tensor:
-    """Number of valid entries of ``x`` along ``dim``, in ``x``'s dtype: ``[*B, N] -> [*B]``."""
-    return mask.expand_as(x).sum(dim, keepdim=keepdim).to(x.dtype)
-
-
 def masked_sum(x: Tensor, mask: Tensor, dim: Dim = -1, keepdim: bool = False) -> Tensor:
     """Sum of the valid entries along ``dim``: ``[*B, N] -> [*B]``; 0 over nothing."""
     return torch.where(mask, x, torch.zeros_like(x)).sum(dim, keepdim=keepdim)
@@ -25,5 +20,5 @@ def masked_sum(x: Tensor, mask: Tensor, dim: Dim = -1, keepdim: bool = False) ->
 
 def masked_mean(x: Tensor, mask: Tensor, dim: Dim = -1, keepdim: bool = False) -> Tensor:
     """Mean of the valid entries along ``dim``: ``[*B, N] -> [*B]``; 0 over nothing."""
-    count = masked_count(x, mask, dim, keepdim)
+    count = mask.expand_as(x).sum(dim, keepdim=keepdim).to(x.dtype)
     return masked_sum(x, mask, dim, keepdim) / count.clamp_min(1)

@@ -15,13 +15,10 @@ from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
 from izoo.files import check_folder
 from izoo.reporting.results import RESULTS_FILE, read_results
+from izoo.training.runs import CONFIG_FILE, METRICS_FILE
+from izoo.training.validation import VALIDATION_FILE
 
-CONFIG_FILE, METRICS_FILE, VALIDATION_FILE, TRADEOFFS_FILE = (
-    "config.yaml",
-    "metrics.csv",
-    "validation.csv",
-    "tradeoffs.csv",
-)
+TRADEOFFS_FILE = "tradeoffs.csv"
 EVALUATIONS = "evaluations"
 BRIEF = "training contexts"
 """What the brief evaluation that ends a run is called; it lies in the run folder itself."""

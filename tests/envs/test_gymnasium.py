@@ -13,6 +13,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+import izoo.envs
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
 

@@ -42,7 +42,6 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     [
         (["policy=glied"], "Did you mean 'glide'"),
         ([], "give one of run=RUN_DIR and policy=NAME"),
-        (["policy=glide", "run=x"], "give one of"),
         (["run=no/such/run"], "does not exist"),
         (["polciy=glide"], "Did you mean 'policy'"),
         (["policy=glide", "seeds=0"], "seeds is 0"),
@@ -87,6 +86,11 @@ def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
     assert choose_contexts(source, 3, 0) == choose_contexts(source, 3, 0) != choose_contexts(source, 3, 1)
     assert choose_contexts(ContextList(contexts), None, 0) == contexts
     assert choose_contexts(ContextList(contexts), 1, 0)[0] in contexts
+
+
+def test_a_run_and_a_policy_at_once_are_refused() -> None:
+    with pytest.raises(IzooError, match="give one of run=RUN_DIR and policy=NAME"):
+        resolve(EvaluateConfig(run="runs/RUN", policy="glide"), frozenset())
 
 
 def test_an_imported_policy_is_named_after_its_function() -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from izoo.metrics.masked import masked_count, masked_mean, masked_sum
+from izoo.metrics.masked import masked_mean, masked_sum
 
 PLAIN: list[tuple[Callable[..., Tensor], Callable[[Tensor], Tensor]]] = [
     (masked_sum, torch.sum),
@@ -59,5 +59,4 @@ def test_mask_broadcasts_over_trailing_features() -> None:
     x = torch.arange(12.0).reshape(2, 3, 2)
     mask = torch.tensor([[True, False, True], [False, False, True]]).unsqueeze(-1)
     assert torch.equal(masked_mean(x, mask, 1), torch.tensor([[2.0, 3.0], [10.0, 11.0]]))
-    assert torch.equal(masked_count(x, mask, 1), torch.tensor([[2.0, 2.0], [1.0, 1.0]]))
     assert masked_sum(x, mask, 1, keepdim=True).shape == (2, 1, 2)

@@ -37,10 +37,10 @@ def test_a_recording_says_where_vehicles_were(contexts) -> None:
     try:
         state = env.reset(context=contexts[0], seed=1)
         for _ in range(180):
-            recorder.take(env.scene())
-            columns = env.scene().vehicles
-            numbers = columns["vehicle_number"].tolist()
-            where = zip(columns["path_position_m"], columns["region_lane"], columns["is_cv"], strict=True)
+            scene = env.scene()
+            recorder.take(scene)
+            numbers = scene.vehicles["vehicle_number"].tolist()
+            where = zip(*(scene.vehicles[name] for name in ("path_position_m", "region_lane", "is_cv")), strict=True)
             seen.append(dict(zip(numbers, where, strict=True)))
             state = env.rand_action(state)
             state = env.step(state)["next"]
