@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor, nn
 
 from izoo.algos.base import ACTIVATIONS
-from izoo.emissions import kernel
+from izoo.compiling import compiled
 from izoo.emissions.kernel import fast_tanh
-from izoo.envs.kernel_cache import forget_stale_kernels
-
-forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
@@ -66,7 +61,7 @@ def compilable(observation: Tensor) -> bool:
     return not torch.is_grad_enabled() and observation.device.type == "cpu" and observation.dtype == torch.float32
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def linear(x, weight, bias):  # type: ignore[no-untyped-def]
     """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums run in an order that ``n`` does not change.
 
@@ -100,7 +95,7 @@ def linear(x, weight, bias):  # type: ignore[no-untyped-def]
     return y
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def activate(values, activation):  # type: ignore[no-untyped-def]
     """Apply the activation at this place of :data:`izoo.algos.base.ACTIVATIONS` to ``values [m]`` in place."""
     if activation == 0:
@@ -114,12 +109,12 @@ def activate(values, activation):  # type: ignore[no-untyped-def]
             values[k] = values[k] / (_ONE + np.exp(-values[k]))
 
 
-@njit(cache=True)
+@compiled
 def _softplus(x):  # type: ignore[no-untyped-def]
     return x + math.log1p(math.exp(-x)) if x > 0.0 else math.log1p(math.exp(x))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
     """Return ``[n, O]``: a fully connected network on ``x [n, I]``, with activations between its layers."""
     for layer in range(len(weights)):
@@ -129,7 +124,7 @@ def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
     """Draw for the agents ``rows [r]``; empty slots get median 0, spread 1, action 0 and log-probability 0.
 
@@ -158,7 +153,7 @@ def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-unt
         out[3, r] = constant - 0.5 * noise[r] * noise[r] - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def act(observation, mask, weights, biases, activation, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
 
@@ -173,7 +168,7 @@ def act(observation, mask, weights, biases, activation, spread, bounds, noise, o
     sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, noise, out)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def act_squashed(observation, mask, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
     """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0.
 

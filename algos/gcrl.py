@@ -31,7 +31,7 @@ from izoo.algos import base, graph_acting
 from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.ppo_config import GCRLConfig
 from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets, places
-from izoo.envs.layout import DISTANCE_SCALE_M, EGO_FEATURES
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""

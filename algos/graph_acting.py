@@ -6,20 +6,14 @@ Only agents are computed, and each attends to its neighbours alone; empty slots 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
-from numba import njit
 
-from izoo.algos import acting
 from izoo.algos.acting import activate, linear, sample
-from izoo.emissions import kernel
-from izoo.envs.kernel_cache import forget_stale_kernels
-
-forget_stale_kernels([Path(__file__), Path(acting.__file__), Path(kernel.__file__)])
+from izoo.compiling import compiled
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def neighbours_of(position, frame, most, count, range_m):  # type: ignore[no-untyped-def]
     """Return ``(first [n + 1], who)``: agent ``i`` attends to ``who[first[i]:first[i + 1]]``, itself among them.
 
@@ -56,7 +50,7 @@ def neighbours_of(position, frame, most, count, range_m):  # type: ignore[no-unt
     return first, who
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def attend(parts, first, who, heads):  # type: ignore[no-untyped-def]
     """Return ``[n, width]``: multi-head attention over the neighbours.
 
@@ -98,7 +92,7 @@ def attend(parts, first, who, heads):  # type: ignore[no-untyped-def]
     return mixed
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def act(  # type: ignore[no-untyped-def]
     observation, mask, weights, biases, network, activation, graph, spread, bounds, noise, out
 ):

@@ -18,7 +18,8 @@ from torch import Tensor
 from izoo.algos.base import ACTION, MASK, OBSERVATION
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError, check_range, unknown_choice
 
 DEFER, LANE_CHANGE = ("agents", "defer"), ("agents", "lane_change")

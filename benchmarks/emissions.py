@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo import cli
+from izoo.console import exit_code
 
 ROUNDS = 5
 API_CALLS = 200
@@ -141,4 +141,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.emissions", main))
+    sys.exit(exit_code("benchmarks.emissions", main))

@@ -10,19 +10,19 @@ from typing import Any, cast
 
 import numpy as np
 
-from izoo.benchmarks.options import Entry, GeneralizationConfig, is_folder
+from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig, is_folder
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.compose import compose_config
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts import protocols
 from izoo.contexts.cities.rebuilt import CITIES, city_name
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.context import Context
-from izoo.contexts.source import episode_seed
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
+from izoo.evaluation.selection import episode_seeds
 
 EVALUATION_SEED = 241015221
 """Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
@@ -83,7 +83,7 @@ def place_name(place: str) -> str:
 
 def evaluation_seeds(count: int) -> list[int]:
     """Return the episode seeds of the evaluation: published, so that everyone's episodes pair up."""
-    return [episode_seed(EVALUATION_SEED, number) for number in range(count)]
+    return episode_seeds(EVALUATION_SEED, count)
 
 
 def published_test_set(protocol: Mapping[str, Any]) -> set[str] | None:

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo import cli
-from izoo.benchmarks.timing import seconds_per_step
+from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.console import exit_code
 
 SETTLE_STEPS = 400
 RESETS = 7
@@ -53,7 +53,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=256, num_vehicles=1024))
     try:
         env.reset()
-        simulator = env.simulator
+        simulator: Any = env.backend
         resets = []
         for _ in range(RESETS):
             begin = time.perf_counter()
@@ -68,7 +68,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             nonlocal state
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
-            vehicles.append(len(simulator.roster.rows))
+            vehicles.append(len(simulator.names.members))
 
         parts = _Parts(simulator)
         whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, parts.begin)
@@ -156,4 +156,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.scaling", main))
+    sys.exit(exit_code("benchmarks.scaling", main))

@@ -25,8 +25,8 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from izoo import cli
-from izoo.benchmarks.timing import CHUNK
+from izoo.benchmarks.stopwatch import CHUNK
+from izoo.console import exit_code
 
 if TYPE_CHECKING:
     from izoo.benchmarks.variants import Sample
@@ -144,4 +144,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.throughput", main))
+    sys.exit(exit_code("benchmarks.throughput", main))

@@ -8,14 +8,13 @@ with the Pareto front) in a results folder that is otherwise that of the general
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo import cli
+from izoo.commands.option_command import OptionCommand
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.sweep import TradeoffsConfig
+    from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 
 CSV_FILE, PLOT_FILE = "tradeoffs.csv", "tradeoffs.png"
 
@@ -26,7 +25,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import pareto
     from izoo.benchmarks.campaign import Campaign
-    from izoo.evaluation.table import write_text
+    from izoo.files import write_text
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"tradeoffs-{config.scale}"
@@ -43,13 +42,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     return folder
 
 
-def _config() -> type:
-    from izoo.benchmarks.sweep import TradeoffsConfig
-
-    return TradeoffsConfig
-
-
-COMMAND = cli.Command(
+COMMAND = OptionCommand(
     name="benchmarks.tradeoffs",
     summary="Sweep over the weights of the reward, and plot emission against travel time.",
     examples=(
@@ -57,15 +50,13 @@ COMMAND = cli.Command(
         "izoo.benchmarks.tradeoffs eta=[0,0.5,1] beta=[-1,-3,-10] scale=small seeds=4",
         "izoo.benchmarks.tradeoffs learner=ddpg comfort=[0,1] protocol=systematicity floors_mps=[1,3,5,8]",
     ),
-    config=_config,
-    work=lambda: run,
+    config="izoo.benchmarks.tradeoffs_options:TradeoffsConfig",
+    work="izoo.benchmarks.tradeoffs:run",
+    check="izoo.commands.given_paths:check_benchmark",
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    return cli.run(COMMAND, argv)
-
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -22,17 +22,17 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.base import ACTION, MASK, Leaves
 from izoo.algos.ppo_config import PPOConfig
-from izoo.benchmarks.timing import CHUNK, seconds_per_step
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
+from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import TOTALS, observation_names
+from izoo.envs.mdp.frame import TOTALS, observation_names
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
-from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.runs import make_algorithm
 
 WARMUP_S = 350.0
@@ -269,7 +269,7 @@ def _simulation(plan: Plan, context: Context, worker: int) -> Iterator[Any]:
     """A simulator of this process, after its warm-up."""
     with contextlib.closing(EcoDrivingEnv(context, config=plan.env(emit=()))) as env:
         env.reset(context=context, seed=episode_seed(0, worker))
-        yield env.simulator
+        yield env.backend
 
 
 def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
@@ -280,7 +280,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
         for step in range(CHUNK + plan.steps):
             simulator.step()
             if step >= CHUNK:
-                vehicles += len(simulator.roster.rows)
+                vehicles += len(simulator.names.members)
                 agents += int(simulator.frame["mask"].sum())
     return vehicles / plan.steps, agents / plan.steps
 

@@ -18,14 +18,13 @@ from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
-    from izoo.envs.env import EcoDrivingEnv
-    from izoo.envs.sumo.parallel import SumoParallelEnv
+    from izoo.envs.env import EcoDrivingEnv, SumoParallelEnv
 
 _HOME = {
     "EcoDrivingEnv": "env",
     "EnvConfig": "config",
     "RewardConfig": "config",
-    "SumoParallelEnv": "sumo.parallel",
+    "SumoParallelEnv": "env",
 }
 __all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv"]
 

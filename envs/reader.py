@@ -10,13 +10,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import (
-    CONTEXT_VALUES,
-    VEHICLE_FLAGS,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-)
-from izoo.envs.specs import CONTEXT_IDS, DONE
+from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.specs import DONE
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
@@ -35,7 +31,7 @@ class FrameReader:
 
     Args:
         config: the environment's settings.
-        arrays: frames as made by :func:`izoo.envs.layout.map_frames`; for ``batch`` of ``[]`` their single row.
+        arrays: frames as made by :func:`izoo.envs.mdp.frame.map_frames`; for ``batch`` of ``[]`` their single row.
         batch: batch size of the environment.
         leaves: arrays that are emitted at the root under their own names.
     """

@@ -10,7 +10,7 @@ import pytest
 
 from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
-from izoo.networks.net.cache import CACHE_ENV
+from izoo.networks.net.net_cache import CACHE_ENV
 
 LONGEST = (
     *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),

@@ -1,7 +1,6 @@
 """The one door to SUMO: starts, loads, steps and reads one libsumo simulation in this process.
 
-Vehicle names stop here in one sense: everything above this module holds them only to hand them back. A vehicle's name
-is its number in the demand, as a decimal string.
+Names of vehicles go no further than this room (:mod:`izoo.envs.sumo.names`).
 """
 
 from __future__ import annotations
@@ -138,6 +137,7 @@ class SumoSession:
         self._on_edge = api.edge.getLastStepVehicleIDs
         self._count_on_edge = getattr(flat, "edge_getLastStepVehicleNumber", api.edge.getLastStepVehicleNumber)
         self._simulation = api.simulation
+        self._departed = getattr(flat, "simulation_getDepartedIDList", api.simulation.getDepartedIDList)
         self._vehicle = vehicle
         self._advance = api.simulationStep
 
@@ -154,6 +154,14 @@ class SumoSession:
         """Vehicles that reached the end of their route in the last step."""
         return self._simulation.getArrivedIDList()
 
+    def departed(self) -> Sequence[str]:
+        """Vehicles that entered the network in the last step."""
+        return self._departed()
+
+    def driving(self) -> Sequence[str]:
+        """All vehicles in the network."""
+        return self._vehicle.getIDList()
+
     def on_edge(self, edge: str) -> Sequence[str]:
         """Vehicles on an edge."""
         return self._on_edge(edge)
@@ -162,7 +170,9 @@ class SumoSession:
         """Number of vehicles on these edges together."""
         return sum(map(self._count_on_edge, edges))
 
-    def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
+    def read(
+        self, names: Sequence[str], lane_numbers: dict[str, int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""
         n = len(names)
         return (

@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium import spaces
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.host import RENDER_MODES, Host, render_modes
 from izoo.envs.views.vector import ViewVector
@@ -85,7 +85,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
       left).
     - reward: the mean over the CVs that acted, 0 where there was none.
     - terminated: never; truncated: the horizon.
-    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.layout.REWARD_VECTOR`), ``vehicle``
+    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.mdp.reward.REWARD_VECTOR`), ``vehicle``
       ``[A]`` (number in the episode's demand, -1 where empty), ``agent_terminated`` ``[A]`` (the CV left: its value is
       zero), ``time_s``; at the episode's end ``metrics``.
     """

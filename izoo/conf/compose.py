@@ -10,6 +10,7 @@ from importlib import resources
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -17,7 +18,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from izoo.conf.mapping import from_mapping
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.contexts.cities.rebuilt import CITIES, city_name
 from izoo.errors import IzooError, unknown_choice
 
@@ -34,6 +35,12 @@ def choices() -> dict[str, tuple[str, ...]]:
         for folder in folders
     }
     return {name: groups[name] for name in sorted(groups) if groups[name]}
+
+
+def register(config_name: str, cls: type) -> None:
+    """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
+    if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
+        ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
 
 
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
@@ -107,6 +114,7 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
         IzooError: an option or choice is unknown, or a value is refused.
     """
     overrides = parse(words)
+    register(config_name, cls)
     check_names(config_name, overrides)
     return to_dataclass(_compose(config_name, [_word(override) for override in overrides]), cls)
 

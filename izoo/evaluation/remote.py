@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from izoo import cluster
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
+from izoo.evaluation import ray_cluster as cluster
 from izoo.evaluation.workers import ATTEMPTS, EpisodeFailed, Player, Rows, Task
 
 

@@ -212,7 +212,7 @@ class Player:
         self._policies: dict[str, Any] = {}
 
     def play(self, task: Task) -> Rows:
-        from izoo.evaluation.episode import run_episode
+        from izoo.evaluation.playing import run_episode
 
         if task.policy not in self._policies:
             self._policies[task.policy] = cloudpickle.loads(self._packed[task.policy])

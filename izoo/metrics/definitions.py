@@ -38,6 +38,10 @@ APPROACH_METRICS: tuple[str, ...] = (
     "unslotted_steps",  # steps of CVs that found no free agent slot and were driven by IDM
     "red_crossings_cv",  # CVs that crossed the stop line on red where turning right on red is not legal
     "red_crossings_hdv",  # human-driven vehicles that did
+    "due",  # vehicles whose departure was due by the end: dropped + waiting + outside + early + entered
+    "dropped",  # those that the simulator dropped because they could not enter the network safely
+    "outside",  # those under way to the region at the end
+    "early",  # those that were in the region, or had left it, when the warm-up ended
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 

@@ -17,17 +17,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from izoo import __version__
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import percent, score_rows
 from izoo.evaluation.summary import summarise
-from izoo.evaluation.table import write_text
+from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
-from izoo.reporting.collect import Material, collect
+from izoo.reporting.material import Material, collect
 from izoo.reporting.published import PUBLISHED
 from izoo.reporting.replay import Player, scenes
 from izoo.reporting.rows import COLUMNS, FEATURES, approach_rows
-from izoo.reporting.scores import Scored, improvement, score
+from izoo.reporting.scored import Scored, improvement, score
 
 PAGE_FILE = "report.html"
 TEMPLATES = "templates"

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.layout import METRIC
-from izoo.envs.sumo.simulator import Simulator
+from izoo.envs.mdp.episode import Scene
+from izoo.envs.mdp.frame import METRIC
 from izoo.networks.road import APPROACHING, RoadNet
 
 COUNTER_STEPS = 10
@@ -39,23 +39,21 @@ class Recorder:
         self._counters: list[list[float]] = []
         self.frames = 0
 
-    def take(self, simulator: Simulator) -> None:
+    def take(self, scene: Scene) -> None:
         """Record the present state."""
-        columns, rows = simulator.vehicles(), simulator.roster.rows
-        numbers = columns["vehicle_number"][rows]
-        positions = np.rint(columns["path_position_m"][rows] * DM_PER_M).astype(int)
-        starts = np.rint((columns["path_position_m"] - columns["lane_position_m"])[rows] * DM_PER_M).astype(int)
-        lanes = columns["region_lane"][rows]
-        for k, row in enumerate(rows.tolist()):
-            number = int(numbers[k])
+        columns = scene.vehicles
+        positions = np.rint(columns["path_position_m"] * DM_PER_M).astype(int)
+        starts = np.rint((columns["path_position_m"] - columns["lane_position_m"]) * DM_PER_M).astype(int)
+        lanes = columns["region_lane"]
+        for k, number in enumerate(columns["vehicle_number"].tolist()):
             track = self._tracks.get(number)
             if track is None:
                 track = self._tracks[number] = _Track(
                     self.frames,
-                    bool(columns["is_cv"][row]),
-                    round(float(columns["length_m"][row]) * DM_PER_M),
-                    int(columns["approach"][row]),
-                    int(columns["exit"][row]),
+                    bool(columns["is_cv"][k]),
+                    round(float(columns["length_m"][k]) * DM_PER_M),
+                    int(columns["approach"][k]),
+                    int(columns["exit"][k]),
                 )
             track.positions.append(int(positions[k]))
             lane = int(lanes[k])
@@ -63,11 +61,13 @@ class Recorder:
                 track.lanes[-1][1] += 1
             else:
                 track.lanes.append([lane, 1, int(starts[k])])
-        colours = "".join("gyr"[colour] for colour in simulator.clock.now.ravel())
+        colours = "".join("gyr"[colour] for colour in scene.colour.ravel())
         if not self._signals or self._signals[-1][1] != colours:
             self._signals.append([self.frames, colours])
         if self.frames % COUNTER_STEPS == 0:
-            crossed, emission_g = (float(simulator.sums[:, METRIC[name]].sum()) for name in ("crossed", "emission_g"))
+            crossed, emission_g = (
+                float(scene.approach_metrics[:, METRIC[name]].sum()) for name in ("crossed", "emission_g")
+            )
             self._counters.append([crossed, round(emission_g, 1)])
         self.frames += 1
 

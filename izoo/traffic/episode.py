@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from izoo.contexts.context import Context
 from izoo.contexts.spec import LEG_NAMES
 from izoo.errors import IzooError
+from izoo.files import write_text
 from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals, turning_shares
 from izoo.traffic.drivers import sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, lengths_m, sample_classes
@@ -200,7 +200,7 @@ def write_routes(traffic: Traffic, road: Roads, path: str | Path) -> None:
             f' departLane="{lane}" departPos="base" departSpeed="{speeds[p]}"/>'
         )
     lines.append("</routes>\n")
-    _write_atomically(Path(path), "\n".join(lines))
+    write_text(Path(path), "\n".join(lines), durable=False)
 
 
 def _route_id(p: int, source: int, q: int) -> str:
@@ -216,12 +216,3 @@ def _vehicle_type(name: str, length: float, min_gap: float, tau: float, accel: f
         f'<vType id="{name}" carFollowModel="IDM" length="{length:g}" minGap="{min_gap:.4f}" tau="{tau:.4f}"'
         f' accel="{accel:.4f}" decel="{decel:.4f}" speedFactor="1" speedDev="0" laneChangeModel="LC2013"/>'
     )
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -14,12 +14,12 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo import cluster
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
+from izoo.evaluation import ray_cluster as cluster
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
-from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.past import EpisodePast
 from izoo.training.rollouts import ProcessesCollector, RolloutCollector
 

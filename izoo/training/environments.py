@@ -13,9 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Unbounded
 
-from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
-from izoo.envs.layout import TOTALS
-from izoo.envs.sumo.parallel import SumoParallelEnv
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 

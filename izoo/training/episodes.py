@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 
 from izoo.algos.base import MASK, REWARD
-from izoo.envs.layout import TOTALS
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.masked import masked_mean
 from izoo.metrics.scores import score_tensors
 from izoo.training.environments import split_totals

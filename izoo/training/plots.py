@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from izoo.files import replacing
 from izoo.training.records import MetricsTable
 
 PANELS = (
@@ -81,9 +82,8 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
 
 def _save(figure: Figure, path: Path) -> None:
     """Write the picture whole or not at all."""
-    partial = path.with_suffix(".partial")
-    figure.savefig(partial, format="png", dpi=110)
-    partial.replace(path)
+    with replacing(path, durable=False) as partial:
+        figure.savefig(partial, format="png", dpi=110)
 
 
 def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:

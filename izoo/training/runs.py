@@ -20,10 +20,10 @@ from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo import PPO
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
-from izoo.envs.layout import observation_names
-from izoo.errors import IzooError, os_reason
-from izoo.evaluation.table import write_text
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.files import ensure_empty, write_text
 from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
@@ -55,17 +55,6 @@ def create(config: TrainConfig) -> Path:
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     write_config(run_dir, config)
     return run_dir
-
-
-def ensure_empty(folder: Path, option: str, instead: str = "remove its content") -> None:
-    """Make ``folder``; refuse one that holds anything, or that cannot be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        occupied = any(folder.iterdir())
-    except OSError as error:
-        raise IzooError(f"cannot use {option}={folder}: {os_reason(error)}; choose another folder.") from error
-    if occupied:
-        raise IzooError(f"{option}={folder} is not empty; choose another folder, or {instead}.")
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:

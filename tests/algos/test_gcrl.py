@@ -15,9 +15,10 @@ from izoo.algos.gcrl import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNe
 from izoo.algos.ppo_config import GCRLConfig
 from izoo.algos.sets import places
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
 from izoo.training import runs
 from izoo.training.records import MetricsTable

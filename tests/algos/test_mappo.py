@@ -13,7 +13,7 @@ from izoo.algos import base
 from izoo.algos.mappo import COUNT_SCALE, MAPPO, SetCritic
 from izoo.algos.ppo_config import MAPPOConfig, PPOConfig
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import runs
 from izoo.training.records import MetricsTable

@@ -19,10 +19,11 @@ from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolic
 from izoo.algos.scripted import DEFER
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError
 from izoo.training import runs
 

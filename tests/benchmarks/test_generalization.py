@@ -16,8 +16,8 @@ import torch
 from matplotlib import image
 
 from izoo.benchmarks import campaign, generalization
-from izoo.evaluation.folder import claimed
 from izoo.evaluation.table import read_csv
+from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
 from izoo.reporting.results import evaluation_of, read_results
 from izoo.training import checkpoint

@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 
 from izoo import leaderboard as command
-from izoo.benchmarks.claim import versions
 from izoo.benchmarks.outcome import other_environment
 from izoo.benchmarks.plan import evaluation_seeds
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
-from izoo.reporting.leaderboard import (
+from izoo.evaluation.provenance import versions
+from izoo.reporting.submissions import (
     check,
     content_hash,
     make_submission,

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from izoo.benchmarks import pace
-from izoo.benchmarks.options import SCALES, GeneralizationConfig, parse_entry
+from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
 from izoo.benchmarks.outcome import _place
 from izoo.benchmarks.plan import (
     evaluation_env,
@@ -120,7 +120,7 @@ def test_entries() -> None:
     assert parse_entry("ppo_paper_residual").algo == "ppo_paper"
     assert parse_entry("ppo_paper_residual").action == "residual"
     assert parse_entry("glide").kind == "scripted"
-    assert parse_entry("tests.evaluation.drivers:gentle").name == "gentle"
+    assert parse_entry("tests.evaluation.odd_policies:gentle").name == "gentle"
     for name in ("human", "pppo", "ppo_residual_residual"):
         with pytest.raises(IzooError, match=r"choose one of: .*ppo_residual.*glide"):
             parse_entry(name)
@@ -146,7 +146,7 @@ def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignor
         ({"episodes": 3, "frames": 3}, "both"),
         ({"algos": ()}, "one or more"),
         ({"algos": ("ppo", "ppo")}, "once"),
-        ({"algos": ("glide", "tests.evaluation.drivers:glide")}, "once"),
+        ({"algos": ("glide", "tests.evaluation.odd_policies:glide")}, "once"),
         ({"train_options": ("algo.gamma=0.9", "seed=3")}, "by seeds"),
         ({"train_options": ("+contexts.split=all",)}, "by protocol"),
         ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
@@ -168,9 +168,3 @@ def test_time_left_follows_from_what_was_measured() -> None:
     assert clock.left(jobs) == pytest.approx(150.0)
     clock.add(("train", "gcrl"), 10.0, 10.0)
     assert clock.left(jobs) == pytest.approx(600.0)
-    assert [pace.duration(s) for s in (None, 5, 600, 7200)] == [
-        "an unknown time",
-        "about 5 s",
-        "about 10 min",
-        "about 2.0 h",
-    ]

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from izoo import cli
+from izoo import console
 from izoo.benchmarks import emissions, scaling, throughput
 
 
@@ -31,9 +31,9 @@ def test_an_interrupt_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     def interrupted() -> int:
         raise KeyboardInterrupt
 
-    assert cli.exit_code("benchmarks.scaling", interrupted) == 130
+    assert console.exit_code("benchmarks.scaling", interrupted) == 130
     assert capsys.readouterr().err == "izoo benchmarks.scaling: stopped.\n"
-    assert cli.exit_code("benchmarks.scaling", lambda: 7) == 7
+    assert console.exit_code("benchmarks.scaling", lambda: 7) == 7
 
 
 @pytest.mark.slow

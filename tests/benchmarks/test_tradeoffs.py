@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from izoo.benchmarks import tradeoffs
-from izoo.benchmarks.options import Entry
+from izoo.benchmarks.generalization_options import Entry
 from izoo.benchmarks.pareto import on_front
 from izoo.benchmarks.plan import make_plan, train_config
-from izoo.benchmarks.sweep import TradeoffsConfig
-from izoo.cli import attribute_docs
+from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
+from izoo.commands.help_page import attribute_docs
 from izoo.conf.compose import compose_config
 from izoo.errors import IzooError
 from izoo.reporting.results import read_results

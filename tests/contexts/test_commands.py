@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 
 from izoo.commands import measured, trial
-from izoo.commands.contexts import COMMANDS, main
+from izoo.commands.contexts import CONTEXTS
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.osm.store import save_cmdp
 
+main = CONTEXTS.main
 PNG = b"\x89PNG"
 
 
@@ -45,7 +46,7 @@ def town(tmp_path: Path) -> Path:
 
 
 def test_every_subcommand_explains_itself(capsys):
-    for command in COMMANDS:
+    for command in CONTEXTS.subcommands:
         with pytest.raises(SystemExit) as stop:
             main([command.name, "--help"])
         assert stop.value.code == 0
@@ -122,7 +123,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
     ):
         assert main(argv) == 2, argv
         err = capsys.readouterr().err
-        assert err.startswith("error: ") and message in err and err.count("\n") == 1, argv
+        assert err.startswith("izoo contexts: ") and message in err and err.count("\n") == 1, argv
         assert sorted(tmp_path.rglob("*")) == before, argv
 
 

@@ -74,7 +74,7 @@ def test_options() -> None:
     rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)\|$", page, re.MULTILINE))
     expected = set()
     for command in pages.hydra_commands():
-        expected |= leaves(compose.compose_config(command.name, command.config(), []))
+        expected |= leaves(compose.compose_config(command.name, command.config_class(), []))
     for group, choices in compose.choices().items():
         for choice in choices:
             config = pages.options_of(group, choice)
@@ -113,8 +113,8 @@ def test_every_example_and_page_can_be_found() -> None:
         assert f"(examples/{path.name})" in examples and f"<!-- source: examples/{path.name} -->" in examples
     # Material's own tags are of no interest here.
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    listed = re.findall(r"\w+\.md", str(site["nav"]))
-    assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
+    listed = re.findall(r"[\w/]+\.md", str(site["nav"]))
+    assert sorted(listed) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
 def test_the_site_asks_for_nothing_from_the_network() -> None:

@@ -131,7 +131,7 @@ def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, 
         processes = set()
         frames, state = [], env.reset()
         for _ in range(EPISODES // workers):
-            processes |= {worker.process.pid for worker in env._workers if worker is not None}
+            processes |= {worker.process.pid for worker in env.backend._workers if worker is not None}
             part, state = play_on(env, env.config.control_steps, steer, state)
             frames.append(part)
     finally:

@@ -281,7 +281,7 @@ def test_step_after_the_end_is_refused(joint: gymnasium.Env[Any, Any]) -> None:
 
 def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     joint.reset(seed=0)
-    joint.unwrapped.host._runner[0].process.kill()
+    joint.unwrapped.host._backend._workers[0].process.kill()
     with pytest.raises(RuntimeError, match=r"was lost.*call reset\(\)"):
         for _ in range(3):
             joint.step(forward(joint))

@@ -69,7 +69,7 @@ def undisturbed(steps: int) -> TensorDict:
 @pytest.mark.parametrize("awake_s", [0.0, AWAKE_S])
 def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s: float) -> None:
     prepare, prepared = pair.reader.prepare, []
-    pair._awake_s = [awake_s, awake_s]
+    pair.backend._awake_s = [awake_s, awake_s]
     pair.reader.prepare = lambda: prepared.append(prepare())
     played = play(pair, 101)
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
@@ -150,7 +150,7 @@ def test_a_failure_of_the_parent_leaves_no_answer_unread(
 ) -> None:
     """It looks like one of a worker's, but no answer was read."""
     _, state = play_on(pair, 10, steer, pair.reset())
-    pair._awake_s = [AWAKE_S, AWAKE_S]
+    pair.backend._awake_s = [AWAKE_S, AWAKE_S]
     stopped = process_of(pair, 0)
     os.kill(stopped, signal.SIGSTOP)
     with monkeypatch.context() as patch:
@@ -328,7 +328,7 @@ from tests.envs.worlds import crossing, play, short
 from izoo.envs import SumoParallelEnv
 env = SumoParallelEnv(2, crossing(), config=short(horizon_s=500.0))
 env.reset()
-print(*(worker.process.pid for worker in env._workers), flush=True)
+print(*(worker.process.pid for worker in env.backend._workers), flush=True)
 {ending}
 """
 ENDINGS = {

@@ -20,14 +20,14 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation import approach_table, evaluate_policy, print_summary, summarise
-from izoo.evaluation.cache import EpisodeCache, baseline_context
+from izoo.evaluation.baselines import EpisodeCache, baseline_context
 from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.policies import fingerprint
 from izoo.evaluation.table import COLUMNS, read_csv
 from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
-from izoo.reporting.collect import collect
-from tests.evaluation import drivers
+from izoo.reporting.material import collect
+from tests.evaluation import odd_policies as drivers
 from tests.evaluation.conftest import SHORT
 
 SEEDS = [11, 12]
@@ -246,7 +246,7 @@ def test_a_failing_episode_names_its_context(
     [
         ("glied", None, "Did you mean 'glide'"),
         ("no_such_module:f", None, "module:function"),
-        ("tests.evaluation.drivers:nobody", None, "nobody"),
+        ("tests.evaluation.odd_policies:nobody", None, "nobody"),
         (drivers.gentle, "human", "another name"),
         (3, None, "int is no policy"),
     ],

@@ -11,7 +11,7 @@ import pytest
 
 from izoo.contexts.procedural import procedural_intersection
 from izoo.errors import IzooError
-from izoo.networks.net import cache
+from izoo.networks.net import net_cache as cache
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 

@@ -403,7 +403,7 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
         build_from_osm(extract, target=target)
     monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
-    (tmp_path / ".town.partial-999999999").mkdir()
+    (tmp_path / ".town.partial-999999999-0a").mkdir()
     build_from_osm(extract, target=target)
     assert {path.name for path in tmp_path.iterdir()} == {"map.osm", "town"}
     (target / "notes.txt").write_text("mine")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from izoo.report import main
-from tests.reporting.folders import benchmark, rename_policy
+from tests.reporting.made_results import benchmark, rename_policy
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)

@@ -13,8 +13,8 @@ from izoo import train
 from izoo.algos.action import ResidualAction
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.conf.options import TrainConfig
-from izoo.envs.layout import observation_names
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training import learner as learning
 from izoo.training.learner import Learner, learner_device, to_learner

@@ -16,10 +16,10 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.ppo_config import PPOConfig
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule
 from izoo.envs import EnvConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.training import collectors
 from izoo.training.collectors import BatchSource
 from izoo.training.runs import make_algorithm

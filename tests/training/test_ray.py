@@ -14,8 +14,9 @@ import pandas as pd
 import pytest
 import torch
 
-from izoo import cluster, evaluate, train
+from izoo import evaluate, train
 from izoo.errors import IzooError
+from izoo.evaluation import ray_cluster as cluster
 from izoo.training import runs
 
 TOY = [

@@ -17,7 +17,7 @@ from izoo import train
 from izoo.algos.base import ACTION, MASK
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import TOTALS
+from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs
 from izoo.training.environments import TrainingParallelEnv

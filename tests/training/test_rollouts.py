@@ -19,10 +19,10 @@ from izoo.algos.base import ACTION, MASK, acts_in_place
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.gaussian import CompiledPolicy
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.rollouts import RolloutCollector
@@ -270,7 +270,7 @@ def test_a_worker_lost_in_a_batch() -> None:
     """Its step is reported as truncated, from and to the same state; the other goes on."""
     with collecting(RolloutCollector, policy_of(OPTIONS["ppo"]), workers=2) as collector:
         next(iter(collector))
-        os.kill(collector.env._workers[1].process.pid, signal.SIGKILL)
+        os.kill(collector.env.backend._workers[1].process.pid, signal.SIGKILL)
         batch = next(iter(collector))
         assert batch["next", "truncated"][1, 0].all() and not batch["next", "truncated"][0, 0].any()
         following = batch["next"]

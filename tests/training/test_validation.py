@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import os
 import signal
 import subprocess
@@ -14,10 +15,13 @@ import pytest
 import torch
 
 from izoo import evaluate, train
+from izoo.commands.evaluating import resolve
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import PcgContexts
-from izoo.conf.options import TrainConfig, ValidationConfig
+from izoo.conf.context_choices import PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs, validation
 from izoo.training.validation import Validator
@@ -70,8 +74,17 @@ def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -
         checkpoint.find(tmp_path / "run", "best")
 
 
+def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> None:
+    trained = runs.read_config(run_dir).env
+    assert trained.horizon_s < EnvConfig().horizon_s
+    full = resolve(EvaluateConfig(run=str(run_dir)), frozenset()).env
+    assert full == dataclasses.replace(trained, horizon_s=EnvConfig().horizon_s, warmup_s=EnvConfig().warmup_s)
+    told = EvaluateConfig(run=str(run_dir), env=EnvConfig(horizon_s=77.0))
+    assert resolve(told, frozenset({"env.horizon_s"})).env.horizon_s == 77.0
+
+
 def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) -> None:
-    words = ["num_workers=0", "seeds=3", "num_contexts=1", f"out={tmp_path / 'out'}"]
+    words = ["num_workers=0", "seeds=3", "num_contexts=1", "env.horizon_s=90", f"out={tmp_path / 'out'}"]
     assert evaluate.main([f"run={run_dir}", "checkpoint=best", *words]) == 0
     assert "toy-best" in {row["policy"] for row in rows(tmp_path / "out" / "evaluation.csv")}
     assert checkpoint.find(run_dir, "1000") == checkpoint.find(run_dir)

@@ -12,7 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.layout import REWARD_VECTOR
+from izoo.envs.mdp.reward import REWARD_VECTOR
 
 COLUMN = {name: column for column, name in enumerate(REWARD_VECTOR)}
 REWARD = ("agents", "reward")
