@@ -54,7 +54,7 @@ class DatasetContexts:
 
     def check(self) -> None:
         """Raise :class:`IzooError` where no folder is named, or none is there; reads nothing."""
-        _check(self.name, self.path)
+        _check(self.name, self.path, "give the folder of the intersections")
 
     def build(self) -> ContextSource:
         """Read the folders and return their contexts; raises :class:`IzooError` naming the file that cannot be used."""
@@ -101,11 +101,9 @@ class OsmContexts:
         """Raise :class:`IzooError` where no folder is named, or it holds no such build; reads nothing."""
         from izoo.networks.osm.store import CMDP_FILE
 
-        if not (_check(self.name, self.path) / CMDP_FILE).is_file():
-            raise IzooError(
-                f"{self.path} holds no intersections built from OpenStreetMap; build them first: "
-                "python -m izoo.contexts build --osm FILE OUT."
-            )
+        remedy = "build intersections first: python -m izoo.contexts build --osm FILE OUT"
+        if not (_check(self.name, self.path, remedy) / CMDP_FILE).is_file():
+            raise IzooError(f"{self.path} holds no intersections built from OpenStreetMap; {remedy}.")
 
     def build(self) -> ContextSource:
         """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
@@ -114,11 +112,11 @@ class OsmContexts:
         return _load(self, self.path, fields)
 
 
-def _check(name: str, path: str | None) -> Path:
+def _check(name: str, path: str | None, remedy: str) -> Path:
     if path is None:
         raise IzooError(f"contexts={name} needs a folder: contexts.path=DIR.")
     if not Path(path).exists():
-        raise IzooError(f"contexts.path={path} does not exist; give the folder of the intersections.")
+        raise IzooError(f"contexts.path={path} does not exist; {remedy}.")
     return Path(path)
 
 
