@@ -40,7 +40,7 @@ def test_what_was_compiled_from_other_sources_is_not_found_and_goes(sources: Pat
 
 def test_a_folder_that_cannot_be_written_is_passed_over(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (sources.parent / "__pycache__").write_text("in the way")
-    monkeypatch.setattr(compiling.platformdirs, "user_cache_dir", lambda *_: str(sources.parent / "user"))
+    monkeypatch.setattr(compiling, "cache_root", lambda: sources.parent / "user")
     assert compiling.folder().parent == sources.parent / "user"
 
 
