@@ -119,7 +119,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
         reward, "\n    def __post_init__", textwrap.indent(shown("power: float"), "    "), "class RewardConfig:"
     )
     write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
-    write_before(observation, ")\n\n\n", textwrap.indent(shown(r"Column\("), "    "), "EGO_COLUMNS = (")
+    write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
     return copy
 
 
