@@ -1,7 +1,7 @@
 """Fully connected policies compiled for one step: a few dozen agents per call, on one core.
 
-Computes what the torch modules do, which at this size spend most of their time on their way to the arithmetic. Each
-agent is computed alone, so what one of them does depends on no other's presence, to the last bit.
+It computes what the torch modules compute; at this size those spend most of their time on overhead. Each agent is
+computed alone, so its action is the same to the last bit, whoever else is there.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Arrays:
         self._places: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        # Where the parameters of a copy lie, in this process or another, other things may have lain before.
+        # A copy's parameters may lie at addresses that held others before, so a copy begins without the arrays.
         return {**self.__dict__, "_layers": ((), ()), "_places": []}
 
     def layers(self) -> Layers:
-        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, wherever they now lie."""
+        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, even if they have moved in memory."""
         parameters = [layer._parameters for layer in self.linears]
         weights, biases = ([own[name] for own in parameters] for name in ("weight", "bias"))
         places = [parameter.data_ptr() for parameter in (*weights, *biases)]  # type: ignore[union-attr]
@@ -63,7 +63,7 @@ def compilable(observation: Tensor) -> bool:
 
 @compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def linear(x, weight, bias):  # type: ignore[no-untyped-def]
-    """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums run in an order that ``n`` does not change.
+    """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums are added in the same order for any ``n``.
 
     Sums run along the inputs, eight or more at a time, so one agent alone is as fast per agent as many; four outputs at
     a time share what is read of the agent.

@@ -54,12 +54,12 @@ class Algorithm(Protocol):
 
 @runtime_checkable
 class InPlace(Protocol):
-    """A policy that can act on arrays: what it does in a step costs only its arithmetic."""
+    """A policy that can also act on plain arrays, so that a step costs little more than its arithmetic."""
 
     out_keys: list[Any]
 
     def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
-        """Return what acts in a step of a batch, to the same effect as calling the policy.
+        """Return a function that acts in one step of a batch, with the same effect as calling the policy.
 
         Args:
             frame: ``[*B, ...]``: always the state to act on, in the same memory; take views of it, not copies.

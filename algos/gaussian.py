@@ -100,7 +100,7 @@ class SamplingPolicy(TensorDictModuleBase):
 class CompiledPolicy(SamplingPolicy):
     """:class:`SamplingPolicy`, compiled where it acts on the CPU without gradients; here, a fully connected network.
 
-    Other networks override :meth:`act`, which both calls and collection in place come to.
+    Other networks override :meth:`act`, which serves calls as well as collection in place.
     """
 
     def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
@@ -125,7 +125,7 @@ class CompiledPolicy(SamplingPolicy):
         return torch.from_numpy(out).view(4, *mask.shape)
 
     def in_place(self, frame: base.Leaves, told: base.Leaves) -> Callable[[int], None]:
-        """Return what acts in a step of a batch; see :class:`izoo.algos.base.InPlace`."""
+        """Return a function that acts in one step of a batch; see :class:`izoo.algos.base.InPlace`."""
         observation, mask = frame[base.OBSERVATION], frame[base.MASK]
         rows, present = observation.reshape(-1, observation.shape[-1]), mask.reshape(-1, mask.shape[-1]).view(np.uint8)
         out, explores = np.empty((4, mask.size), np.float32), base.explores()

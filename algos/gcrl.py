@@ -39,7 +39,7 @@ REACH = ("agents", "reach_m")
 """Key of how far away a row's neighbours may be, m."""
 ROW = [base.OBSERVATION, FRAME, COLUMN, REACH]
 BIN_ROWS = 16
-"""Least rows of a set that attention works on, where there are as many; larger sets pad more, smaller ones cost more
+"""Fewest rows of a set that attention works on, where there are that many; larger sets pad more, smaller ones cost more
 calls."""
 NO_LIMIT = 2**31
 """For the compiled policy: more neighbours than a frame can hold."""

@@ -240,7 +240,7 @@ class Glide(ScriptedDriver):
         red = observation[..., self.columns["signal_red"]] > 0.5
         left = self._column(observation, "signal_time_left", TIME_SCALE_S)
         certain = red & (left > 2.0 * ahead / speed.clamp_min(0.5))
-        # What brakes harder than this, or is about to stand, is the simulator's.
+        # Harder braking, and the last moment before standing, are left to the simulator.
         possible = (decel >= s.stop_decel_mps2) & (decel < 4.0) & (ahead > 5.0) & (speed > 3.0)
         return decel, certain & possible & (s.stop_decel_mps2 > 0.0)
 

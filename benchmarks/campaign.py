@@ -120,9 +120,7 @@ class Campaign:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
         if todo and self.results.aggregates:
-            self._set_aggregates(
-                {}
-            )  # those of a smaller benchmark must not outlive a start that ends before the summing up
+            self._set_aggregates({})  # a smaller benchmark's must not remain if this start is stopped before the end
         for number, job in enumerate(todo):
             left = self.pace.left([(self._pace_key(other), self._work(other)) for other in todo[number:]])
             done = len(jobs) - len(todo) + number

@@ -25,7 +25,7 @@ from izoo.training.loop import CHANGEABLE
 MAY_DIFFER = ("out", "num_workers", "cache")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
-"""Options that may be given more of than before; what is there stays."""
+"""Options that may get more values than before; what is there stays."""
 NOT_THE_RUN = (*CHANGEABLE, "run_dir")
 """Options of a training run in which a run that is there may differ from the one that is wanted."""
 
@@ -68,7 +68,7 @@ def _kept(values: Mapping[str, Any], without: tuple[str, ...]) -> dict[str, Any]
 
 
 def _grew(name: str, old: Any, new: Any) -> bool:
-    """Whether a list or a number contains the one before; the first value of a weight gives all points new names."""
+    """Whether a list or a number contains the one before; the first value of a weight would rename all points."""
     if isinstance(new, list):
         return isinstance(old, list) and set(old) <= set(new) and (bool(old) or name not in SWEPT)
     return isinstance(old, int) and isinstance(new, int) and old <= new

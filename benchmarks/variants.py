@@ -192,7 +192,7 @@ class Single:
 
 
 class FullAcceleration(TensorDictModuleBase):
-    """No policy: what every CV is told costs next to nothing to find out."""
+    """No policy: every CV gets the same command, which costs next to nothing."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -203,7 +203,7 @@ class FullAcceleration(TensorDictModuleBase):
         return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
 
     def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
-        """Return what does so in a batch; see :class:`izoo.algos.base.InPlace`."""
+        """Return a function that does so in one step of a batch; see :class:`izoo.algos.base.InPlace`."""
         return lambda step: told[ACTION][step].fill(ACTION_HIGH_MPS2)
 
 

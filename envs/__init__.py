@@ -3,7 +3,8 @@
 - :class:`EcoDrivingEnv`: one intersection, in this process.
 - :class:`SumoParallelEnv`: several, each in a worker process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
-- :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo/EcoDriving-v0")`` and ``"izoo/EcoDrivingEgo-v0"``.
+- :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` and
+  ``"izoo.envs:izoo/EcoDrivingEgo-v0"``.
 - :mod:`izoo.envs.views.pettingzoo`: the parallel API of PettingZoo.
 
 Names are loaded when first used, so that worker processes do not pay for torch.

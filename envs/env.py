@@ -111,7 +111,7 @@ class EcoDrivingBase(EnvBase):
         return number
 
     def _advance(self, state: Callable[[], TensorDictBase]) -> None:
-        """Bring the frames, which hold the commands, to what follows.
+        """Simulate one step with the commands that the frames hold.
 
         Args:
             state: returns what was acted on.
@@ -137,7 +137,7 @@ class EcoDrivingBase(EnvBase):
         row["done"][:] = 1
 
     def _simulate(self, tensordict: TensorDictBase) -> None:
-        """Take the actions and bring the frames to what follows."""
+        """Take the actions and simulate one step."""
         self.require_started()
         self.reader.write_action(tensordict)
         self._advance(lambda: tensordict)
@@ -276,9 +276,9 @@ class EcoDrivingEnv(EcoDrivingBase):
 class SumoParallelEnv(EcoDrivingBase):
     """``N`` intersections on SUMO, each simulated by a process of its own; batch size ``[N]``.
 
-    It offers what TorchRL's ``ParallelEnv`` does and replaces its inside: workers write their frames into shared
-    arrays, and a worker that dies or hangs is replaced alone: its step is reported as truncated, with the observation
-    it last had, and the others do not notice. Workers start at the first reset.
+    It does what TorchRL's ``ParallelEnv`` does, by other means: workers write their frames into shared arrays, and a
+    worker that dies or hangs is replaced alone: its step is reported as truncated, with the observation it last had,
+    and the others do not notice. Workers start at the first reset.
 
     Args:
         num_workers: ``N``.

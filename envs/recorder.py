@@ -15,11 +15,11 @@ Key = tuple[str, ...]
 
 
 class BatchRecorder:
-    """Writes what an environment emits into a batch ``[*B, T]`` while it is collected, and holds what is told there.
+    """Writes what an environment emits, and what it is told, into a batch ``[*B, T]`` while it is collected.
 
     Args:
         reader: of the environment's frames.
-        batch: with every leaf of a rollout, allocated. A recorder serves for as long as it stays where it is in memory.
+        batch: with every leaf of a rollout, allocated. A recorder is good while the batch stays in its place.
 
     Attributes:
         frame: arrays ``[*B, ...]`` of the environment, by key: always the state to act on.
@@ -84,7 +84,7 @@ class BatchRecorder:
         return act
 
     def write_state(self, step: int) -> None:
-        """Write the frames as what is to be acted on in a step; past the end of the batch there is no place for it."""
+        """Write the frames as the state to act on in a step; past the end of the batch there is no place for it."""
         if step < self._batch.shape[-1]:
             for rows, source in self._state:
                 rows[step] = source

@@ -19,7 +19,7 @@ DONE = ("terminated", "truncated", "done")
 
 
 def observation_spec(config: EnvConfig, batch: torch.Size) -> Composite:
-    """Spec of everything emitted at reset and step, but reward and done."""
+    """Spec of everything emitted at reset and step, except reward and done."""
     a, f = config.num_agents, len(observation_names(config))
     root = Composite(agents=_agents(config, batch, a, f), shape=batch)
     if "vehicles" in config.emit:

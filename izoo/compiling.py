@@ -49,7 +49,7 @@ def sources() -> list[Path]:
 def folder() -> Path:
     """Return where compiled code of the present sources lies: beside this file, or else in the user's cache.
 
-    What older sources have left beside this file goes.
+    Folders of older sources beside this file are removed.
     """
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources())).hexdigest()[:16]
     beside = Path(__file__).parent / "__pycache__"
@@ -82,8 +82,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def compiling_once(kernel: Any) -> Iterator[None]:
     """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
 
-    Where files cannot be locked, everybody compiles. A compiled kernel that numba will not use, as it is of another
-    machine, goes unnoticed.
+    Where files cannot be locked, everybody compiles. A kernel from another machine, which numba will not use, is not
+    recognised as such.
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 LINE_EVERY_S = 10.0
-"""Where there is no terminal for a bar, a line says so often how far the work is."""
+"""How often a line reports progress where there is no terminal for a bar."""
 SPEED_OVER = 20
 """Updates that the time left is estimated from."""
 stop_requested = threading.Event()
@@ -56,7 +56,7 @@ def exit_code(name: str, main: Callable[[], int]) -> int:
 
 @contextlib.contextmanager
 def unheard() -> Iterator[None]:
-    """Let work that leaves files go on where nobody reads its output any more."""
+    """Let work that leaves files continue when nobody reads its output any more."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (None if stream is None else _Unheard(stream) for stream in before)  # type: ignore
     try:

@@ -97,7 +97,7 @@ def is_partial(path: Path) -> bool:
 
 
 def discard_partials(folder: Path, name: str | None = None) -> None:
-    """Remove from ``folder`` what processes of this machine left that are gone: of ``name``, or of everything."""
+    """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it."""
     for path in folder.iterdir():
         match = _PARTIAL.fullmatch(path.name)
         if not match or name not in (None, match["name"]) or _is_running(int(match["pid"])):

@@ -153,7 +153,7 @@ class Episode:
         """Rows of the vehicles in the region, ``[n]``, in the order in which they came."""
         return self.tables.members[: self.tables.cursor[MEMBERS]]
 
-    # What happens to the tables, in the order of a step.
+    # The methods below change the tables; they come in the order of a step.
 
     def enter(self, number: int, accel_mps2: float, counted: bool = True) -> int:
         """Give a vehicle that has come a row, and a CV a slot; return the row (:func:`izoo.envs.mdp.slots.enter`)."""
@@ -174,7 +174,7 @@ class Episode:
         return bool(self.tables.ints[row, AGENT] >= 0)
 
     def begin(self, reading: Reading, started_s: float) -> None:
-        """Write the first frame, from where those are who entered during the warm-up."""
+        """Write the first frame, from the positions of those who entered during the warm-up."""
         self._started_s = started_s
         make_frame(self.world, reading, started_s, False)
         self._write_context()
@@ -194,7 +194,7 @@ class Episode:
         return Orders(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases])
 
     def leave(self, row: int) -> None:
-        """Take a vehicle that has left the region off the members."""
+        """Remove a vehicle that has left the region from the members."""
         leave(self.world, row)
 
     def collide(self, row: int) -> None:
@@ -204,7 +204,7 @@ class Episode:
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
     def observe(self, reading: Reading) -> np.ndarray:
-        """Write the frame after a step, from where the members are now.
+        """Write the frame after a step, from the members' present positions.
 
         Returns:
             Rows of agents on a lane that does not lead to their exit: :meth:`give_way` says which of them are slowed.

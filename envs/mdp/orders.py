@@ -21,9 +21,9 @@ _JUNCTION_DEFERRED = METRIC["junction_deferred"]
 def plan_commands(agent_row, action, defer, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
     """Sort the agents into those whose speed is commanded and those left to the simulator's own driver.
 
-    Inside the junction a CV always is left to its driver: vehicles that are made to stand there are driven into from
-    the side, which no check of SUMO's prevents. So is one that the driver slows for a lane change (``YIELDING``). A
-    command holds until the next one, so one that would repeat the last, as in a queue, is left out.
+    A CV inside the junction is always left to its driver: vehicles that are made to stand there are hit from the side,
+    which none of SUMO's checks prevents. So is one that the driver slows for a lane change (``YIELDING``). A command
+    holds until the next one, so one that would repeat the last, as in a queue, is left out.
 
     Args:
         action: ``[A]`` m/s^2; NaN counts as defer.

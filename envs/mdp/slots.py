@@ -80,7 +80,7 @@ def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
 
 @compiled
 def leave(world, row):  # type: ignore[no-untyped-def]
-    """Take the vehicle of a row off the members; its row and slot stay taken until the step is concluded."""
+    """Remove the vehicle of a row from the members; its row and slot stay taken until the step is concluded."""
     tables = world.tables
     kept = 0
     for j in range(tables.cursor[MEMBERS]):

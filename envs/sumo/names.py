@@ -28,7 +28,7 @@ class Names:
         self.members.append(name)
 
     def leave(self, names: Collection[str]) -> None:
-        """Take vehicles that have left off the members; their rows stay theirs until :meth:`forget`."""
+        """Remove vehicles that have left from the members; their rows stay theirs until :meth:`forget`."""
         self.members = [name for name in self.members if name not in names]
 
     def forget(self, names: Iterable[str]) -> None:

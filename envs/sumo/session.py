@@ -231,7 +231,7 @@ class SumoSession:
 
 
 def _explain(arguments: Sequence[str]) -> str:
-    """Return what SUMO says against ``arguments``; libsumo prints it past Python, so the program is asked again."""
+    """Return SUMO's complaints about ``arguments``; Python cannot catch what libsumo prints, so ``sumo`` is run."""
     program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
     try:
         run = subprocess.run([str(program), *arguments, "--end", "0"], capture_output=True, text=True, timeout=60)

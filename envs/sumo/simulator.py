@@ -154,7 +154,7 @@ class SumoSimulator:
                 session.change_lane(name, change - 1, self.config.step_s)
 
     def _read_with_newcomers(self) -> Reading:
-        """Read every vehicle in the region; where the entries hold more than were known, register the others first."""
+        """Read every vehicle in the region; if the entry edges hold more than are known, register the others first."""
         session, names = self.session, self.names
         reading = session.read(names.members, self._lane_numbers)
         if session.count_on(self._entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):

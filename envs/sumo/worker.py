@@ -30,8 +30,8 @@ STEP, BEGIN, INIT, CLOSE = b"s", b"b", b"i", b"q"
 DONE, FAILED = b"k", b"e"
 _STARTUP_S = 300.0
 AWAKE_S = 1e-3
-"""For so long a process asks again for what it waits for before it sleeps, where it has a core for that: being woken by
-another core takes 5 to 90 us, up to a fifth of a step."""
+"""How long a waiting process polls before it sleeps, where it has a core for that: being woken by another core takes 5
+to 90 us, up to a fifth of a step."""
 _LENGTH = struct.Struct("!Q")
 
 
@@ -103,7 +103,7 @@ class Worker:
         """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
 
         Args:
-            awake_s: for so long.
+            awake_s: how long to poll before it sleeps.
             meanwhile: called once if there is time: where it stays awake and no answer is there yet.
 
         Raises:
@@ -234,8 +234,8 @@ def stays_awake(index: int, num_workers: int) -> bool:
     """Whether a worker, and the parent that waits for its answer, stay awake for :data:`AWAKE_S` before they sleep.
 
     They do if there are cores enough; the parents of single views always sleep. With one core per worker and none for
-    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and who
-    polls would only stand in the way.
+    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and
+    polling would only get in the way.
     """
     spare = usable_cores() - num_workers
     return hasattr(os, "sched_yield") and (spare > 0 or (spare == 0 and index > 0))

@@ -86,7 +86,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
       left).
     - reward: the mean over the CVs that acted, 0 where there was none.
     - terminated: never; truncated: the horizon.
-    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.mdp.reward.REWARD_VECTOR`), ``vehicle``
+    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, R]`` (:data:`izoo.envs.mdp.reward.REWARD_VECTOR`), ``vehicle``
       ``[A]`` (number in the episode's demand, -1 where empty), ``agent_terminated`` ``[A]`` (the CV left: its value is
       zero), ``time_s``; at the episode's end ``metrics``.
     """
@@ -144,7 +144,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
       left).
     - reward: the ego's.
     - info: ``vehicle`` (the ego's number in the simulation's demand), ``time_s``, and in steps ``reward_vector``
-      ``[11]``; at the horizon ``metrics``.
+      ``[R]``; at the horizon ``metrics``.
 
     Args:
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
@@ -247,10 +247,10 @@ class EcoDrivingEgo(_View[np.ndarray]):
 
 
 def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
-    """What ``gymnasium.make_vec("izoo/EcoDriving-v0", num_envs)`` makes where no vectorization mode is given."""
+    """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDriving-v0", num_envs)`` makes without a vectorization mode."""
     return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
 
 
 def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
-    """What ``gymnasium.make_vec("izoo/EcoDrivingEgo-v0", num_envs)`` makes where no vectorization mode is given."""
+    """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDrivingEgo-v0", num_envs)`` makes without a vectorization mode."""
     return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)

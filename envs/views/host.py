@@ -1,4 +1,4 @@
-"""One simulation for the views that are no TorchRL environments: its episodes, its frame, its process.
+"""One simulation behind a view for a library other than TorchRL: its episodes, its frame, its process.
 
 Only NumPy is needed here, so that the processes which step such a view stay small.
 """

@@ -21,7 +21,7 @@ RESULTS = "give one that izoo.evaluate, izoo.train or a benchmark has written"
 
 
 def check_train(config: TrainConfig) -> None:
-    """Refuse a run to resume that is none, or contexts in a folder that is none."""
+    """Refuse a folder to resume that is not a run, or contexts in a folder that is not there."""
     if config.resume is not None:
         _check_run(Path(config.resume))
     else:
@@ -29,7 +29,7 @@ def check_train(config: TrainConfig) -> None:
 
 
 def check_evaluate(config: EvaluateConfig) -> None:
-    """Refuse a run without the checkpoint, a module that is not installed, or contexts in a folder that is none."""
+    """Refuse a run without the checkpoint, a module that is not installed, or contexts in a missing folder."""
     if config.run is not None:
         checkpoint.find(Path(config.run), config.checkpoint)
     elif config.policy is not None and ":" in config.policy:
@@ -38,7 +38,7 @@ def check_evaluate(config: EvaluateConfig) -> None:
 
 
 def check_collect(config: CollectConfig) -> None:
-    """Refuse a missing ``out``, a policy that is neither a driver nor a run, or contexts in a folder that is none."""
+    """Refuse a missing ``out``, a policy that is neither a driver nor a run, or contexts in a missing folder."""
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
@@ -50,7 +50,7 @@ def check_collect(config: CollectConfig) -> None:
 
 
 def check_benchmark(config: Any) -> None:
-    """Refuse places to train or to test in that are neither a folder nor a city."""
+    """Refuse places for training and testing that are neither a folder nor a city."""
     for name in ("train", "test"):
         place = getattr(config, name)
         if place is not None and not Path(place).is_dir():
@@ -60,12 +60,12 @@ def check_benchmark(config: Any) -> None:
 
 
 def check_report(config: ReportConfig) -> None:
-    """Refuse results that are no folder."""
+    """Refuse results that are not a folder."""
     check_folder(Path(str(config.results)).expanduser(), RESULTS)
 
 
 def _check_contexts(contexts: Any) -> None:
-    """Ask contexts that lie in a folder to look for it; others have nothing to look for."""
+    """Let contexts that lie in a folder check it; others have nothing to check."""
     check = getattr(contexts, "check", None)
     if check is not None:
         check()

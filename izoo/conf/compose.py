@@ -202,6 +202,8 @@ def _choices_with(key: str) -> list[str]:
     for choice in choices().get(group, ()):
         if group == "algo":
             options: Any = vars(registry.preset(choice))
+        elif group == "env":
+            options = to_mapping(EnvConfig())
         else:
             options = OmegaConf.create((resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text())
         if name in options:

@@ -94,7 +94,7 @@ def options_of(group: str, choice: str) -> Any:
     for command in hydra_commands():
         with contextlib.suppress(IzooError, AttributeError):
             config = getattr(compose.compose_config(command.name, command.config_class(), [f"{group}={choice}"]), group)
-            # Commands change defaults of the environment, which has one choice: what it is by itself is wanted.
+            # Commands have other defaults for the environment, which has one choice; the page shows its own.
             return type(config)() if choice == "default" else config
     raise IzooError(f"no command has the option {group}={choice}; izoo/conf has a file that nothing reads.")
 
@@ -185,9 +185,6 @@ def source(path: str) -> str:
     text = (FOLDER / path).read_text()
     body = "\n".join(f"    {line}".rstrip() for line in text.splitlines())
     return f'??? example "{path}"\n\n    ```python\n{body}\n    ```\n'
-
-
-# -- declarations ------------------------------------------------------------------------------------------------------
 
 
 def observation_table(_: str = "") -> str:

@@ -1,4 +1,4 @@
-"""Worker processes that play episodes: each has an environment of its own, and its loss names the episode it was in."""
+"""Worker processes that play episodes, each in its own environment; if one is lost, the error names its episode."""
 
 from __future__ import annotations
 

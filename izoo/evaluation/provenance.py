@@ -33,7 +33,7 @@ INDIFFERENT = ("emit", "recycle_episodes", "watchdog_s", "gui")
 
 @functools.cache
 def code_digest(drivers: bool = False) -> str:
-    """SHA-256 over the files of :data:`SIMULATED_BY`, so that a changed simulator never meets old numbers.
+    """SHA-256 over the files of :data:`SIMULATED_BY`, so that numbers of different versions are never mixed.
 
     Args:
         drivers: over the algorithms and scripted drivers instead.

@@ -2,7 +2,8 @@
 
 An environment emits *sums and counts* (``("metrics", "approach", name)`` of shape ``[*B, P]``, one entry per incoming
 approach), never means, so that they can be added over approaches and episodes without weights going wrong. Means are
-taken in one place, :func:`scores`, and are NaN-free: a mean over nothing is reported as missing by its mask.
+taken in one place, :mod:`izoo.metrics.scores`, and are NaN-free: a mean over nothing is reported as missing by its
+mask.
 
 A vehicle is *counted* unless it was in the controlled region during warm-up. It belongs to the approach it came from.
 """

@@ -69,7 +69,7 @@ def write_report(
         replay: show the best and the worst approach of every policy; they are played again once, and then kept.
         imports: policies written ``module:function`` may be imported for that.
         partial: accept a benchmark that is not finished.
-        note: is told what takes time, and what is left out.
+        note: called with what takes time, and with what is left out.
 
     Returns:
         the page's path.

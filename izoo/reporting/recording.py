@@ -72,7 +72,7 @@ class Recorder:
         """Return the episode as plain values.
 
         ``vehicles``: per vehicle ``[first frame, is CV, length in dm, approach, exit, lanes, positions]``, where
-        ``lanes`` holds ``[lane, frames, path position of its begin in dm]`` and ``positions`` what
+        ``lanes`` holds ``[lane, frames, path position of its beginning in dm]`` and ``positions`` what
         :func:`second_differences` makes of the path positions in dm. ``signals``: ``[frame, colours]`` at every
         change, a letter per movement in the order of ``[P, Q]``. ``counters``: vehicles that crossed and their CO2 in
         g, every :data:`COUNTER_STEPS`.

@@ -17,9 +17,9 @@ from izoo.metrics.benefit import PAIR, benefits, emission_pairs, ratio_of_sums
 from izoo.reporting.material import Entry
 
 SEED = 0
-"""Of all resampling, so that the same results give the same page."""
+"""Seed of all resampling, so that the same results give the same page."""
 THRESHOLDS = np.linspace(-0.5, 0.5, 201)
-"""Of the performance profile."""
+"""Benefits at which the performance profile is given."""
 
 
 @dataclass(frozen=True)

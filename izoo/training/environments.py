@@ -20,7 +20,7 @@ from izoo.training import past
 
 
 class _Training(EcoDrivingBase):
-    """Adds :data:`TOTALS` to what an environment emits, and lives through episodes in progress again.
+    """Adds :data:`TOTALS` to what an environment emits, and plays episodes in progress up to where they stood.
 
     Args:
         pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.

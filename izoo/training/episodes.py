@@ -28,7 +28,7 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     Args:
         batch: ``[N, T]`` steps of a training environment.
 
-    Episodes that a lost worker took along report no steps, and are left out.
+    Episodes that were lost with their worker report no steps, and are left out.
 
     Returns:
         ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,

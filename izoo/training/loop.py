@@ -37,7 +37,7 @@ CHANGEABLE = (
 )
 """Options that may differ when a run is resumed; the others are part of what the run is."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""What a disk says that is full or has become read only."""
+"""Errors of a disk that is full or has become read-only."""
 MAX_LEARNER_THREADS = 8
 PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""

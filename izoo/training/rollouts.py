@@ -21,7 +21,7 @@ from izoo.envs.env import EcoDrivingBase
 from izoo.envs.recorder import BatchRecorder
 
 CHECK_S = 1.0
-"""How often a parent that waits looks whether its processes live."""
+"""How often a waiting parent checks that its processes are alive."""
 
 
 class RolloutCollector(Collector):

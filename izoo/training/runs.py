@@ -81,7 +81,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
 
 
 def check_layout(features: int, config: TrainConfig, path: Path) -> None:
-    """Raise :class:`IzooError` where a checkpoint observes ``features`` numbers, and its run's options say not."""
+    """Raise :class:`IzooError` unless a checkpoint observes as many ``features`` as its run's options say."""
     expected = len(observation_names(config.env))
     if features != expected:
         raise IzooError(

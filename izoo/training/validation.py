@@ -30,7 +30,7 @@ from izoo.training.records import MetricsTable
 
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
-"""Of validation contexts and episodes, whatever the run's seed: runs are compared on the same episodes."""
+"""Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
 NICENESS = 10
 POLICY = "policy"
 _PATIENCE_S = 0.2

@@ -15,6 +15,7 @@ from izoo.conf import compose
 from izoo.docs import pages
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.errors import IzooError
 from tests.docs.blocks import DOCS, ROOT
 
@@ -37,7 +38,7 @@ def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
     env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, lane_change=True))
     config, found = env.config, {}
     letters = {config.num_agents: "A", config.num_vehicles: "V", config.num_approaches: "P"}
-    letters[len(env.observation_names)] = "F"
+    letters |= {len(env.observation_names): "F", len(REWARD_VECTOR): "R"}
     for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
         for key in spec.keys(True, True):
             shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
