@@ -24,7 +24,7 @@ class Overheard:
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._scratch = tempfile.TemporaryFile(buffering=0)
+        self._scratch = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (it lives as long as this object)
 
     def call(self, function: Callable[[], object]) -> None:
         """Call a function; what it prints about dropped vehicles is counted, and all else passed on."""
