@@ -14,7 +14,8 @@ import numpy as np
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
-from izoo.envs.mdp.episode import Ending, Episode, Reading, Scene
+from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
@@ -67,6 +68,7 @@ class SumoSimulator:
         road = read_road(net)
         traffic = sample_traffic(context, road, seed, config.horizon_s)
         episode = Episode(config, self.frame, self._weights, context, seed, number, road, traffic)
+        self._episode = None  # until this one has been loaded, none is running
         self._load(net, episode)
         self._episode, self.names = episode, Names()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
