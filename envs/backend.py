@@ -15,8 +15,8 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.episode import Scene
 from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net

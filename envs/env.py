@@ -17,8 +17,8 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.episode import Scene
 from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
 from izoo.envs.recorder import BatchRecorder

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.mdp.episode import Scene
+from izoo.envs.mdp.scene import Scene
 from izoo.networks.clock import GREEN, YELLOW
 from izoo.networks.road import APPROACHING, RoadNet
 

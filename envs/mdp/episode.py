@@ -13,6 +13,7 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
 from izoo.envs.mdp.motion import road_arrays
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.envs.mdp.slots import enter, leave
 from izoo.envs.mdp.state import (
@@ -21,7 +22,6 @@ from izoo.envs.mdp.state import (
     EXIT,
     IS_CV,
     JUNCTION_M,
-    NUMBER,
     VEHICLE_FLAGS,
     VEHICLE_FLOATS,
     VEHICLE_INTS,
@@ -68,26 +68,6 @@ class Ending(NamedTuple):
     waiting: Sequence[int]
     outside: Sequence[int]
     early: Sequence[int]
-
-
-class Scene(NamedTuple):
-    """The present state of an environment, whether or not it is emitted.
-
-    Attributes:
-        context: what is being played.
-        road: its road net.
-        time_s: simulated time, warm-up included.
-        vehicles: the columns of ``("vehicles", name)``, ``[n]`` each: everybody in the region.
-        colour: ``[P, Q]`` 0 green, 1 yellow, 2 red.
-        approach_metrics: ``[P, M]`` sums so far, columns :data:`izoo.metrics.definitions.APPROACH_METRICS`.
-    """
-
-    context: Context
-    road: RoadNet
-    time_s: float
-    vehicles: dict[str, np.ndarray]
-    colour: np.ndarray
-    approach_metrics: np.ndarray
 
 
 class Episode:
@@ -238,10 +218,6 @@ class Episode:
         columns |= zip(VEHICLE_INTS, tables.ints[rows].T, strict=False)
         columns |= zip(VEHICLE_FLAGS, tables.flags[rows].T.astype(bool), strict=False)
         return Scene(self.context, self.road, self.time_s, columns, self.clock.now.copy(), tables.sums.copy())
-
-    def number_of(self, row: int) -> int:
-        """Return the number in the demand of the vehicle in a row."""
-        return int(self.tables.ints[row, NUMBER])
 
     def _write_context(self) -> None:
         context, frame = self.context, self.frame

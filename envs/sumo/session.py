@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from izoo.envs.sumo.overheard import Overheard
 from izoo.errors import IzooError
 
 SUMO_VERSION = "1.28.0"
@@ -91,6 +92,7 @@ class SumoSession:
     def __init__(self, gui: bool = False) -> None:
         self._gui = gui
         self._running = False
+        self._overheard = Overheard()
 
     def load(self, arguments: Sequence[str]) -> None:
         """Begin an episode.
@@ -116,6 +118,7 @@ class SumoSession:
             _owner = None
             raise IzooError(f"SUMO could not load the simulation: {_explain(arguments) or error}") from error
         _owner, self._running, self._api = self, True, api
+        self._overheard.dropped = 0
         self._bind(api)
 
     def _program(self) -> list[str]:
@@ -144,6 +147,15 @@ class SumoSession:
     def advance(self) -> None:
         """Simulate one step."""
         self._advance()
+
+    def advance_departing(self) -> None:
+        """Simulate a step in which vehicles may depart: SUMO prints a line for each that it drops instead."""
+        self._overheard.call(self._advance)
+
+    @property
+    def dropped(self) -> int:
+        """How many vehicles SUMO has dropped in this episode because they could not enter the network safely."""
+        return self._overheard.dropped
 
     @property
     def time_s(self) -> float:

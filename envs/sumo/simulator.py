@@ -14,7 +14,8 @@ import numpy as np
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
-from izoo.envs.mdp.episode import Ending, Episode, Reading, Scene
+from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
@@ -67,11 +68,14 @@ class SumoSimulator:
         road = read_road(net)
         traffic = sample_traffic(context, road, seed, config.horizon_s)
         episode = Episode(config, self.frame, self._weights, context, seed, number, road, traffic)
+        self._episode = None  # until this one has been loaded, none is running
         self._load(net, episode)
         self._episode, self.names = episode, Names()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
         self._entry_edges = _entry_edges(road, context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in road.lane_ids])
+        self._due = _due_by_step(episode.traffic.depart_s, config)
+        self._elapsed = 0
         self._departed: set[str] = set()
         self._collided: set[tuple[str, str]] = set()
         self._lanes_commanded: set[str] = set()
@@ -97,8 +101,7 @@ class SumoSimulator:
         session, road = self.session, self.episode.road
         arrived: list[str] = []
         for _ in range(self.config.warmup_steps):
-            session.advance()
-            self._departed.update(session.departed())
+            self._advance()
             arrived += session.arrived()
         for edge in dict.fromkeys(lane.rsplit("_", 1)[0] for lane in road.lane_ids):
             for name in session.on_edge(edge):
@@ -110,8 +113,7 @@ class SumoSimulator:
         """Apply the frame's actions, simulate one step, and write the next frame."""
         episode, session = self.episode, self.session
         self._pass_on_orders()
-        session.advance()
-        self._departed.update(session.departed())
+        self._advance()
         leavers = [name for name in session.arrived() if name in self.names.row_of]
         for name in leavers:
             episode.leave(self.names.row_of[name])
@@ -128,6 +130,16 @@ class SumoSimulator:
         if episode.over:
             episode.finish(self._ending())
         return ()
+
+    def _advance(self) -> None:
+        """Simulate one step, and note who has departed."""
+        session = self.session
+        if self._due[self._elapsed] > len(self._departed) + session.dropped:
+            session.advance_departing()
+            self._departed.update(session.departed())
+        else:
+            session.advance()
+        self._elapsed += 1
 
     def _pass_on_orders(self) -> None:
         command, target_mps, release = self.episode.orders()
@@ -187,13 +199,12 @@ class SumoSimulator:
 
     def _ending(self) -> Ending:
         """Say what became of the demand that did not reach the region."""
-        session, depart_s = self.session, self.episode.traffic.depart_s
-        due = np.flatnonzero(depart_s <= session.time_s - self.config.step_s)
+        session, due = self.session, range(self._due[self._elapsed - 1])
         waiting = {int(name) for name in session.waiting()}
         outside = [int(name) for name in session.driving() if name not in self.names.row_of]
         departed = {int(name) for name in self._departed}
-        dropped = [number for number in due.tolist() if number not in departed and number not in waiting]
-        return Ending(due.tolist(), dropped, sorted(waiting), outside, self._early)
+        dropped = [number for number in due if number not in departed and number not in waiting]
+        return Ending(due, dropped, sorted(waiting), outside, self._early)
 
     def close(self) -> None:
         """End SUMO."""
@@ -206,6 +217,13 @@ class SumoSimulator:
             with contextlib.suppress(OSError):  # Windows keeps files that are open: they go with the next episode
                 self._routes.unlink(missing_ok=True)
                 self._routes = None
+
+
+def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:
+    """Return how many vehicles' departure is due by each step of an episode, which SUMO takes in at its beginning."""
+    begin_s = np.arange(config.warmup_steps + config.control_steps) * config.step_s
+    # SUMO reads times in whole milliseconds.
+    return np.searchsorted(np.round(depart_s, 3), begin_s + 1e-6, side="right").tolist()  # type: ignore[no-any-return]
 
 
 def _entry_edges(road: RoadNet, approaches: Sequence[str], step_s: float) -> list[str]:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, scene_from_frame
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.episode import Scene
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.scene import Scene
 from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
 from izoo.errors import IzooError
 

@@ -22,7 +22,6 @@ from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
-from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
@@ -77,6 +76,8 @@ class Host:
     def _make_backend(self) -> None:
         backend: Backend
         if self._in_process:
+            from izoo.envs.sumo.simulator import SumoSimulator
+
             self.frame = row_of(map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1), 0)
             backend = SumoSimulator(self.config, self.frame, load_weights())
         else:
