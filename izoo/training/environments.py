@@ -66,26 +66,16 @@ class _Training(EcoDrivingBase):
         unbegun = torch.tensor([len(script) == 0 for script in scripts])
         if longest > 0 and unbegun.any():
             frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
-        self._count_on([script.episode for script in scripts])
+        self._next_episode[:] = [script.episode + self._stride for script in scripts]
         return frame
-
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        """Let the next episode of each environment follow the one given."""
-        raise NotImplementedError
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
     """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and pasts."""
 
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        self._episode = episodes[0] + self._stride
-
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
     """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
-
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        self._next_episode[:] = [episode + self.num_workers for episode in episodes]
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
