@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.base import ACTION, MASK, Leaves
+from izoo.algos.base import ACTION, MASK
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
@@ -201,10 +201,6 @@ class FullAcceleration(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the highest acceleration, ``[*B, A, 1]``."""
         return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
-
-    def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
-        """Return a function that does so in one step of a batch; see :class:`izoo.algos.base.InPlace`."""
-        return lambda step: told[ACTION][step].fill(ACTION_HIGH_MPS2)
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
-from izoo.envs.recorder import BatchRecorder
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError
@@ -110,15 +109,6 @@ class EcoDrivingBase(EnvBase):
         self._next_episode[index] += self._stride
         return number
 
-    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
-        """Simulate one step with the commands that the frames hold.
-
-        Args:
-            state: returns what was acted on.
-        """
-        for index in self.backend.step(self.reader.prepare):
-            self._truncate(index, state())
-
     def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
         """Report a lost step: the state before it, truncated, without reward; nothing was measured (0 steps)."""
         row = row_of(self.frames, index)
@@ -140,7 +130,8 @@ class EcoDrivingBase(EnvBase):
         """Take the actions and simulate one step."""
         self.require_started()
         self.reader.write_action(tensordict)
-        self._advance(lambda: tensordict)
+        for index in self.backend.step(self.reader.prepare):
+            self._truncate(index, tensordict)
 
     def require_started(self, call: str = "step") -> None:
         """Raise :class:`IzooError`, which names the call that came too early, unless the episodes are running."""
@@ -170,17 +161,6 @@ class EcoDrivingBase(EnvBase):
         _set(tensordict, "next", following)
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun
-
-    def step_recorded(self, recorder: BatchRecorder, step: int) -> None:
-        """Take the commands of a step from a recorder's batch, and write what follows into it.
-
-        Does what :meth:`step_and_maybe_reset` does, without TensorDicts.
-        """
-        self.reader.write_commands(recorder.commands, step)
-        self._advance(lambda: recorder.state(step))
-        recorder.write_following(step)
-        self._begin_where_ended()
-        recorder.write_state(step + 1)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all simulations."""

@@ -165,18 +165,9 @@ def _compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--city", action="append", help="default: all ten")
     parser.add_argument("--csv", type=Path, help="write the distances here")
     parser.add_argument("--png", type=Path, help="draw the histograms here")
-    parser.add_argument(
-        "--measured",
-        type=Path,
-        metavar="PATH",
-        help="compare rebuilt Salt Lake City with the measured intersections in this folder instead",
-    )
-    parser.add_argument("--seeds", type=int, default=1, help="with --measured: episodes per intersection")
-    parser.add_argument("--horizon-s", type=float, default=1000.0, help="with --measured: length of an episode in s")
-    parser.add_argument("--num-workers", type=int, default=2, help="with --measured: simulators at the same time")
 
 
-def _compare_published(options: argparse.Namespace) -> None:
+def _compare(options: argparse.Namespace) -> None:
     tables = compare_cities([city_name(city) for city in options.city or CITIES])
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))
@@ -184,23 +175,6 @@ def _compare_published(options: argparse.Namespace) -> None:
         write_csv(tables, options.csv)
     if options.png:
         write_png(tables, options.png)
-
-
-def _compare(options: argparse.Namespace) -> None:
-    if options.measured is None:
-        _compare_published(options)
-        return
-    if options.city:
-        raise IzooError("--city does not go with --measured, which compares Salt Lake City.")
-    print(f"reading {options.measured}", flush=True)
-    from izoo.commands import measured
-
-    comparison = measured.compare(options.measured, options.seeds, options.horizon_s, options.num_workers)
-    print(measured.describe(comparison))
-    if options.csv:
-        measured.write_csv(comparison, options.csv)
-    if options.png:
-        measured.write_png(comparison, options.png)
 
 
 def _try_arguments(parser: argparse.ArgumentParser) -> None:
@@ -233,12 +207,7 @@ CONTEXTS = SubcommandCommand(
         Subcommand("list", "print the scenarios that pass a filter", _list_arguments, _list),
         Subcommand("count", "count the scenarios that pass a filter", _filter_arguments, _count),
         Subcommand("cities", "print the ten cities", _no_arguments, _cities),
-        Subcommand(
-            "compare",
-            "compare rebuilt cities with published statistics, or measured nets",
-            _compare_arguments,
-            _compare,
-        ),
+        Subcommand("compare", "compare rebuilt cities with published statistics", _compare_arguments, _compare),
         Subcommand("import", "check and import a downloaded dataset", _import_arguments, _import),
         Subcommand("build", "make intersections of an OpenStreetMap extract", _build_arguments, _build),
         Subcommand("draw", "draw an intersection, or the features of many", _draw_arguments, _draw),

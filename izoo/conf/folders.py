@@ -54,7 +54,7 @@ class DatasetContexts:
 
     def check(self) -> None:
         """Raise :class:`IzooError` where no folder is named, or none is there; reads nothing."""
-        _check(self.name, self.path, "give the folder of the intersections")
+        _check(self.name, self.path)
 
     def build(self) -> ContextSource:
         """Read the folders and return their contexts; raises :class:`IzooError` naming the file that cannot be used."""
@@ -112,7 +112,7 @@ class OsmContexts:
         return _load(self, self.path, fields)
 
 
-def _check(name: str, path: str | None, remedy: str) -> Path:
+def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
     if path is None:
         raise IzooError(f"contexts={name} needs a folder: contexts.path=DIR.")
     if not Path(path).exists():

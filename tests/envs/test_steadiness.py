@@ -13,7 +13,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,6 @@ import torch
 from tensordict import TensorDict
 
 from izoo.contexts.context import Context
-from izoo.contexts.source import FixedSchedule
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.sumo import simulator
 from izoo.envs.sumo.worker import AWAKE_S
@@ -32,6 +32,16 @@ from izoo.traffic.sampling import Traffic, write_routes
 from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
+
+
+@dataclass(frozen=True)
+class FixedSchedule:
+    """Plays the given pairs of a context and a seed, again and again."""
+
+    pairs: Sequence[tuple[Context, int]]
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        return self.pairs[episode % len(self.pairs)]
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs
-from izoo.training.environments import TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.past import EpisodePast, Pasts
 
 TOY = [
@@ -163,6 +163,24 @@ def test_environments_whose_episodes_are_of_different_age_arrive_together() -> N
     assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
     second.close()
     alone.close()
+
+
+@pytest.mark.parametrize("num_workers", [1, 2])
+def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
+    """Of a single environment, or of one worker among several."""
+    config = EnvConfig(horizon_s=60.0, num_agents=16, emit=("context",))
+    env = TrainingEnv(DENSE, config=config, num_workers=num_workers, pasts=[EpisodePast(4)])
+    try:
+        state = env.reset()
+        assert state["context", "episode"].item() == 4
+        done = False
+        while not done:
+            state.set(ACTION, torch.zeros(16, 1))
+            step, state = env.step_and_maybe_reset(state)
+            done = bool(step["next", "done"])
+        assert state["context", "episode"].item() == 4 + num_workers
+    finally:
+        env.close()
 
 
 def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
