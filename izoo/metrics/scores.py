@@ -53,6 +53,7 @@ SCORES: dict[str, Score] = {
     ),
     "unfinished_share": Score("share that had not crossed", ("unfinished",), "entered", "", "lower"),
     "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), None, "veh", "lower"),
+    "dropped_vehicles": Score("dropped before they entered", ("dropped",), None, "veh", "lower"),
     "comfort_mps2": Score("mean absolute acceleration", ("abs_accel_sum",), "vehicle_steps", "m/s2", "lower"),
     "jerk_mps3": Score("mean absolute jerk", ("abs_jerk_sum",), "vehicle_steps", "m/s3", "lower"),
     "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
