@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.compiling import compiling_once
 from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
@@ -110,9 +109,8 @@ class Episode:
         self._demand, self._lanes = demand_arrays(traffic), road_arrays(road)
         self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road)
         self.tables = empty_tables(config, len(road.lane_ids))
-        with compiling_once(make_frame):
-            self._bind()
-            self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
+        self._bind()
+        self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
 
     def _bind(self) -> None:
         """Hand the present tables to compiled code."""

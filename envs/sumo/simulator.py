@@ -11,12 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from izoo.compiling import compiling_once
+from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
+from izoo.envs.mdp.step import make_frame
 from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
 from izoo.errors import IzooError
@@ -62,7 +65,10 @@ class SumoSimulator:
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin an episode, run its warm-up, and write the first frame."""
-        context, seed, number = plays[0]
+        with compiling_once(make_frame):
+            self._begin(*plays[0])
+
+    def _begin(self, context: Context, seed: int, number: int) -> None:
         config = self.config
         net = build_net(context.intersection)
         road = read_road(net)
