@@ -1,0 +1,243 @@
+"""Layout of the twin's arrays: the net, the traffic of an episode, and the state of one environment.
+
+Tables are two-dimensional with one row per lane, link or vehicle; their columns are the constants below. Few tables
+instead of many arrays: compiled functions take them by value. ``L`` lanes (sources and inside lanes too), ``E`` edges,
+``K`` links, ``R`` routes, ``T`` signal programs, ``N`` vehicles of the demand (row ``k`` is the vehicle that SUMO calls
+``str(k)``), ``I`` items: links that vehicles see ahead. -1 means none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+# -- net ---------------------------------------------------------------------------------------------------------------
+
+LANE_LENGTH, LANE_LIMIT = range(2)
+"""Columns of :attr:`TwinNet.lane_floats`: length (m), speed limit (m/s)."""
+
+(
+    LANE_EDGE,
+    LANE_INDEX,
+    LANE_RIGHT,
+    LANE_LEFT,
+    LANE_INSIDE,
+    LANE_REGION,
+    LANE_JUNCTION,
+    LANE_FIRST_LINK,
+    LANE_LINKS,
+) = range(9)
+"""Columns of :attr:`TwinNet.lane_ints`: edge; 0 is rightmost; neighbouring lanes of the edge; 1 inside a junction;
+row of :class:`~izoo.networks.road.RoadNet`; junction at the lane's end, of inside lanes the one that they are in; its
+links are the rows ``LANE_FIRST_LINK`` to ``LANE_FIRST_LINK + LANE_LINKS`` of the links."""
+
+EDGE_FIRST_LANE, EDGE_LANES, EDGE_INSIDE = range(3)
+"""Columns of :attr:`TwinNet.edge_ints`: the lanes of an edge are neighbouring rows, rightmost first."""
+
+(
+    LINK_FROM,
+    LINK_TO,
+    LINK_VIA,
+    LINK_NEXT,
+    LINK_JUNCTION,
+    LINK_REQUEST,
+    LINK_CONT,
+    LINK_PROGRAM,
+    LINK_SIGNAL,
+    LINK_STATE,
+    LINK_DIRECTION,
+    LINK_ENTRY,
+    LINK_FIRST_RESPONSE,
+    LINK_RESPONSES,
+    LINK_FIRST_FOE,
+    LINK_FOES,
+) = range(16)
+"""Columns of :attr:`TwinNet.link_ints`: lane before; lane behind the junction; first inside lane, -1 where there is
+none; the lane that comes next (via, else to); junction; number in the junction's request table; 1 where vehicles may
+wait inside the junction; signal program; index in the program's states; state letter where no signal shows one; letter
+of the direction; for a link that begins inside a junction the link by which vehicles come in, otherwise itself; links
+that it yields to and foes, as ranges of :attr:`TwinNet.responses` and :attr:`TwinNet.foes`."""
+
+PHASE_BEGIN_MS, PHASE_STATE = range(2)
+"""Columns of :attr:`TwinNet.phase_ints`: begin within the cycle; where its state begins in ``phase_letters``."""
+
+PROGRAM_FIRST_PHASE, PROGRAM_PHASES, PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS = range(4)
+"""Columns of :attr:`TwinNet.program_ints`."""
+
+MAX_ROUTE_EDGES = 6
+
+
+class TwinNet(NamedTuple):
+    """Arrays of a whole net; constant, shared by all environments that play it.
+
+    Attributes:
+        lane_floats: ``[L, 2]`` float64. lane_ints: ``[L, 9]`` int32.
+        edge_ints: ``[E, 3]`` int32.
+        link_ints: ``[K, 16]`` int32, sorted by ``LINK_FROM``, then as in the net file.
+        responses: links that a link must yield to. foes: links whose ways conflict with a link's. Both int32, in the
+            ranges that ``link_ints`` give; entries are rows of links that begin outside of the junction, or, of an
+            inner wait, the link that leaves it.
+        program_ints: ``[T, 4]`` int64. phase_ints: ``[phases, 2]`` int64. phase_letters: uint8, ASCII.
+        route_edges: ``[R, MAX_ROUTE_EDGES]`` int32, source edge to exit edge, then -1; inside edges are left out.
+        route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.episode.Traffic`.
+        route_of: ``[P, 2, Q]`` int32, the route by approach, source kind, exit.
+        route_link: ``[R, L]`` int32, the link by which a vehicle of the route leaves the lane; -1 where the lane does
+            not lead on (or the route ends).
+        route_lane_step: ``[R, L]`` int32, position in ``route_edges`` of the lane's edge (inside lanes: of the edge
+            before); -1 off the route.
+        best_length: ``[R, L]`` float64, length in m of the lane and of what can be driven on from it without change.
+        best_offset: ``[R, L]`` int32, lanes to change (positive: to the left) to the lane that leads furthest.
+        shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
+        lane_width: ``[L]`` float64, m.
+    """
+
+    lane_floats: np.ndarray
+    lane_ints: np.ndarray
+    edge_ints: np.ndarray
+    link_ints: np.ndarray
+    responses: np.ndarray
+    foes: np.ndarray
+    program_ints: np.ndarray
+    phase_ints: np.ndarray
+    phase_letters: np.ndarray
+    route_edges: np.ndarray
+    route_approach: np.ndarray
+    route_source: np.ndarray
+    route_exit: np.ndarray
+    route_of: np.ndarray
+    route_link: np.ndarray
+    route_lane_step: np.ndarray
+    best_length: np.ndarray
+    best_offset: np.ndarray
+    shape_start: np.ndarray
+    shape_points: np.ndarray
+    lane_width: np.ndarray
+
+
+# -- traffic -----------------------------------------------------------------------------------------------------------
+
+LENGTH, MIN_GAP, TAU, MAX_ACCEL, DECEL, EMERGENCY_DECEL, TWO_ROOT_AB, DEPART_SPEED = range(8)
+"""Columns of :attr:`TwinTraffic.floats`: m, m, s, m/s^2, m/s^2, m/s^2, ``2 sqrt(accel decel)``, m/s."""
+
+DEPART_MS, ROUTE, DEPART_LANE = range(3)
+"""Columns of :attr:`TwinTraffic.ints`: time at which it wants to enter (ms), route, row of the source lane."""
+
+
+class TwinTraffic(NamedTuple):
+    """The demand of an episode; constant.
+
+    Attributes:
+        floats: ``[N, 8]`` float64, as SUMO reads them from the route file (rounded to its decimals).
+        ints: ``[N, 3]`` int64.
+    """
+
+    floats: np.ndarray
+    ints: np.ndarray
+
+
+# -- state of one environment ------------------------------------------------------------------------------------------
+
+NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
+"""Values of ``STATUS``: not yet due; due but not inserted; on the road; at the end of its route; removed by SUMO."""
+
+(
+    POSITION,
+    SPEED,
+    ACCEL,
+    FREE_SPEED,
+    COMMAND,
+    PLAN_SPEED,
+    LOOK_AHEAD_SPEED,
+    SPEED_GAIN,
+    KEEP_RIGHT,
+    LEAD_GAP,
+    ADVICE_LOW,
+    ADVICE_HIGH,
+    ENTRY_TIME,
+    OLD_POSITION,
+    SPARE_0,
+    SPARE_1,
+) = range(16)
+"""Columns of :attr:`TwinState.floats`: front bumper on its lane (m); m/s; acceleration of the last step (m/s^2); speed
+that SUMO itself would have chosen in the last step ("speed without TraCI", m/s); commanded speed (m/s), NaN for none;
+speed from planning, before right of way (m/s); lane changing's memories (owner: lanes); others as their owners say."""
+
+(
+    STATUS,
+    LANE,
+    AHEAD,
+    BEHIND,
+    SIGNALS,
+    WAITING_MS,
+    TAIL_LANES,
+    FIRST_ITEM,
+    ITEMS,
+    CHANGE_COMMAND,
+    CHANGE_MODE,
+    CHANGE_STATE,
+    CHANGED_MS,
+    CHANGES_STRATEGIC,
+    CHANGES_COOPERATIVE,
+    CHANGES_SPEED,
+    CHANGES_RIGHT,
+    CHANGES_COMMANDED,
+    ROUTE_STEP,
+    SPARE_INT,
+) = range(20)
+"""Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
+how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
+lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
+last change, changes by reason; position of its edge in the route."""
+
+LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
+"""Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
+there are; how many vehicles have their tail, but not their front, on it."""
+
+MAX_TAIL_LANES = 4
+"""Lanes behind its own that a tail can be on, and tails that one lane can hold."""
+
+ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_ACCEL, ITEM_WAIT_POINT = range(7)
+"""Columns of :attr:`TwinState.item_floats`: distance from the front to the link (m); speed for the coming step if the
+link is passed, and if not (m/s); speed on arrival and on leaving the junction (m/s); ..."""
+
+ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT = range(6)
+"""Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;
+1 where the vehicle asks to pass; next item that approaches the same link."""
+
+NOW_MS, STEP_COUNT, NEXT_DEPARTURE, ITEM_TOTAL, ON_ROAD, DROPS = range(6)
+"""Entries of :attr:`TwinState.clock`: time at which the coming step begins (ms); steps done; first vehicle that was not
+due yet; items in use; vehicles on the road; vehicles dropped."""
+
+MAX_ITEMS_PER_VEHICLE = 8
+
+
+class TwinState(NamedTuple):
+    """All that changes in one environment: plain arrays of fixed size, so that a copy of them is a copy of the world.
+
+    Attributes:
+        clock: ``[8]`` int64.
+        floats: ``[N, 16]`` float64. ints: ``[N, 20]`` int64.
+        tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
+        lanes: ``[L, 4]`` int32.
+        tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
+        waiting_first: ``[L]`` int32, per lane the first vehicle that waits to enter on it; waiting_next: ``[N]`` int32.
+        link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
+        link_changed_ms: ``[T]`` int64, when the program entered its phase.
+        link_first: ``[K]`` int32, first item of the vehicles that approach the link.
+        item_floats: ``[I, 7]`` float64. item_ints: ``[I, 6]`` int64.
+    """
+
+    clock: np.ndarray
+    floats: np.ndarray
+    ints: np.ndarray
+    tail_lane: np.ndarray
+    lanes: np.ndarray
+    tails: np.ndarray
+    waiting_first: np.ndarray
+    waiting_next: np.ndarray
+    link_letter: np.ndarray
+    link_changed_ms: np.ndarray
+    link_first: np.ndarray
+    item_floats: np.ndarray
+    item_ints: np.ndarray
