@@ -156,8 +156,8 @@ NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
     ADVICE_HIGH,
     ENTRY_TIME,
     OLD_POSITION,
-    SPARE_0,
-    SPARE_1,
+    LEFT_SPACE,
+    BLOCKER_LENGTH,
 ) = range(16)
 """Columns of :attr:`TwinState.floats`: front bumper on its lane (m); m/s; acceleration of the last step (m/s^2); speed
 that SUMO itself would have chosen in the last step ("speed without TraCI", m/s); commanded speed (m/s), NaN for none;
@@ -183,12 +183,12 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     CHANGES_RIGHT,
     CHANGES_COMMANDED,
     ROUTE_STEP,
-    SPARE_INT,
+    ADVICES,
 ) = range(20)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
 how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
 lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
-last change, changes by reason; position of its edge in the route."""
+last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes)."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -212,6 +212,19 @@ due yet; items in use; vehicles on the road; vehicles dropped."""
 MAX_ITEMS_PER_VEHICLE = 8
 
 
+MAX_ADVICES = 12
+"""Speeds that lane changing advises to one vehicle within a step."""
+
+(
+    CHANGER_NEXT,
+    CHANGER_LEADER,
+    CHANGER_HOPPED,
+    CHANGER_FIRST_BLOCKED,
+    CHANGER_LAST_BLOCKED,
+) = range(5)
+"""Columns of :attr:`TwinState.changer`, the working memory of lane changing on an edge."""
+
+
 class TwinState(NamedTuple):
     """All that changes in one environment: plain arrays of fixed size, so that a copy of them is a copy of the world.
 
@@ -226,6 +239,9 @@ class TwinState(NamedTuple):
         link_changed_ms: ``[T]`` int64, when the program entered its phase.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
         item_floats: ``[I, 7]`` float64. item_ints: ``[I, 6]`` int64.
+        advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
+        changer: ``[L, 5]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
+        lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m.
     """
 
     clock: np.ndarray
@@ -241,3 +257,7 @@ class TwinState(NamedTuple):
     link_first: np.ndarray
     item_floats: np.ndarray
     item_ints: np.ndarray
+    advice: np.ndarray
+    changer: np.ndarray
+    changer_density: np.ndarray
+    lane_room: np.ndarray
