@@ -79,6 +79,7 @@ class TwinNet(NamedTuple):
             ranges that ``link_ints`` give; entries are rows of links that begin outside of the junction, or, of an
             inner wait, the link that leaves it.
         program_ints: ``[T, 4]`` int64. phase_ints: ``[phases, 2]`` int64. phase_letters: uint8, ASCII.
+        program_first_link: ``[T + 1]`` int32, range of each program in ``program_links`` (int32): the links that show it.
         route_edges: ``[R, MAX_ROUTE_EDGES]`` int32, source edge to exit edge, then -1; inside edges are left out.
         route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.episode.Traffic`.
         route_of: ``[P, 2, Q]`` int32, the route by approach, source kind, exit.
@@ -101,6 +102,8 @@ class TwinNet(NamedTuple):
     program_ints: np.ndarray
     phase_ints: np.ndarray
     phase_letters: np.ndarray
+    program_first_link: np.ndarray
+    program_links: np.ndarray
     route_edges: np.ndarray
     route_approach: np.ndarray
     route_source: np.ndarray
@@ -236,7 +239,7 @@ class TwinState(NamedTuple):
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
         waiting_first: ``[L]`` int32, per lane the first vehicle that waits to enter on it; waiting_next: ``[N]`` int32.
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
-        link_changed_ms: ``[T]`` int64, when the program entered its phase.
+        program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
         item_floats: ``[I, 7]`` float64. item_ints: ``[I, 6]`` int64.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
@@ -253,7 +256,8 @@ class TwinState(NamedTuple):
     waiting_first: np.ndarray
     waiting_next: np.ndarray
     link_letter: np.ndarray
-    link_changed_ms: np.ndarray
+    program_phase: np.ndarray
+    program_switch_ms: np.ndarray
     link_first: np.ndarray
     item_floats: np.ndarray
     item_ints: np.ndarray

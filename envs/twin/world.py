@@ -124,6 +124,9 @@ class _Reader:
         link_ints = self._links(connections, lane_ints)
         responses, foes = self._requests(link_ints)
         programs, phases, letters = self._signals()
+        signal_links = np.flatnonzero(link_ints[:, LINK_PROGRAM] >= 0)
+        shown = link_ints[signal_links, LINK_PROGRAM]
+        shown_order = np.argsort(shown, kind="stable")
         routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
         shapes = [lane_shape(lane) for lane in self.lanes]
         net = TwinNet(
@@ -136,6 +139,8 @@ class _Reader:
             program_ints=programs,
             phase_ints=phases,
             phase_letters=letters,
+            program_first_link=np.searchsorted(shown[shown_order], np.arange(len(self.programs) + 1)).astype(np.int32),
+            program_links=signal_links[shown_order].astype(np.int32),
             **routes._asdict(),
             shape_start=np.cumsum([0, *map(len, shapes)]).astype(np.int32),
             shape_points=np.concatenate(shapes),
