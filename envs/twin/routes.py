@@ -33,8 +33,6 @@ class RouteTables(NamedTuple):
     route_of: np.ndarray
     route_link: np.ndarray
     route_lane_step: np.ndarray
-    best_length: np.ndarray
-    best_offset: np.ndarray
 
 
 class _Lanes:
@@ -88,63 +86,46 @@ def find_routes(
         route_of=np.full((len(road.approaches), len(SOURCE_KINDS), len(road.exits)), -1, np.int32),
         route_link=np.full((count, lane_count), -1, np.int32),
         route_lane_step=np.full((count, lane_count), -1, np.int32),
-        best_length=np.zeros((count, lane_count)),
-        best_offset=np.zeros((count, lane_count), np.int32),
     )
     for row, (p, source, q, edges) in enumerate(found):
         tables.route_edges[row, : len(edges)] = edges
         tables.route_of[p, source, q] = row
-        _follow(lanes, edges, *(table[row] for table in tables[5:]))
+        _follow(lanes, edges, tables.route_link[row], tables.route_lane_step[row])
     return tables
 
 
-def _follow(
-    lanes: _Lanes,
-    edges: list[int],
-    route_link: np.ndarray,
-    lane_step: np.ndarray,
-    best_length: np.ndarray,
-    best_offset: np.ndarray,
-) -> None:
+def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray, lane_step: np.ndarray) -> None:
     """Fill one route's rows, from its end to its beginning."""
+    length, offset = np.zeros(len(lanes.length)), np.zeros(len(lanes.length), np.int32)
     for step, edge in enumerate(edges):
         lane_step[list(lanes.of_edge(edge))] = step
     last = list(lanes.of_edge(edges[-1]))
-    best_length[last] = lanes.length[last]
+    length[last] = lanes.length[last]
     for step, (edge, after) in reversed(list(enumerate(itertools.pairwise(edges)))):
         onward = set(lanes.of_edge(after))
         for lane in lanes.of_edge(edge):
-            best_length[lane] = lanes.length[lane]
+            length[lane] = lanes.length[lane]
             ways = [k for k in lanes.links_of(lane) if int(lanes.links[k, LINK_TO]) in onward]
             if not ways:
                 continue
             targets = lanes.links[ways, LINK_TO]
-            order = np.lexsort((np.abs(best_offset[targets]), -best_length[targets]))
+            order = np.lexsort((np.abs(offset[targets]), -length[targets]))
             chosen = ways[int(order[0])]
             target = int(lanes.links[chosen, LINK_TO])
-            best_length[lane] += best_length[target]
-            best_offset[lane] = best_offset[target]
+            length[lane] += length[target]
+            offset[lane] = offset[target]
             route_link[lane] = chosen
             for way in ways:
-                _follow_inside(lanes, way, step, route_link, lane_step, best_length, best_length[targets])
-        _point_to_best(np.array(lanes.of_edge(edge)), best_length, best_offset)
+                _follow_inside(lanes, way, step, route_link, lane_step)
+        _point_to_best(np.array(lanes.of_edge(edge)), length, offset)
 
 
-def _follow_inside(
-    lanes: _Lanes,
-    link: int,
-    step: int,
-    route_link: np.ndarray,
-    lane_step: np.ndarray,
-    best_length: np.ndarray,
-    lengths_behind: np.ndarray,
-) -> None:
+def _follow_inside(lanes: _Lanes, link: int, step: int, route_link: np.ndarray, lane_step: np.ndarray) -> None:
     """Enter the inside lanes behind ``link``: each leads on by its only link."""
     lane = int(lanes.links[link, LINK_NEXT])
     while lanes.ints[lane, LANE_INSIDE]:
         onward = lanes.links_of(lane)[0]
         route_link[lane], lane_step[lane] = onward, step
-        best_length[lane] = lanes.length[lane] + lengths_behind.max()
         lane = int(lanes.links[onward, LINK_NEXT])
 
 

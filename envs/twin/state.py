@@ -87,8 +87,9 @@ class TwinNet(NamedTuple):
             not lead on (or the route ends).
         route_lane_step: ``[R, L]`` int32, position in ``route_edges`` of the lane's edge (inside lanes: of the edge
             before); -1 off the route.
-        best_length: ``[R, L]`` float64, length in m of the lane and of what can be driven on from it without change.
-        best_offset: ``[R, L]`` int32, lanes to change (positive: to the left) to the lane that leads furthest.
+        variant_first, variant_count: ``[R]`` int32; variant_links, variant_group: ``[R, 12]`` int32; variant_bits:
+            ``[X]`` int64; best_length: ``[X, L]`` float64; best_offset, best_link: ``[X, L]`` int32; best_open:
+            ``[X, L]`` bool: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
         shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
         lane_width: ``[L]`` float64, m.
     """
@@ -111,8 +112,15 @@ class TwinNet(NamedTuple):
     route_of: np.ndarray
     route_link: np.ndarray
     route_lane_step: np.ndarray
+    variant_first: np.ndarray
+    variant_count: np.ndarray
+    variant_links: np.ndarray
+    variant_group: np.ndarray
+    variant_bits: np.ndarray
     best_length: np.ndarray
     best_offset: np.ndarray
+    best_link: np.ndarray
+    best_open: np.ndarray
     shape_start: np.ndarray
     shape_points: np.ndarray
     lane_width: np.ndarray
@@ -187,11 +195,13 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     CHANGES_COMMANDED,
     ROUTE_STEP,
     ADVICES,
-) = range(20)
+    VARIANT,
+) = range(21)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
 how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
 lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
-last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes)."""
+last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes);
+row of the best lanes' tables, set when it enters an edge."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -233,7 +243,7 @@ class TwinState(NamedTuple):
 
     Attributes:
         clock: ``[8]`` int64.
-        floats: ``[N, 16]`` float64. ints: ``[N, 20]`` int64.
+        floats: ``[N, 16]`` float64. ints: ``[N, 21]`` int64.
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L, 4]`` int32.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.

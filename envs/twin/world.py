@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
 from izoo.envs.twin.routes import find_routes
 from izoo.envs.twin.state import (
     EDGE_FIRST_LANE,
@@ -128,6 +129,8 @@ class _Reader:
         shown = link_ints[signal_links, LINK_PROGRAM]
         shown_order = np.argsort(shown, kind="stable")
         routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
+        tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints, programs, phases, letters)
+        best = tabulate_best_lanes(tables, routes.route_edges)
         shapes = [lane_shape(lane) for lane in self.lanes]
         net = TwinNet(
             lane_floats=lane_floats,
@@ -142,6 +145,7 @@ class _Reader:
             program_first_link=np.searchsorted(shown[shown_order], np.arange(len(self.programs) + 1)).astype(np.int32),
             program_links=signal_links[shown_order].astype(np.int32),
             **routes._asdict(),
+            **best._asdict(),
             shape_start=np.cumsum([0, *map(len, shapes)]).astype(np.int32),
             shape_points=np.concatenate(shapes),
             lane_width=np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes]),
