@@ -16,12 +16,8 @@ import numpy as np
 from izoo.envs.twin.state import (
     LANE_INSIDE,
     LANE_LENGTH,
-    LINK_CONT,
-    LINK_ENTRY,
     LINK_FROM,
-    LINK_JUNCTION,
     LINK_NEXT,
-    LINK_REQUEST,
     LINK_TO,
     LINK_VIA,
 )
