@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.state import (
     EDGE_FIRST_LANE,
     EDGE_LANES,
@@ -234,7 +233,7 @@ def _point_to_best(
             length[lane] = net.lane_floats[lane, LANE_LENGTH]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def find_variant(net, state, route):  # type: ignore[no-untyped-def]
     """Return the variant of ``route`` that the links' present letters ask for."""
     first, count = net.variant_first[route], net.variant_count[route]

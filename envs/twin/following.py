@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.state import DECEL, EMERGENCY_DECEL, MAX_ACCEL, MIN_GAP, TAU, TWO_ROOT_AB
 
 EPS = 0.001
@@ -22,7 +22,7 @@ TOP_SPEED_MPS = 200.0 / 3.6
 """Of every vehicle: the default of the vehicle class, above all limits that nets have."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step behind a leader that keeps its speed.
 
@@ -42,19 +42,19 @@ def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # t
     return speed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def secure_gap(driver, speed, leader_speed):  # type: ignore[no-untyped-def]
     """Return the gap (m, beyond the standstill gap) that a driver wants behind a leader."""
     return max(0.0, speed * driver[TAU] + speed * (speed - leader_speed) / driver[TWO_ROOT_AB])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def follow_speed(driver, gap, speed, leader_speed, wish_mps, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step behind a vehicle, ``gap`` (m) being the free road less the standstill gap."""
     return idm_speed(driver, gap, speed, leader_speed, wish_mps, driver[MIN_GAP], step_s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def stop_speed(driver, gap, speed, wish_mps, decel, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step towards a point ``gap`` ahead at which to stop."""
     if gap < 0.01:
@@ -65,7 +65,7 @@ def stop_speed(driver, gap, speed, wish_mps, decel, step_s):  # type: ignore[no-
     return min(result, gap / step_s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def free_speed(driver, seen, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step on a free road with another limit ``seen`` ahead."""
     secure = secure_gap(driver, limit_mps, 0.0)
@@ -76,7 +76,7 @@ def free_speed(driver, seen, speed, limit_mps, wish_mps, step_s):  # type: ignor
     return min(result, limit_mps) if seen < secure else result
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def brake_gap(speed, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
     """Return the way (m) to a standstill: braking begins after ``tau_s``, in whole steps."""
     loss = decel * step_s
@@ -84,7 +84,7 @@ def brake_gap(speed, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
     return step_s * (steps * speed - loss * steps * (steps + 1) / 2) + speed * tau_s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def safe_stop_speed(gap, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
     """Return the highest speed (m/s) from which one can stop within ``gap`` by braking in whole steps."""
     g = gap - EPS
@@ -97,20 +97,20 @@ def safe_stop_speed(gap, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
     return n * b + (g - covered) / (n * step_s + tau_s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def least_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of comfortable braking."""
     decel = max(driver[DECEL], min(driver[EMERGENCY_DECEL], COMFORT_DECEL_MPS2))
     return max(0.0, speed - decel * step_s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def most_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of full acceleration."""
     return min(speed + driver[MAX_ACCEL] * step_s, TOP_SPEED_MPS)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untyped-def]
     """Return the least time (s) for ``way`` (m) when the speed goes evenly to ``arrival_speed`` and stays there."""
     accel = driver[MAX_ACCEL] if arrival_speed >= speed else -driver[DECEL]
@@ -121,7 +121,7 @@ def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untype
     return -(speed - math.sqrt(speed * speed + 2.0 * accel * way)) / accel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def speed_after(way, speed, accel):  # type: ignore[no-untyped-def]
     """Return the speed (m/s) after ``way`` m of even acceleration, at most what vehicles can."""
     return min(TOP_SPEED_MPS, np.sqrt(2.0 * way * accel + speed * speed))

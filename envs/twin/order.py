@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.state import (
     AHEAD,
     BEHIND,
@@ -20,7 +19,7 @@ from izoo.envs.twin.state import (
 )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def place(state, v, lane):  # type: ignore[no-untyped-def]
     """Enter vehicle ``v`` into the order of ``lane`` by its position, behind others at the same place."""
     ints, lanes = state.ints, state.lanes
@@ -45,7 +44,7 @@ def place(state, v, lane):  # type: ignore[no-untyped-def]
     lanes[lane, LANE_COUNT] += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def take_out(state, v):  # type: ignore[no-untyped-def]
     """Take vehicle ``v`` out of the order of its lane."""
     ints, lanes = state.ints, state.lanes
@@ -62,7 +61,7 @@ def take_out(state, v):  # type: ignore[no-untyped-def]
     ints[v, AHEAD] = ints[v, BEHIND] = -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def drop_tail(state, v):  # type: ignore[no-untyped-def]
     """Take the tail of vehicle ``v`` off all lanes."""
     for k in range(state.ints[v, TAIL_LANES]):
@@ -76,28 +75,24 @@ def drop_tail(state, v):  # type: ignore[no-untyped-def]
     state.ints[v, TAIL_LANES] = 0
 
 
-@njit(cache=True, nogil=True)
-def lay_tail(net, traffic, state, v, behind, count):  # type: ignore[no-untyped-def]
-    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes of ``behind`` as it reaches.
-
-    Args:
-        behind: ``[>= count]`` lanes behind the vehicle's own, the nearest first; may be its row of ``tail_lane``.
-    """
+@compiled
+def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
+    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes of its row of ``tail_lane`` as it reaches."""
     rest = traffic.floats[v, LENGTH] - state.floats[v, POSITION]
     kept = 0
-    for k in range(min(count, MAX_TAIL_LANES)):
-        lane = behind[k]
-        if rest <= 0.0 or state.lanes[lane, LANE_TAILS] >= MAX_TAIL_LANES:
+    while kept < count and rest > 0.0:
+        lane = state.tail_lane[v, kept]
+        tails = state.lanes[lane, LANE_TAILS]
+        if tails == MAX_TAIL_LANES:
             break
-        state.tail_lane[v, kept] = lane
-        kept += 1
-        state.tails[lane, state.lanes[lane, LANE_TAILS]] = v
-        state.lanes[lane, LANE_TAILS] += 1
+        state.tails[lane, tails] = v
+        state.lanes[lane, LANE_TAILS] = tails + 1
         rest -= net.lane_floats[lane, LANE_LENGTH]
+        kept += 1
     state.ints[v, TAIL_LANES] = kept
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def back_on(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Return the position (m) of the rear bumper of vehicle ``v`` on ``lane``, its own or one that its tail is on."""
     back = state.floats[v, POSITION] - traffic.floats[v, LENGTH]
@@ -111,7 +106,7 @@ def back_on(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     return back
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def last_on(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
     """Return the vehicle furthest upstream on ``lane``, else one whose tail is on it; -1 where there is none.
 
@@ -126,7 +121,7 @@ def last_on(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
     return tail_on(net, traffic, state, lane, but)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tail_on(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
     """Return the vehicle whose tail is on ``lane`` and reaches furthest back; -1 where there is none."""
     found, nearest = -1, 0.0

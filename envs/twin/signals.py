@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.state import (
     LINK_PROGRAM,
     LINK_SIGNAL,
@@ -17,10 +16,10 @@ from izoo.envs.twin.state import (
     PROGRAM_PHASES,
 )
 
-RED, YELLOW, OFF_YELLOW, RIGHT_ON_RED = ord("r"), ord("y"), ord("Y"), ord("s")
+RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def show_signals(net, state):  # type: ignore[no-untyped-def]
     """Set the letters of all signals to those of the present time."""
     now_ms = state.clock[NOW_MS]
@@ -44,10 +43,22 @@ def show_signals(net, state):  # type: ignore[no-untyped-def]
             state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def begin_signals(net, state):  # type: ignore[no-untyped-def]
     """Begin an episode: links without a signal show their own state for ever."""
     for link in range(net.link_ints.shape[0]):
         if net.link_ints[link, LINK_PROGRAM] < 0:
             state.link_letter[link] = net.link_ints[link, LINK_STATE]
     state.program_switch_ms[:] = -1
+
+
+@compiled
+def stops_all(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` is red or yellow."""
+    return letter == RED or letter == YELLOW or letter == OFF_YELLOW
+
+
+@compiled
+def is_major(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` has priority."""
+    return letter < LOWER_CASE

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
+from izoo.envs.twin.compiled import Byte1, Byte2, Float1, Float2, Int1, Int2, Int3, Long1, Long2, opener, tables_type
 
 # -- net ---------------------------------------------------------------------------------------------------------------
 
@@ -79,9 +79,11 @@ class TwinNet(NamedTuple):
             ranges that ``link_ints`` give; entries are rows of links that begin outside of the junction, or, of an
             inner wait, the link that leaves it.
         program_ints: ``[T, 4]`` int64. phase_ints: ``[phases, 2]`` int64. phase_letters: uint8, ASCII.
-        program_first_link: ``[T + 1]`` int32, range of each program in ``program_links`` (int32): the links that show it.
+        program_first_link: ``[T + 1]`` int32, range of each program in ``program_links``. program_links: int32, the
+            links that show a program.
         route_edges: ``[R, MAX_ROUTE_EDGES]`` int32, source edge to exit edge, then -1; inside edges are left out.
         route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.episode.Traffic`.
+        route_exit_edge: ``[R]`` int32, row of the last edge. source_lanes: int32, rows of the lanes to enter on.
         route_of: ``[P, 2, Q]`` int32, the route by approach, source kind, exit.
         route_link: ``[R, L]`` int32, the link by which a vehicle of the route leaves the lane; -1 where the lane does
             not lead on (or the route ends).
@@ -89,41 +91,46 @@ class TwinNet(NamedTuple):
             before); -1 off the route.
         variant_first, variant_count: ``[R]`` int32; variant_links, variant_group: ``[R, 12]`` int32; variant_bits:
             ``[X]`` int64; best_length: ``[X, L]`` float64; best_offset, best_link: ``[X, L]`` int32; best_open:
-            ``[X, L]`` bool: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
+            ``[X, L]`` uint8: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
+        incoming_start: ``[L + 1]`` int32, each lane's range of incoming_links (int32), the links that lead to it.
         shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
         lane_width: ``[L]`` float64, m.
     """
 
-    lane_floats: np.ndarray
-    lane_ints: np.ndarray
-    edge_ints: np.ndarray
-    link_ints: np.ndarray
-    responses: np.ndarray
-    foes: np.ndarray
-    program_ints: np.ndarray
-    phase_ints: np.ndarray
-    phase_letters: np.ndarray
-    program_first_link: np.ndarray
-    program_links: np.ndarray
-    route_edges: np.ndarray
-    route_approach: np.ndarray
-    route_source: np.ndarray
-    route_exit: np.ndarray
-    route_of: np.ndarray
-    route_link: np.ndarray
-    route_lane_step: np.ndarray
-    variant_first: np.ndarray
-    variant_count: np.ndarray
-    variant_links: np.ndarray
-    variant_group: np.ndarray
-    variant_bits: np.ndarray
-    best_length: np.ndarray
-    best_offset: np.ndarray
-    best_link: np.ndarray
-    best_open: np.ndarray
-    shape_start: np.ndarray
-    shape_points: np.ndarray
-    lane_width: np.ndarray
+    lane_floats: Float2
+    lane_ints: Int2
+    edge_ints: Int2
+    link_ints: Int2
+    responses: Int1
+    foes: Int1
+    program_ints: Long2
+    phase_ints: Long2
+    phase_letters: Byte1
+    program_first_link: Int1
+    program_links: Int1
+    route_edges: Int2
+    route_approach: Int1
+    route_source: Int1
+    route_exit: Int1
+    route_exit_edge: Int1
+    source_lanes: Int1
+    route_of: Int3
+    route_link: Int2
+    route_lane_step: Int2
+    variant_first: Int1
+    variant_count: Int1
+    variant_links: Int2
+    variant_group: Int2
+    variant_bits: Long1
+    best_length: Float2
+    best_offset: Int2
+    best_link: Int2
+    best_open: Byte2
+    incoming_start: Int1
+    incoming_links: Int1
+    shape_start: Int1
+    shape_points: Float2
+    lane_width: Float1
 
 
 # -- traffic -----------------------------------------------------------------------------------------------------------
@@ -143,8 +150,8 @@ class TwinTraffic(NamedTuple):
         ints: ``[N, 3]`` int64.
     """
 
-    floats: np.ndarray
-    ints: np.ndarray
+    floats: Float2
+    ints: Long2
 
 
 # -- state of one environment ------------------------------------------------------------------------------------------
@@ -196,12 +203,19 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     ROUTE_STEP,
     ADVICES,
     VARIANT,
-) = range(21)
+    CHANGE_TARGET,
+    CHANGE_UNTIL_MS,
+    JUNCTION_MS,
+    CONFLICT_MS,
+    WILL_PASS,
+) = range(26)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
 how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
 lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
 last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes);
-row of the best lanes' tables, set when it enters an edge."""
+row of the best lanes' tables, set when it enters an edge; index of the lane that it is commanded to, and until when;
+when it entered the junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass
+the link at the end of its lane in the last plan (owner: junction)."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -224,6 +238,8 @@ due yet; items in use; vehicles on the road; vehicles dropped."""
 
 MAX_ITEMS_PER_VEHICLE = 8
 
+NEVER_MS = 1 << 62
+
 
 MAX_ADVICES = 12
 """Speeds that lane changing advises to one vehicle within a step."""
@@ -243,35 +259,45 @@ class TwinState(NamedTuple):
 
     Attributes:
         clock: ``[8]`` int64.
-        floats: ``[N, 16]`` float64. ints: ``[N, 21]`` int64.
+        floats: ``[N, 16]`` float64. ints: ``[N, 26]`` int64.
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L, 4]`` int32.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
-        waiting_first: ``[L]`` int32, per lane the first vehicle that waits to enter on it; waiting_next: ``[N]`` int32.
+        waiting_first, waiting_last: ``[L]`` int32, per lane who waits to enter on it. waiting_next: ``[N]`` int32.
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
         item_floats: ``[I, 7]`` float64. item_ints: ``[I, 6]`` int64.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
         changer: ``[L, 5]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
+        moved: ``[N]`` int32: working memory of a step.
+        changer_queue: ``[32]`` int32. changer_way: ``[32]`` float64: more of it.
         lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m.
     """
 
-    clock: np.ndarray
-    floats: np.ndarray
-    ints: np.ndarray
-    tail_lane: np.ndarray
-    lanes: np.ndarray
-    tails: np.ndarray
-    waiting_first: np.ndarray
-    waiting_next: np.ndarray
-    link_letter: np.ndarray
-    program_phase: np.ndarray
-    program_switch_ms: np.ndarray
-    link_first: np.ndarray
-    item_floats: np.ndarray
-    item_ints: np.ndarray
-    advice: np.ndarray
-    changer: np.ndarray
-    changer_density: np.ndarray
-    lane_room: np.ndarray
+    clock: Long1
+    floats: Float2
+    ints: Long2
+    tail_lane: Int2
+    lanes: Int2
+    tails: Int2
+    waiting_first: Int1
+    waiting_last: Int1
+    waiting_next: Int1
+    link_letter: Byte1
+    program_phase: Long1
+    program_switch_ms: Long1
+    link_first: Int1
+    item_floats: Float2
+    item_ints: Long2
+    advice: Float2
+    changer: Int2
+    changer_density: Float1
+    changer_queue: Int1
+    changer_way: Float1
+    lane_room: Float1
+    moved: Int1
+
+
+NET, TRAFFIC, STATE = tables_type(TwinNet), tables_type(TwinTraffic), tables_type(TwinState)
+open_net, open_traffic, open_state = opener(NET), opener(TRAFFIC), opener(STATE)
