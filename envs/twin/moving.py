@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.crossing import may_pass, note_request, pass_link
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
-from izoo.envs.twin.hooks import advise, may_pass
+from izoo.envs.twin.hooks import advise
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.planning import POSITION_EPS, VISIBILITY_M
 from izoo.envs.twin.signals import OFF_YELLOW, RED, YELLOW, is_major
@@ -55,6 +56,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     fastest = most_speed(driver, speed, step_s)
     safe = fastest
     needed = needed_distance = 0.0
+    needed_can_brake = False
     first = state.ints[v, FIRST_ITEM]
     for item in range(first, first + state.ints[v, ITEMS]):
         values, numbers = state.item_floats[item], state.item_ints[item]
@@ -64,7 +66,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             break
         letter = state.link_letter[link]
         can_brake = distance > comfortable
-        yellow = letter == YELLOW or letter == OFF_YELLOW
+        yellow = letter in (YELLOW, OFF_YELLOW)
         if yellow and can_brake:
             safe = values[ITEM_WAIT]
             break
@@ -73,7 +75,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 if distance > VISIBILITY_M and (can_brake or not yellow):
                     safe = values[ITEM_WAIT]
                     break
-                needed_distance = distance
+                needed_distance, needed_can_brake = distance, can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
         elif (
@@ -85,7 +87,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         else:
             safe = values[ITEM_WAIT]
             break
-    if safe + EPS < needed:
+    if safe + EPS < needed and needed_can_brake and safe < speed:
         wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
         stop = stop_speed(driver, needed_distance, speed, wish, driver[DECEL], step_s)
         safe = min(safe, max(least_speed(driver, speed, step_s), stop))
@@ -117,7 +119,7 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
     """Decide on the speed of vehicle ``v`` and drive; return how many vehicles have left their lane by now.
 
     Args:
-        moved: ``[N]`` work space: the first ``count`` are vehicles that have left their lane and are in no lane's order.
+        moved: ``[N]`` work space; the first ``count`` are those who have left their lane and are in no order.
     """
     step_s = step_ms / 1000.0
     floats, ints = state.floats, state.ints
@@ -148,6 +150,7 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
     elif has_left:
         moved[count] = v
         count += 1
+    note_request(net, state, v)
     return count
 
 
@@ -171,6 +174,7 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
             state.tail_lane[v, k] = state.tail_lane[v, k - 1]
         state.tail_lane[v, 0] = lane
         floats[v, POSITION] -= net.lane_floats[lane, LANE_LENGTH]
+        pass_link(net, state, v, link)
         lane = net.link_ints[link, LINK_NEXT]
     ints[v, LANE] = lane
     lay_tail(net, traffic, state, v, kept)

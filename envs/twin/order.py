@@ -77,7 +77,7 @@ def drop_tail(state, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
-    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes of its row of ``tail_lane`` as it reaches."""
+    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes in its ``tail_lane`` as it reaches."""
     rest = traffic.floats[v, LENGTH] - state.floats[v, POSITION]
     kept = 0
     while kept < count and rest > 0.0:

@@ -8,6 +8,7 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 from __future__ import annotations
 
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.crossing import limit_by_foes
 from izoo.envs.twin.following import (
     EPS,
     arrival_time_s,
@@ -20,7 +21,6 @@ from izoo.envs.twin.following import (
     speed_after,
     stop_speed,
 )
-from izoo.envs.twin.hooks import limit_by_foes
 from izoo.envs.twin.order import back_on, last_on, tail_on
 from izoo.envs.twin.signals import is_major, stops_all
 from izoo.envs.twin.state import (
@@ -93,7 +93,8 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         leader = tail_on(net, traffic, state, lane, v)
     while True:
         if leader >= 0:
-            gap = seen - net.lane_floats[lane, LANE_LENGTH] + back_on(net, traffic, state, leader, lane)
+            back = back_on(net, traffic, state, leader, lane)
+            gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
             safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
             best = min(best, safe)
             passing = min(passing, best)
@@ -149,11 +150,11 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         numbers[ITEM_ARRIVAL_MS], numbers[ITEM_REQUEST] = enter_ms, request
         mean = max(0.5 * (arrival_speed + leave_speed), EPS)
         numbers[ITEM_LEAVE_MS] = enter_ms + int(1000.0 * (next_length + driver[LENGTH]) / mean + 0.5)
-        beyond = beyond or net.link_ints[link, LINK_VIA] < 0
         if count == MAX_ITEMS_PER_VEHICLE:
             break
         if (not request or best <= 0.0 or seen > reach) and beyond and seen_roads > LOOK_BEYOND_M:
             break
+        beyond = beyond or net.link_ints[link, LINK_VIA] < 0
         lane = next_lane
         inside = net.lane_ints[lane, LANE_INSIDE] == 1
         best = min(best, max(free_speed(driver, seen, speed, lane_limit, wish, step_s), slowest - EPS))

@@ -55,7 +55,7 @@ def begin_signals(net, state):  # type: ignore[no-untyped-def]
 @compiled
 def stops_all(letter):  # type: ignore[no-untyped-def]
     """Whether a link that shows ``letter`` is red or yellow."""
-    return letter == RED or letter == YELLOW or letter == OFF_YELLOW
+    return letter in (RED, YELLOW, OFF_YELLOW)
 
 
 @compiled

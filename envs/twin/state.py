@@ -95,6 +95,7 @@ class TwinNet(NamedTuple):
         incoming_start: ``[L + 1]`` int32, each lane's range of incoming_links (int32), the links that lead to it.
         shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
         lane_width: ``[L]`` float64, m.
+        conflict_first and the rest: see :class:`~izoo.envs.twin.conflicts.Conflicts`.
     """
 
     lane_floats: Float2
@@ -131,6 +132,13 @@ class TwinNet(NamedTuple):
     shape_start: Int1
     shape_points: Float2
     lane_width: Float1
+    conflict_first: Int1
+    conflict_count: Int1
+    conflict_ints: Int2
+    conflict_floats: Float2
+    wait_first: Int1
+    wait_count: Int1
+    wait_foes: Int1
 
 
 # -- traffic -----------------------------------------------------------------------------------------------------------
@@ -224,7 +232,7 @@ there are; how many vehicles have their tail, but not their front, on it."""
 MAX_TAIL_LANES = 4
 """Lanes behind its own that a tail can be on, and tails that one lane can hold."""
 
-ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_ACCEL, ITEM_WAIT_POINT = range(7)
+ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_BRAKED_SPEED, ITEM_SPARE = range(7)
 """Columns of :attr:`TwinState.item_floats`: distance from the front to the link (m); speed for the coming step if the
 link is passed, and if not (m/s); speed on arrival and on leaving the junction (m/s); ..."""
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.hooks import change_lanes, keep_clear
+from izoo.envs.twin.crossing import keep_clear
+from izoo.envs.twin.hooks import change_lanes
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.moving import drive
 from izoo.envs.twin.order import place
@@ -16,13 +17,16 @@ from izoo.envs.twin.state import (
     BEHIND,
     CHANGE_UNTIL_MS,
     COMMAND,
+    CONFLICT_MS,
     ITEM_TOTAL,
+    JUNCTION_MS,
     LANE,
     LANE_BACK,
     LANE_FRONT,
     MAX_ADVICES,
     MAX_ITEMS_PER_VEHICLE,
     MAX_TAIL_LANES,
+    NEVER_MS,
     NOW_MS,
     STEP_COUNT,
     TwinNet,
@@ -41,7 +45,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
     state = TwinState(
         clock=np.zeros(8, np.int64),
         floats=np.zeros((count, 16)),
-        ints=np.zeros((count, 23), np.int64),
+        ints=np.zeros((count, 26), np.int64),
         tail_lane=np.full((count, MAX_TAIL_LANES), -1, np.int32),
         lanes=np.zeros((lanes, 4), np.int32),
         tails=np.full((lanes, MAX_TAIL_LANES), -1, np.int32),
@@ -64,6 +68,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
     )
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS]] = -1
+    state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     begin_signals(net, state)
     return state

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
+from izoo.envs.twin.conflicts import Ways, find_conflicts
+from izoo.envs.twin.nearby import incoming_lanes
 from izoo.envs.twin.routes import find_routes
 from izoo.envs.twin.state import (
     EDGE_FIRST_LANE,
@@ -131,7 +133,9 @@ class _Reader:
         routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
         tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints, programs, phases, letters)
         best = tabulate_best_lanes(tables, routes.route_edges)
+        incoming = incoming_lanes(link_ints, len(self.lanes))
         shapes = [lane_shape(lane) for lane in self.lanes]
+        width_m = np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes])
         net = TwinNet(
             lane_floats=lane_floats,
             lane_ints=lane_ints,
@@ -145,10 +149,15 @@ class _Reader:
             program_first_link=np.searchsorted(shown[shown_order], np.arange(len(self.programs) + 1)).astype(np.int32),
             program_links=signal_links[shown_order].astype(np.int32),
             **routes._asdict(),
-            **best._asdict(),
+            route_exit_edge=np.array([row[row >= 0][-1] for row in routes.route_edges], np.int32),
+            source_lanes=np.flatnonzero(np.isin(lane_ints[:, LANE_EDGE], routes.route_edges[:, 0])).astype(np.int32),
+            **best._replace(best_open=best.best_open.astype(np.uint8))._asdict(),
+            incoming_start=incoming[0],
+            incoming_links=incoming[1],
             shape_start=np.cumsum([0, *map(len, shapes)]).astype(np.int32),
             shape_points=np.concatenate(shapes),
-            lane_width=np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes]),
+            lane_width=width_m,
+            **self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes),
         )
         return TwinWorld(net, tuple(self.lane_rows), tuple(self.edge_rows), tuple(self.program_rows))
 
@@ -234,6 +243,33 @@ class _Reader:
                     links[row, first], links[row, count] = len(rows), len(found)
                     rows += found
         return np.array(lists[0], np.int32), np.array(lists[1], np.int32)
+
+    def _conflicts(
+        self,
+        lane_floats: np.ndarray,
+        lane_ints: np.ndarray,
+        link_ints: np.ndarray,
+        shapes: list[np.ndarray],
+        width_m: np.ndarray,
+        responses: np.ndarray,
+        foes: np.ndarray,
+    ) -> dict[str, np.ndarray]:
+        """Return the tables of :class:`~izoo.envs.twin.conflicts.Conflicts` under their names in the net."""
+
+        def ranges(rows: np.ndarray, first: int, count: int) -> dict[int, set[int]]:
+            return {k: set(rows[link[first] : link[first] + link[count]].tolist()) for k, link in enumerate(link_ints)}
+
+        ways = Ways(
+            lane_floats,
+            lane_ints,
+            link_ints,
+            shapes,
+            width_m,
+            ranges(responses, LINK_FIRST_RESPONSE, LINK_RESPONSES),
+            ranges(foes, LINK_FIRST_FOE, LINK_FOES),
+        )
+        found = find_conflicts(self.root, self.lane_rows, ways)._asdict()
+        return {name if name.startswith("wait") else f"conflict_{name}": rows for name, rows in found.items()}
 
     def _signals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         programs = np.zeros((len(self.programs), 4), np.int64)
