@@ -9,7 +9,7 @@ from izoo.envs.twin.crossing import may_pass, note_request, pass_link
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
 from izoo.envs.twin.hooks import advise
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
-from izoo.envs.twin.planning import POSITION_EPS, VISIBILITY_M
+from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
 from izoo.envs.twin.signals import OFF_YELLOW, RED, YELLOW, is_major
 from izoo.envs.twin.state import (
     ACCEL,
@@ -111,7 +111,7 @@ def next_speed(net, traffic, state, v, safe, step_ms):  # type: ignore[no-untype
     command = floats[v, COMMAND]
     if not math.isnan(command):
         result = max(min(command, safe, min(fastest, limit)), slowest)
-    return max(0.0, result)
+    return result if result >= SPEED_EPS * step_s else 0.0
 
 
 @compiled

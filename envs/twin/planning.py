@@ -13,6 +13,7 @@ from izoo.envs.twin.following import (
     EPS,
     arrival_time_s,
     brake_gap,
+    braked_speed,
     follow_speed,
     free_speed,
     least_speed,
@@ -30,12 +31,14 @@ from izoo.envs.twin.state import (
     FIRST_ITEM,
     ITEM_ARRIVAL_MS,
     ITEM_ARRIVAL_SPEED,
+    ITEM_BRAKED_SPEED,
     ITEM_DISTANCE,
     ITEM_LEAVE_MS,
     ITEM_LEAVE_SPEED,
     ITEM_LINK,
     ITEM_NEXT,
     ITEM_PASS,
+    ITEM_PASSAGE,
     ITEM_REQUEST,
     ITEM_TOTAL,
     ITEM_VEHICLE,
@@ -65,6 +68,8 @@ STOP_LINE_GAP_M = 1.0
 YELLOW_DECEL_MPS2 = 3.0
 VISIBILITY_M = 4.5
 LOOK_BEYOND_M = 5.0
+SPEED_EPS = 1e-4
+"""A speed (m/s) below this times the step (s) counts as 0."""
 
 
 @compiled
@@ -98,6 +103,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
             best = min(best, safe)
             passing = min(passing, best)
+            if count > 0:
+                state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(
+                    state.item_floats[first + count - 1, ITEM_LEAVE_SPEED], safe
+                )
         item = first + count
         values, numbers = state.item_floats[item], state.item_ints[item]
         if count > 0:
@@ -108,9 +117,12 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         link = net.route_link[route, lane]
         if link < 0:
             if net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[route]:
-                best = min(best, max(EPS, free_speed(driver, seen, speed, lane_limit, wish, step_s)))
+                safe = max(EPS, free_speed(driver, seen, speed, lane_limit, wish, step_s))
             else:
-                best = min(best, stop_speed(driver, seen, speed, wish, driver[DECEL], step_s))
+                safe = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s)
+            best = min(best, safe)
+            if count > 1:
+                state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], safe)
             values[ITEM_PASS] = values[ITEM_WAIT] = best
             break
         letter = state.link_letter[link]
@@ -128,12 +140,15 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         values[ITEM_WAIT] = waiting
         values[ITEM_PASS] = passing
         leaving = inside and count == 1
-        request = (best > EPS and not (slowed_for_minor and not inside)) or leaving
+        request = (best > SPEED_EPS * step_s and not (slowed_for_minor and not inside)) or leaving
         if stopped and seen >= braking:
-            values[ITEM_ARRIVAL_SPEED] = values[ITEM_LEAVE_SPEED] = 0.0
+            values[ITEM_ARRIVAL_SPEED] = values[ITEM_LEAVE_SPEED] = values[ITEM_PASSAGE] = 0.0
             numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
             break
+        before = best
         best, passing, request = limit_by_foes(net, traffic, state, v, link, seen, best, passing, request, step_s)
+        if best < before and count > 1:
+            state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
         arrival_speed = passing
         if not is_major(letter) and braking < seen and seen > VISIBILITY_M:
@@ -144,12 +159,13 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         next_lane = net.link_ints[link, LINK_NEXT]
         next_length = net.lane_floats[next_lane, LANE_LENGTH]
         lane_limit = net.lane_floats[next_lane, LANE_LIMIT]
-        leave_speed = min(lane_limit, speed_after(next_length, arrival_speed, driver[MAX_ACCEL]))
+        inside_m = next_length if net.lane_ints[next_lane, LANE_INSIDE] == 1 else 0.0
+        leave_speed = min(lane_limit, speed_after(inside_m, arrival_speed, driver[MAX_ACCEL]))
         values[ITEM_PASS] = best
         values[ITEM_ARRIVAL_SPEED], values[ITEM_LEAVE_SPEED] = arrival_speed, leave_speed
+        values[ITEM_BRAKED_SPEED] = braked_speed(driver, seen, best, arrival_speed, step_s)
+        values[ITEM_PASSAGE] = inside_m + driver[LENGTH]
         numbers[ITEM_ARRIVAL_MS], numbers[ITEM_REQUEST] = enter_ms, request
-        mean = max(0.5 * (arrival_speed + leave_speed), EPS)
-        numbers[ITEM_LEAVE_MS] = enter_ms + int(1000.0 * (next_length + driver[LENGTH]) / mean + 0.5)
         if count == MAX_ITEMS_PER_VEHICLE:
             break
         if (not request or best <= 0.0 or seen > reach) and beyond and seen_roads > LOOK_BEYOND_M:
@@ -174,5 +190,8 @@ def register_approaches(state):  # type: ignore[no-untyped-def]
     for item in range(state.clock[ITEM_TOTAL]):
         link = state.item_ints[item, ITEM_LINK]
         if link >= 0:
+            values, numbers = state.item_floats[item], state.item_ints[item]
+            mean = max(0.5 * (values[ITEM_ARRIVAL_SPEED] + values[ITEM_LEAVE_SPEED]), EPS)
+            numbers[ITEM_LEAVE_MS] = numbers[ITEM_ARRIVAL_MS] + int(1000.0 * values[ITEM_PASSAGE] / mean + 0.5)
             state.item_ints[item, ITEM_NEXT] = state.link_first[link]
             state.link_first[link] = item
