@@ -107,11 +107,13 @@ def next_speed(net, traffic, state, v, safe, step_ms):  # type: ignore[no-untype
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advise(net, traffic, state, v, low, high, high, step_s)
+    if result < SPEED_EPS * step_s:
+        result = 0.0
     floats[v, FREE_SPEED] = result
     command = floats[v, COMMAND]
     if not math.isnan(command):
         result = max(min(command, safe, min(fastest, limit)), slowest)
-    return result if result >= SPEED_EPS * step_s else 0.0
+    return result
 
 
 @compiled
