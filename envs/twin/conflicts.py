@@ -106,7 +106,9 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
             for other in dict.fromkeys([*crossed, *siblings]):
                 foe = entry_of[other]
                 if foe != entry:
-                    rows.append(_conflict(ways, lanes_of, entry, lane, foe, other))
+                    conflict = _conflict(ways, lanes_of, entry, lane, foe, other)
+                    if conflict[1][CONFLICT_BEHIND] > 0.0 or conflict[0][CONFLICT_KIND] != CROSSING:
+                        rows.append(conflict)
             count[row] = len(rows) - first[row]
     return Conflicts(
         first,
@@ -153,14 +155,11 @@ def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[li
 def _waiting_foes(
     ways: Ways, entry: int, lanes_of: dict[int, list[int]], incoming: list[int], crossed: list[int]
 ) -> list[int]:
-    """Return the links that a waiting point yields to: of those lanes, the ones whose ways conflict."""
+    """Return the links that a waiting point yields to: those of foes from ``incoming``, and of the ways in conflict."""
     links = ways.link_ints
-    found = [
-        row
-        for row, lanes in lanes_of.items()
-        if int(links[row, LINK_FROM]) in incoming and row != entry and set(lanes) & set(crossed)
-    ]
-    return found + [_link_behind(ways, lane) for lane in crossed]
+    foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
+    inside = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
+    return list(dict.fromkeys([*foes, *inside, *(_link_behind(ways, lane) for lane in crossed)]))
 
 
 def _conflict(

@@ -19,6 +19,7 @@ from izoo.envs.twin.conflicts import (
     CROSSING,
     MERGING,
     NOWHERE,
+    PARTING,
 )
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.order import back_on
@@ -46,6 +47,7 @@ from izoo.envs.twin.state import (
     LANE_TAILS,
     LENGTH,
     LINK_CONT,
+    LINK_ENTRY,
     LINK_FIRST_RESPONSE,
     LINK_FROM,
     LINK_NEXT,
@@ -120,7 +122,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     in_the_way = (to_conflict > 0.0 and not past and entered) or (
         kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
     )
-    if kind == CROSSING and past:
+    if (kind == CROSSING and past) or (kind == PARTING and back_left < 0.0):
         return best, passing, request
     if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return best, passing, request
@@ -129,16 +131,19 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
     wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
     gap = to_conflict - driver[MIN_GAP] - back_left
-    safe = 0.0
     if kind == CROSSING:
+        if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
+            # Before the waiting point, that is where the conflict is taken to begin.
+            gap += to_way - to_conflict
+            to_conflict = to_way
         gap -= foe_size
-    if kind != CROSSING and gap >= 0.0:
+    if gap >= 0.0:
         safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
     else:
-        way_m = net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
-        safe = stop_speed(driver, distance_m - way_m - POSITION_EPS, speed, wish, driver[DECEL], step_s)
-    if to_conflict >= 0.0 and kind == CROSSING:
+        safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
+    if kind == CROSSING and to_conflict >= 0.0:
         stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
         leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
         final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)

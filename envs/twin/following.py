@@ -124,3 +124,12 @@ def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untype
 def speed_after(way, speed, accel):  # type: ignore[no-untyped-def]
     """Return the speed (m/s) after ``way`` m of even acceleration, at most what vehicles can."""
     return min(TOP_SPEED_MPS, np.sqrt(2.0 * way * accel + speed * speed))
+
+
+@compiled
+def braked_speed(driver, way, speed, arrival_speed, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed (m/s) after ``way`` m if the driver begins to brake after ``tau``; 0 if he can stop before."""
+    if way >= brake_gap(speed, driver[DECEL], driver[TAU], step_s):
+        return 0.0
+    braking_m = way - speed * driver[TAU]
+    return min(arrival_speed, math.sqrt(max(0.0, speed * speed - 2.0 * driver[DECEL] * max(0.0, braking_m))))

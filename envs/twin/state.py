@@ -32,7 +32,7 @@ LANE_LENGTH, LANE_LIMIT = range(2)
 row of :class:`~izoo.networks.road.RoadNet`; junction at the lane's end, of inside lanes the one that they are in; its
 links are the rows ``LANE_FIRST_LINK`` to ``LANE_FIRST_LINK + LANE_LINKS`` of the links."""
 
-EDGE_FIRST_LANE, EDGE_LANES, EDGE_INSIDE = range(3)
+EDGE_FIRST_LANE, EDGE_LANES, EDGE_INSIDE, EDGE_CHANGES = range(4)
 """Columns of :attr:`TwinNet.edge_ints`: the lanes of an edge are neighbouring rows, rightmost first."""
 
 (
@@ -73,7 +73,7 @@ class TwinNet(NamedTuple):
 
     Attributes:
         lane_floats: ``[L, 2]`` float64. lane_ints: ``[L, 9]`` int32.
-        edge_ints: ``[E, 3]`` int32.
+        edge_ints: ``[E, 4]`` int32.
         link_ints: ``[K, 16]`` int32, sorted by ``LINK_FROM``, then as in the net file.
         responses: links that a link must yield to. foes: links whose ways conflict with a link's. Both int32, in the
             ranges that ``link_ints`` give; entries are rows of links that begin outside of the junction, or, of an
@@ -216,7 +216,8 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     JUNCTION_MS,
     CONFLICT_MS,
     WILL_PASS,
-) = range(26)
+    HAS_TO_WAIT,
+) = range(27)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
 how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
 lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
@@ -232,9 +233,12 @@ there are; how many vehicles have their tail, but not their front, on it."""
 MAX_TAIL_LANES = 4
 """Lanes behind its own that a tail can be on, and tails that one lane can hold."""
 
-ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_BRAKED_SPEED, ITEM_SPARE = range(7)
+ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_BRAKED_SPEED, ITEM_PASSAGE, ITEM_SPACE = (
+    range(8)
+)
 """Columns of :attr:`TwinState.item_floats`: distance from the front to the link (m); speed for the coming step if the
-link is passed, and if not (m/s); speed on arrival and on leaving the junction (m/s); ..."""
+link is passed, and if not (m/s); speed on arrival and on leaving the way behind it (m/s); speed
+on arrival if the vehicle brakes at once; length of that way and of the vehicle (m)."""
 
 ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT = range(6)
 """Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;
@@ -267,7 +271,7 @@ class TwinState(NamedTuple):
 
     Attributes:
         clock: ``[8]`` int64.
-        floats: ``[N, 16]`` float64. ints: ``[N, 26]`` int64.
+        floats: ``[N, 16]`` float64. ints: ``[N, 27]`` int64.
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L, 4]`` int32.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
@@ -275,7 +279,7 @@ class TwinState(NamedTuple):
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
-        item_floats: ``[I, 7]`` float64. item_ints: ``[I, 6]`` int64.
+        item_floats: ``[I, 8]`` float64. item_ints: ``[I, 6]`` int64.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
         changer: ``[L, 5]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
         moved: ``[N]`` int32: working memory of a step.
