@@ -155,11 +155,12 @@ def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[li
 def _waiting_foes(
     ways: Ways, entry: int, lanes_of: dict[int, list[int]], incoming: list[int], crossed: list[int]
 ) -> list[int]:
-    """Return the links that a waiting point yields to: those of foes from ``incoming``, and of the ways in conflict."""
+    """Return the links that a waiting point yields to: of foes from ``incoming``, and at other waiting points."""
     links = ways.link_ints
     foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
     inside = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
-    return list(dict.fromkeys([*foes, *inside, *(_link_behind(ways, lane) for lane in crossed)]))
+    inside += [_link_behind(ways, lane) for lane in crossed]
+    return list(dict.fromkeys([*foes, *(row for row in inside if links[row, LINK_VIA] >= 0)]))
 
 
 def _conflict(

@@ -88,7 +88,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
     seen_roads = 0.0 if inside else seen
     best = min(fastest, wish)
-    passing = best
+    passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
     beyond = slowed_for_minor = False
     lane_limit = wish
     first = state.clock[ITEM_TOTAL]
