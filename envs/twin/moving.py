@@ -19,6 +19,7 @@ from izoo.envs.twin.state import (
     EMERGENCY_DECEL,
     FIRST_ITEM,
     FREE_SPEED,
+    HAS_TO_WAIT,
     ITEM_DISTANCE,
     ITEM_LINK,
     ITEM_PASS,
@@ -56,28 +57,31 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     fastest = most_speed(driver, speed, step_s)
     safe = fastest
     needed = needed_distance = 0.0
-    needed_can_brake = False
+    needed_can_brake = waits = False
+    slowest = least_speed(driver, speed, step_s)
     first = state.ints[v, FIRST_ITEM]
     for item in range(first, first + state.ints[v, ITEMS]):
         values, numbers = state.item_floats[item], state.item_ints[item]
         link, distance = numbers[ITEM_LINK], values[ITEM_DISTANCE]
         if link < 0 or not numbers[ITEM_REQUEST]:
             safe = values[ITEM_WAIT]
+            waits = safe < speed
             break
         letter = state.link_letter[link]
         can_brake = distance > comfortable
         yellow = letter in (YELLOW, OFF_YELLOW)
         if yellow and can_brake:
-            safe = values[ITEM_WAIT]
+            safe, waits = values[ITEM_WAIT], True
             break
         if yellow or may_pass(net, traffic, state, item, step_ms):
             if not is_major(letter) and not net.link_ints[link, LINK_CONT]:
                 if distance > VISIBILITY_M and (can_brake or not yellow):
-                    safe = values[ITEM_WAIT]
+                    safe, waits = values[ITEM_WAIT], True
                     break
                 needed_distance, needed_can_brake = distance, can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
+            waits = waits or (safe < driver[DECEL] and safe <= slowest and safe < fastest)
         elif (
             not can_brake
             and net.link_ints[link, LINK_PROGRAM] < 0
@@ -85,12 +89,13 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         ):
             safe = values[ITEM_PASS]
         else:
-            safe = values[ITEM_WAIT]
+            safe, waits = values[ITEM_WAIT], True
             break
     if safe + EPS < needed and needed_can_brake and safe < speed:
         wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
         stop = stop_speed(driver, needed_distance, speed, wish, driver[DECEL], step_s)
-        safe = min(safe, max(least_speed(driver, speed, step_s), stop))
+        safe, waits = min(safe, max(slowest, stop)), True
+    state.ints[v, HAS_TO_WAIT] = waits
     return safe
 
 

@@ -233,12 +233,20 @@ there are; how many vehicles have their tail, but not their front, on it."""
 MAX_TAIL_LANES = 4
 """Lanes behind its own that a tail can be on, and tails that one lane can hold."""
 
-ITEM_DISTANCE, ITEM_PASS, ITEM_WAIT, ITEM_ARRIVAL_SPEED, ITEM_LEAVE_SPEED, ITEM_BRAKED_SPEED, ITEM_PASSAGE, ITEM_SPACE = (
-    range(8)
-)
+(
+    ITEM_DISTANCE,
+    ITEM_PASS,
+    ITEM_WAIT,
+    ITEM_ARRIVAL_SPEED,
+    ITEM_LEAVE_SPEED,
+    ITEM_BRAKED_SPEED,
+    ITEM_PASSAGE,
+    ITEM_SPACE,
+) = range(8)
 """Columns of :attr:`TwinState.item_floats`: distance from the front to the link (m); speed for the coming step if the
 link is passed, and if not (m/s); speed on arrival and on leaving the way behind it (m/s); speed
-on arrival if the vehicle brakes at once; length of that way and of the vehicle (m)."""
+on arrival if the vehicle brakes at once; length of that way and of the vehicle (m).; room behind the link up to the first who stands
+there (m)."""
 
 ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT = range(6)
 """Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import keep_clear
 from izoo.envs.twin.hooks import change_lanes
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.moving import drive
@@ -23,9 +23,11 @@ from izoo.envs.twin.state import (
     LANE,
     LANE_BACK,
     LANE_FRONT,
+    LENGTH,
     MAX_ADVICES,
     MAX_ITEMS_PER_VEHICLE,
     MAX_TAIL_LANES,
+    MIN_GAP,
     NEVER_MS,
     NOW_MS,
     STEP_COUNT,
@@ -45,7 +47,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
     state = TwinState(
         clock=np.zeros(8, np.int64),
         floats=np.zeros((count, 16)),
-        ints=np.zeros((count, 26), np.int64),
+        ints=np.zeros((count, 27), np.int64),
         tail_lane=np.full((count, MAX_TAIL_LANES), -1, np.int32),
         lanes=np.zeros((lanes, 4), np.int32),
         tails=np.full((lanes, MAX_TAIL_LANES), -1, np.int32),
@@ -56,7 +58,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
         program_phase=np.full(programs, -1, np.int64),
         program_switch_ms=np.full(programs, -1, np.int64),
         link_first=np.full(links, -1, np.int32),
-        item_floats=np.zeros((items, 7)),
+        item_floats=np.zeros((items, 8)),
         item_ints=np.zeros((items, 6), np.int64),
         advice=np.zeros((count, MAX_ADVICES)),
         changer=np.zeros((lanes, 5), np.int32),
@@ -86,13 +88,11 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
     state.clock[ITEM_TOTAL] = 0
     for lane in range(state.lanes.shape[0]):
         v = state.lanes[lane, LANE_FRONT]
+        in_front_m = 0.0
         while v >= 0:
             plan(net, traffic, state, v, step_ms)
-            v = state.ints[v, BEHIND]
-    for lane in range(state.lanes.shape[0]):
-        v = state.lanes[lane, LANE_FRONT]
-        while v >= 0:
-            keep_clear(net, traffic, state, v)
+            keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)
+            in_front_m += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
             v = state.ints[v, BEHIND]
     register_approaches(state)
     count = 0

@@ -12,7 +12,7 @@ import numpy as np
 
 from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
 from izoo.envs.twin.conflicts import Ways, find_conflicts
-from izoo.envs.twin.nearby import incoming_lanes
+from izoo.envs.twin.nearby import incoming_lanes, mark_changing
 from izoo.envs.twin.routes import find_routes
 from izoo.envs.twin.state import (
     EDGE_FIRST_LANE,
@@ -133,6 +133,7 @@ class _Reader:
         routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
         tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints, programs, phases, letters)
         best = tabulate_best_lanes(tables, routes.route_edges)
+        mark_changing(edge_ints, lane_floats, lane_ints, link_ints)
         incoming = incoming_lanes(link_ints, len(self.lanes))
         shapes = [lane_shape(lane) for lane in self.lanes]
         width_m = np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes])
@@ -163,7 +164,7 @@ class _Reader:
 
     def _lanes_and_edges(self) -> tuple[np.ndarray, np.ndarray]:
         lane_ints = np.full((len(self.lanes), 9), -1, np.int32)
-        edge_ints = np.zeros((len(self.edges), 3), np.int32)
+        edge_ints = np.zeros((len(self.edges), 4), np.int32)
         region = {name: row for row, name in enumerate(self.road.lane_ids)}
         junction_rows = {junction.get("id"): row for row, junction in enumerate(self.junctions)}
         first = 0
