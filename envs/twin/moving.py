@@ -65,7 +65,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         link, distance = numbers[ITEM_LINK], values[ITEM_DISTANCE]
         if link < 0 or not numbers[ITEM_REQUEST]:
             safe = values[ITEM_WAIT]
-            waits = safe < speed
+            waits = waits or (link >= 0 and safe < speed)
             break
         letter = state.link_letter[link]
         can_brake = distance > comfortable

@@ -245,8 +245,8 @@ MAX_TAIL_LANES = 4
 ) = range(8)
 """Columns of :attr:`TwinState.item_floats`: distance from the front to the link (m); speed for the coming step if the
 link is passed, and if not (m/s); speed on arrival and on leaving the way behind it (m/s); speed
-on arrival if the vehicle brakes at once; length of that way and of the vehicle (m).; room behind the link up to the first who stands
-there (m)."""
+on arrival if the vehicle brakes at once; length of that way and of the vehicle (m); room behind the link up to the
+first who stands there (m)."""
 
 ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT = range(6)
 """Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;
