@@ -99,7 +99,7 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
                 incoming, inside = inner.get(lanes[-1], ([], []))
                 crossed = list(dict.fromkeys(k for w in inside for k in (w, *lanes_of[entry_of[w]]) if w in entry_of))
                 if waits:
-                    found = _waiting_foes(ways, entry, lanes_of, incoming, crossed)
+                    found = _waiting_foes(ways, entry, lanes_of, incoming, inside)
                     wait_first[row], wait_count[row] = len(wait_foes), len(found)
                     wait_foes += found
             first[row] = len(rows)
@@ -153,14 +153,17 @@ def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[li
 
 
 def _waiting_foes(
-    ways: Ways, entry: int, lanes_of: dict[int, list[int]], incoming: list[int], crossed: list[int]
+    ways: Ways, entry: int, lanes_of: dict[int, list[int]], incoming: list[int], inside: list[int]
 ) -> list[int]:
-    """Return the links that a waiting point yields to: of foes from ``incoming``, and at other waiting points."""
+    """Return the links that a waiting point yields to.
+
+    They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict.
+    """
     links = ways.link_ints
     foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
-    inside = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
-    inside += [_link_behind(ways, lane) for lane in crossed]
-    return list(dict.fromkeys([*foes, *(row for row in inside if links[row, LINK_VIA] >= 0)]))
+    behind = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
+    behind += [_link_behind(ways, lane) for lane in inside]
+    return list(dict.fromkeys([*foes, *(row for row in behind if links[row, LINK_VIA] >= 0)]))
 
 
 def _conflict(

@@ -6,7 +6,7 @@ import math
 
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import may_pass, note_request, pass_link
-from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
+from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
 from izoo.envs.twin.hooks import advise
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
@@ -56,7 +56,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     comfortable = brake_gap(speed, driver[DECEL], 0.0, step_s)
     fastest = most_speed(driver, speed, step_s)
     safe = fastest
-    needed = needed_distance = 0.0
+    needed = needed_wait = 0.0
     needed_can_brake = waits = False
     slowest = least_speed(driver, speed, step_s)
     first = state.ints[v, FIRST_ITEM]
@@ -78,7 +78,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 if distance > VISIBILITY_M and (can_brake or not yellow):
                     safe, waits = values[ITEM_WAIT], True
                     break
-                needed_distance, needed_can_brake = distance, can_brake
+                needed_wait, needed_can_brake = values[ITEM_WAIT], can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
             waits = waits or (safe < driver[DECEL] and safe <= slowest and safe < fastest)
@@ -91,10 +91,14 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         else:
             safe, waits = values[ITEM_WAIT], True
             break
-    if safe + EPS < needed and needed_can_brake and safe < speed:
-        wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
-        stop = stop_speed(driver, needed_distance, speed, wish, driver[DECEL], step_s)
-        safe, waits = min(safe, max(slowest, stop)), True
+    if safe < needed <= safe + EPS:
+        safe = needed
+    elif safe < needed and safe < speed:
+        # It would not get past the minor link: it stays before it, if it can.
+        if needed_can_brake:
+            safe, waits = max(slowest, needed_wait), True
+    elif safe < needed:
+        safe = max(safe, needed_wait)
     state.ints[v, HAS_TO_WAIT] = waits
     return safe
 
