@@ -49,7 +49,7 @@ STANDING_MPS = 0.1
 
 @compiled
 def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
-    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow."""
+    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow, and the least to get over one."""
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
@@ -91,20 +91,19 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         else:
             safe, waits = values[ITEM_WAIT], True
             break
-    if safe < needed <= safe + EPS:
-        safe = needed
-    elif safe < needed and safe < speed:
+    if safe + EPS < needed:
         # It would not get past the minor link: it stays before it, if it can.
-        if needed_can_brake:
+        if safe >= speed:
+            safe = max(safe, needed_wait)
+        elif needed_can_brake:
             safe, waits = max(slowest, needed_wait), True
-    elif safe < needed:
-        safe = max(safe, needed_wait)
+        needed = 0.0
     state.ints[v, HAS_TO_WAIT] = waits
-    return safe
+    return safe, needed
 
 
 @compiled
-def next_speed(net, traffic, state, v, safe, step_ms):  # type: ignore[no-untyped-def]
+def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[no-untyped-def]
     """Return the speed of the coming step within the vehicle's limits, and note the one without a command."""
     step_s = step_ms / 1000.0
     floats, driver = state.floats, traffic.floats[v]
@@ -116,6 +115,8 @@ def next_speed(net, traffic, state, v, safe, step_ms):  # type: ignore[no-untype
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advise(net, traffic, state, v, low, high, high, step_s)
+    if result > 0.0:
+        result = max(result, needed)
     if result < SPEED_EPS * step_s:
         result = 0.0
     floats[v, FREE_SPEED] = result
@@ -134,7 +135,8 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
     """
     step_s = step_ms / 1000.0
     floats, ints = state.floats, state.ints
-    speed = next_speed(net, traffic, state, v, safe_speed(net, traffic, state, v, step_ms), step_ms)
+    safe, needed = safe_speed(net, traffic, state, v, step_ms)
+    speed = next_speed(net, traffic, state, v, safe, needed, step_ms)
     accel = (speed - floats[v, SPEED]) / step_s
     floats[v, ACCEL], floats[v, SPEED] = accel, speed
     if speed <= STANDING_MPS and accel <= 0.5 * traffic.floats[v, MAX_ACCEL]:
