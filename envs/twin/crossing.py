@@ -23,6 +23,7 @@ from izoo.envs.twin.conflicts import (
 )
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.order import back_on
+from izoo.envs.twin.signals import is_major
 from izoo.envs.twin.state import (
     BEHIND,
     CONFLICT_MS,
@@ -31,6 +32,7 @@ from izoo.envs.twin.state import (
     ITEM_ARRIVAL_MS,
     ITEM_ARRIVAL_SPEED,
     ITEM_BRAKED_SPEED,
+    ITEM_DISTANCE,
     ITEM_LEAVE_MS,
     ITEM_LEAVE_SPEED,
     ITEM_LINK,
@@ -57,16 +59,20 @@ from izoo.envs.twin.state import (
     NEVER_MS,
     NOW_MS,
     SPEED,
+    STOOD_FOR,
     WAITING_MS,
     WILL_PASS,
 )
 
 RED, STOP = ord("r"), ord("s")
 STANDING_MPS = 0.1
+STOP_NEAR_M = 4.5
+"""A vehicle that has stood this close to a link counts as having stopped for it."""
 MARGIN_MS = 1000
 """Time that lies between the passages of two vehicles in conflict."""
 IMPATIENT_AFTER_MS = 180_000.0
 POSITION_EPS = 0.1
+VISIBILITY_M = 4.5
 
 
 # -- vehicles inside the junction --------------------------------------------------------------------------------------
@@ -230,10 +236,13 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
     letter = state.link_letter[link]
     if letter == RED:
         return False
-    if net.link_ints[link, LINK_CONT]:
+    if is_major(letter) or net.link_ints[link, LINK_CONT]:
         return True
-    if letter == STOP and state.ints[v, WAITING_MS] == 0:
-        return False
+    if letter == STOP:
+        if state.ints[v, WAITING_MS] > 0 and state.item_floats[item, ITEM_DISTANCE] <= VISIBILITY_M:
+            state.ints[v, STOOD_FOR] = link
+        elif state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
+            return False
     if net.wait_count[link] > 0:
         first = net.wait_first[link]
         for k in range(first, first + net.wait_count[link]):

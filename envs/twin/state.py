@@ -217,14 +217,16 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     CONFLICT_MS,
     WILL_PASS,
     HAS_TO_WAIT,
-) = range(27)
+    STOOD_FOR,
+) = range(28)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
 how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
 lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
 last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes);
 row of the best lanes' tables, set when it enters an edge; index of the lane that it is commanded to, and until when;
 when it entered the junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass
-the link at the end of its lane in the last plan (owner: junction)."""
+the link at the end of its lane in the last plan, the link with ``s`` that it stood before
+(owner: junction)."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -279,7 +281,7 @@ class TwinState(NamedTuple):
 
     Attributes:
         clock: ``[8]`` int64.
-        floats: ``[N, 16]`` float64. ints: ``[N, 27]`` int64.
+        floats: ``[N, 16]`` float64. ints: ``[N, 28]`` int64.
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L, 4]`` int32.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.

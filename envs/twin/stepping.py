@@ -31,6 +31,7 @@ from izoo.envs.twin.state import (
     NEVER_MS,
     NOW_MS,
     STEP_COUNT,
+    STOOD_FOR,
     TwinNet,
     TwinState,
     TwinTraffic,
@@ -47,7 +48,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
     state = TwinState(
         clock=np.zeros(8, np.int64),
         floats=np.zeros((count, 16)),
-        ints=np.zeros((count, 27), np.int64),
+        ints=np.zeros((count, 28), np.int64),
         tail_lane=np.full((count, MAX_TAIL_LANES), -1, np.int32),
         lanes=np.zeros((lanes, 4), np.int32),
         tails=np.full((lanes, MAX_TAIL_LANES), -1, np.int32),
