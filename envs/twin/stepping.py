@@ -31,7 +31,6 @@ from izoo.envs.twin.state import (
     NEVER_MS,
     NOW_MS,
     STEP_COUNT,
-    STOOD_FOR,
     TwinNet,
     TwinState,
     TwinTraffic,
