@@ -69,7 +69,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
         moved=np.zeros(count, np.int32),
     )
     state.floats[:, COMMAND] = np.nan
-    state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS]] = -1
+    state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     begin_signals(net, state)
