@@ -31,6 +31,7 @@ from izoo.envs.twin.state import (
     NEVER_MS,
     NOW_MS,
     STEP_COUNT,
+    STOOD_FOR,
     TwinNet,
     TwinState,
     TwinTraffic,
