@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.state import (
     EDGE_FIRST_LANE,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.advising import forget_advice
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import secure_gap
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
@@ -41,6 +41,7 @@ from izoo.envs.twin.state import (
     CHANGES_RIGHT,
     CHANGES_SPEED,
     CHANGES_STRATEGIC,
+    EDGE_CHANGES,
     EDGE_FIRST_LANE,
     EDGE_LANES,
     KEEP_RIGHT,
@@ -49,6 +50,8 @@ from izoo.envs.twin.state import (
     LANE_EDGE,
     LANE_FRONT,
     LANE_INDEX,
+    LANE_LEFT,
+    LANE_RIGHT,
     LENGTH,
     LINK_FROM,
     LOOK_AHEAD_SPEED,
@@ -91,7 +94,7 @@ def prepare_change(state, v):  # type: ignore[no-untyped-def]
 def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Let the vehicles of every edge with several lanes change, all vehicles having moved and been prepared."""
     for edge in range(net.edge_ints.shape[0]):
-        if net.edge_ints[edge, EDGE_LANES] > 1:
+        if net.edge_ints[edge, EDGE_CHANGES]:
             change_on_edge(net, traffic, state, edge, step_ms / 1000.0)
 
 
@@ -116,23 +119,23 @@ def change_on_edge(net, traffic, state, edge, step_s):  # type: ignore[no-untype
                 lane = k
         v = state.changer[lane, CHANGER_NEXT]
         state.changer[lane, CHANGER_NEXT] = state.ints[v, BEHIND]
-        now_on = _decide(net, traffic, state, v, lane, first, end, step_s)
+        now_on = _decide(net, traffic, state, v, lane, step_s)
         state.changer_density[now_on] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
 
 
 @compiled
-def _decide(net, traffic, state, v, lane, first, end, step_s):  # type: ignore[no-untyped-def]
+def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
     """Let ``v`` look to the right, then to the left, and change where it wants to and may; return its lane."""
     leader, gap = leader_beside(net, traffic, state, v, lane, step_s)
     rightward = leftward = 0
-    if lane > first:
+    if net.lane_ints[lane, LANE_RIGHT] >= 0:
         rightward = _check(net, traffic, state, v, lane - 1, leader, gap, step_s)
         if rightward & RIGHTWARD and not rightward & BLOCKED:
             _change(net, traffic, state, v, lane - 1, rightward)
             return lane - 1
         if rightward & RIGHTWARD and rightward & URGENT:
             _note_blocked(state, v, lane - 1)
-    if lane < end - 1:
+    if net.lane_ints[lane, LANE_LEFT] >= 0:
         leftward = _check(net, traffic, state, v, lane + 1, leader, gap, step_s)
         if leftward & LEFTWARD and not leftward & BLOCKED:
             _change(net, traffic, state, v, lane + 1, leftward)
@@ -222,4 +225,4 @@ def _lay_tail_behind(net, traffic, state, v, lane, count):  # type: ignore[no-un
             break
         state.tail_lane[v, known] = before = found
         known += 1
-    lay_tail(net, traffic, state, v, state.tail_lane[v], known)
+    lay_tail(net, traffic, state, v, known)

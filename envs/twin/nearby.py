@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
+
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import brake_gap, secure_gap
 from izoo.envs.twin.order import back_on, last_on, tail_on
@@ -11,17 +14,25 @@ from izoo.envs.twin.state import (
     AHEAD,
     CHANGER_NEXT,
     DECEL,
+    EDGE_CHANGES,
+    EDGE_FIRST_LANE,
+    EDGE_INSIDE,
+    EDGE_LANES,
     LANE,
     LANE_BACK,
     LANE_EDGE,
     LANE_FRONT,
     LANE_INSIDE,
+    LANE_LEFT,
     LANE_LENGTH,
     LANE_LIMIT,
+    LANE_RIGHT,
     LANE_TAILS,
     LENGTH,
     LINK_FROM,
     LINK_NEXT,
+    LINK_PROGRAM,
+    LINK_STATE,
     MIN_GAP,
     POSITION,
     SPEED,
@@ -30,7 +41,6 @@ from izoo.envs.twin.state import (
 )
 
 HALTING_MPS = 0.1
-_RED, _STOP = ord("r"), ord("s")
 _LEAST_DECEL_MPS2 = 2.0
 _MAX_LANES_BEHIND = 32
 
@@ -40,6 +50,24 @@ def incoming_lanes(link_ints: np.ndarray, lane_count: int) -> tuple[np.ndarray, 
     target = link_ints[:, LINK_NEXT]
     order = np.argsort(target, kind="stable").astype(np.int32)
     return np.searchsorted(target[order], np.arange(lane_count + 1)).astype(np.int32), order
+
+
+def mark_changing(edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.ndarray, link_ints: np.ndarray) -> None:
+    """Set ``EDGE_CHANGES``: 1 on edges on which vehicles may change lanes.
+
+    Inside junctions that is where all lanes are equally long and none is behind a minor link without signal. Lanes that
+    begin at the same lane are no neighbours there.
+    """
+    edge_ints[:, EDGE_CHANGES] = edge_ints[:, EDGE_LANES] > 1
+    for edge in np.flatnonzero((edge_ints[:, EDGE_INSIDE] == 1) & (edge_ints[:, EDGE_LANES] > 1)):
+        lanes = edge_ints[edge, EDGE_FIRST_LANE] + np.arange(edge_ints[edge, EDGE_LANES])
+        links = link_ints[np.isin(link_ints[:, LINK_NEXT], lanes)]
+        minor = (links[:, LINK_PROGRAM] < 0) & np.isin(links[:, LINK_STATE], [ord(letter) for letter in "m=sw"])
+        edge_ints[edge, EDGE_CHANGES] = len(np.unique(lane_floats[lanes, LANE_LENGTH])) == 1 and not minor.any()
+        origin = {int(link[LINK_NEXT]): int(link[LINK_FROM]) for link in links}
+        for right, left in itertools.pairwise(lanes.tolist()):
+            if origin.get(right) == origin.get(left):
+                lane_ints[right, LANE_LEFT] = lane_ints[left, LANE_RIGHT] = -1
 
 
 @compiled
@@ -63,7 +91,7 @@ def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-unty
 
 @compiled
 def _leader_beyond(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
-    """Look for a leader past the end of ``lane``, as far as the brakes reach and the links are open."""
+    """Look for a leader past the end of ``lane``, as far as the brakes reach, also past red lights."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     variant = state.ints[v, VARIANT]
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
@@ -73,9 +101,6 @@ def _leader_beyond(net, traffic, state, v, lane, step_s):  # type: ignore[no-unt
     while True:
         link = net.best_link[variant, lane]
         if link < 0:
-            return -1, 0.0
-        letter = state.link_letter[link]
-        if letter in (_RED, _STOP):
             return -1, 0.0
         lane = net.link_ints[link, LINK_NEXT]
         leader = last_on(net, traffic, state, lane, v)
@@ -147,11 +172,11 @@ def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no
     if state.lanes[lane, LANE_TAILS] > 0:
         other = tail_on(net, traffic, state, lane, v)
         if other >= 0:
+            # Its front has gone on: beside ``v``, and nobody counts behind it; or another way.
+            if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]:
+                return -1, 0.0
             gap = way - net.lane_floats[lane, LANE_LENGTH] + back - traffic.floats[other, MIN_GAP]
-            same_edge = (
-                net.lane_ints[state.ints[other, LANE], LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
-            )
-            if gap <= 0.0 or same_edge:
+            if gap <= 0.0:
                 return other, gap
     first = state.lanes[lane, LANE_FRONT]
     if first < 0 or first == v:

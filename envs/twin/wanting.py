@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.advising import (
     OVERTAKING_MPS,
     add_advice,
@@ -18,6 +17,7 @@ from izoo.envs.twin.advising import (
     reserve_room,
     slow_for_blocked,
 )
+from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import brake_gap, follow_speed, safe_stop_speed, secure_gap
 from izoo.envs.twin.lane_flags import (
     BLOCKS_FOLLOWER,
@@ -37,6 +37,7 @@ from izoo.envs.twin.lane_flags import (
 )
 from izoo.envs.twin.nearby import HALTING_MPS
 from izoo.envs.twin.state import (
+    ACCEL,
     BLOCKER_LENGTH,
     CHANGE_MODE,
     CHANGE_STATE,
@@ -56,6 +57,7 @@ from izoo.envs.twin.state import (
     LENGTH,
     LINK_NEXT,
     LOOK_AHEAD_SPEED,
+    MAX_ACCEL,
     MIN_GAP,
     NOW_MS,
     POSITION,
@@ -123,17 +125,6 @@ def room_taken(net, state, variant, lane):  # type: ignore[no-untyped-def]
             beyond = 0
         link = net.best_link[variant, lane]
     return taken
-
-
-@compiled
-def _anticipate(driver, speed, leader, leader_speed, leader_decel, gap, way, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed that a lane allows: to stop at its end, or behind a leader that may brake."""
-    if leader < 0:
-        return safe_stop_speed(way, driver[DECEL], driver[TAU], step_s)
-    if gap < 0.0:
-        gap = 0.0
-    room = gap + brake_gap(leader_speed, max(driver[DECEL], leader_decel), 0.0, step_s)
-    return safe_stop_speed(room, driver[DECEL], driver[TAU], step_s)
 
 
 @compiled
@@ -274,7 +265,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
     lane, variant = state.ints[v, LANE], state.ints[v, VARIANT]
     other, right = lane + side, side < 0
     toward = RIGHTWARD if right else LEFTWARD
-    position, speed = floats[v, POSITION], floats[v, SPEED]
+    speed = floats[v, SPEED]
     limit, other_limit = net.lane_floats[lane, LANE_LIMIT], net.lane_floats[other, LANE_LIMIT]
     other_length = net.best_length[variant, other]
     allowed = other_length / (abs(offset) + 1) > needed
@@ -287,18 +278,17 @@ def _want_freely(  # type: ignore[no-untyped-def]
         if _is_granted(net, state, v, request):
             return request
 
-    way, other_way = net.best_length[variant, lane] - position, other_length - position
-    here = min(limit, _anticipate_behind(traffic, state, v, leader, gap, way, step_s))
-    there = min(other_limit, _anticipate_behind(traffic, state, v, beside, beside_gap, other_way, step_s))
+    chasing = _accelerates(state, leader) or _accelerates(state, beside)
+    length = net.best_length[variant, lane]
+    here = min(limit, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
+    there = min(other_limit, _anticipate(traffic, state, v, beside, beside_gap, other_length, limit, chasing, step_s))
     gain = (there - here) / max(there, _LEAST_GAIN_SPEED_MPS)
     lasting = other_length / max(0.1, speed) > _REMAINING_S
     if right:
         if here - _RIGHT_DISCOUNT_MPS > there:
-            if floats[v, SPEED_GAIN] < 0.0:
-                floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
+            floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
         else:
-            if floats[v, SPEED_GAIN] < 0.0 or gain > 0.0:
-                floats[v, SPEED_GAIN] -= step_s * gain
+            floats[v, SPEED_GAIN] -= step_s * gain
             _grow_keep_right(traffic, state, v, limit, other_length, beside, beside_gap, step_s)
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
@@ -330,13 +320,28 @@ def _want_freely(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _anticipate_behind(traffic, state, v, leader, gap, way, step_s):  # type: ignore[no-untyped-def]
-    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+def _accelerates(state, leader):  # type: ignore[no-untyped-def]
+    return leader >= 0 and state.floats[leader, ACCEL] > 0.0
+
+
+@compiled
+def _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed (m/s) that a lane allows, behind a leader or to stop at its end.
+
+    Safe even if the leader brakes hard; where one of the leaders accelerates (``chasing``), what the own model of car
+    following makes of it within a second.
+    """
+    driver = traffic.floats[v]
+    if chasing:
+        speed = state.floats[v, SPEED] + driver[MAX_ACCEL] * (1.0 - step_s)
+        if leader < 0:
+            return follow_speed(driver, length, speed, 0.0, limit, step_s)
+        return follow_speed(driver, gap, speed, state.floats[leader, SPEED], limit, step_s)
     if leader < 0:
-        return _anticipate(driver, speed, leader, 0.0, 0.0, gap, way, step_s)
-    return _anticipate(
-        driver, speed, leader, state.floats[leader, SPEED], traffic.floats[leader, DECEL], gap, way, step_s
-    )
+        return safe_stop_speed(length, driver[DECEL], driver[TAU], step_s)
+    decel = max(driver[DECEL], traffic.floats[leader, DECEL])
+    room = gap + brake_gap(state.floats[leader, SPEED], decel, 0.0, step_s)
+    return safe_stop_speed(room, driver[DECEL], driver[TAU], step_s)
 
 
 @compiled
