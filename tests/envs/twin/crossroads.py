@@ -31,7 +31,7 @@ def build_crossroads(
     """Build four equal legs around the signal ``TL`` with every turn from the lanes that ``netconvert`` chooses.
 
     Args:
-        phases: durations (s) and states of the signal, links in ``netconvert``'s order (legs A, B, C, D from the right).
+        phases: durations (s) and states of the signal, links in ``netconvert``'s order (legs A to D, right turns first).
     """
     folder.mkdir(parents=True, exist_ok=True)
     nodes = ['<node id="TL" x="0" y="0" type="traffic_light"/>']
@@ -67,7 +67,7 @@ def build_crossroads(
 
 
 def meeting(path: Path, vehicles: list[dict[str, Any]]) -> Case:
-    """Return the case of vehicles given by ``depart`` (s), ``way`` such as ``"AC"``, ``lane``, and driver's parameters."""
+    """Return the case of vehicles with ``depart`` (s), ``way`` such as ``"AC"``, ``lane``, and driver's parameters."""
     road = read_road(path)
     vehicles = sorted(vehicles, key=lambda vehicle: vehicle["depart"])
     count = len(vehicles)
