@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.twin.advising import advise
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import may_pass, note_request, pass_link
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
-from izoo.envs.twin.hooks import advise
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
 from izoo.envs.twin.signals import OFF_YELLOW, RED, YELLOW, is_major
@@ -41,6 +41,7 @@ from izoo.envs.twin.state import (
     SPEED,
     STATUS,
     TAIL_LANES,
+    VARIANT,
     WAITING_MS,
 )
 
@@ -177,7 +178,7 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
     lane, kept = ints[v, LANE], ints[v, TAIL_LANES]
     drop_tail(state, v)
     while floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH]:
-        link = net.route_link[traffic.ints[v, ROUTE], lane]
+        link = net.best_link[ints[v, VARIANT], lane]
         if link < 0 or state.link_letter[link] == RED:
             if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]]:
                 floats[v, POSITION], floats[v, SPEED] = net.lane_floats[lane, LANE_LENGTH], 0.0

@@ -7,6 +7,7 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 
 from __future__ import annotations
 
+from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import limit_by_foes
 from izoo.envs.twin.following import (
@@ -61,6 +62,7 @@ from izoo.envs.twin.state import (
     ROUTE,
     SPEED,
     TAU,
+    VARIANT,
 )
 
 POSITION_EPS = 0.1
@@ -79,6 +81,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     floats, ints = state.floats, state.ints
     driver = traffic.floats[v]
     route = traffic.ints[v, ROUTE]
+    variant = ints[v, VARIANT] = find_variant(net, state, route)
     speed, lane = floats[v, SPEED], ints[v, LANE]
     wish = net.lane_floats[lane, LANE_LIMIT]
     fastest = most_speed(driver, speed, step_s)
@@ -114,7 +117,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         numbers[ITEM_VEHICLE], numbers[ITEM_LINK], numbers[ITEM_NEXT], numbers[ITEM_REQUEST] = v, -1, -1, 0
         values[ITEM_DISTANCE] = seen
         count += 1
-        link = net.route_link[route, lane]
+        link = net.best_link[variant, lane]
         if link < 0:
             if net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[route]:
                 safe = max(EPS, free_speed(driver, seen, speed, lane_limit, wish, step_s))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
 from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.hooks import change_lanes
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.moving import drive
 from izoo.envs.twin.order import place
@@ -91,6 +91,7 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
         v = state.lanes[lane, LANE_FRONT]
         in_front_m = 0.0
         while v >= 0:
+            take_commands(net, state, v, step_ms)
             plan(net, traffic, state, v, step_ms)
             keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)
             in_front_m += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
@@ -106,6 +107,11 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
     for k in range(count):
         v = state.moved[k]
         place(state, v, state.ints[v, LANE])
+    for lane in range(state.lanes.shape[0]):
+        v = state.lanes[lane, LANE_FRONT]
+        while v >= 0:
+            prepare_change(state, v)
+            v = state.ints[v, BEHIND]
     change_lanes(net, traffic, state, step_ms)
     insert_vehicles(net, traffic, state, step_ms)
     state.clock[NOW_MS] += step_ms
