@@ -61,6 +61,7 @@ from izoo.envs.twin.state import (
     POSITION,
     SPEED,
     SPEED_GAIN,
+    SPEED_GAIN_RIGHT,
     TAIL_LANES,
 )
 from izoo.envs.twin.wanting import obey, want
@@ -86,6 +87,7 @@ def prepare_change(state, v):  # type: ignore[no-untyped-def]
     """Make ``v`` ready for lane changing, after it moved."""
     forget_advice(state, v)
     # SUMO keeps five decimals of these, rounded up.
+    state.floats[v, SPEED_GAIN_RIGHT] = math.ceil(state.floats[v, SPEED_GAIN_RIGHT] * _GRAIN) / _GRAIN
     state.floats[v, SPEED_GAIN] = math.ceil(state.floats[v, SPEED_GAIN] * _GRAIN) / _GRAIN
     state.floats[v, KEEP_RIGHT] = math.ceil(state.floats[v, KEEP_RIGHT] * _GRAIN) / _GRAIN
 
@@ -206,7 +208,7 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
     ints[v, CHANGED_MS] = state.clock[NOW_MS]
     forget_advice(state, v)
     floats[v, BLOCKER_LENGTH] = 0.0
-    floats[v, SPEED_GAIN] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
+    floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
 
 
 @compiled

@@ -63,6 +63,7 @@ from izoo.envs.twin.state import (
     POSITION,
     SPEED,
     SPEED_GAIN,
+    SPEED_GAIN_RIGHT,
     TAU,
     VARIANT,
 )
@@ -115,14 +116,10 @@ def room_taken(net, state, variant, lane):  # type: ignore[no-untyped-def]
     """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route, inside lanes left out."""
     taken = 0.0
     link = net.best_link[variant, lane]
-    beyond = net.lane_ints[lane, LANE_INSIDE]
     while link >= 0:
         lane = net.link_ints[link, LINK_NEXT]
         if not net.lane_ints[lane, LANE_INSIDE]:
-            # Of a vehicle inside a junction, the lane behind it counts as its own.
-            if not beyond:
-                taken += state.lane_room[lane]
-            beyond = 0
+            taken += state.lane_room[lane]
         link = net.best_link[variant, lane]
     return taken
 
@@ -270,10 +267,9 @@ def _want_freely(  # type: ignore[no-untyped-def]
     other_length = net.best_length[variant, other]
     allowed = other_length / (abs(offset) + 1) > needed
 
-    inconvenience = floats[v, SPEED_GAIN] / _RIGHT_THRESHOLD if right else -floats[v, SPEED_GAIN] / _LEFT_THRESHOLD
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
     own = state.ints[v, CHANGE_STATE]
-    if min(1.0, inconvenience) <= 1.0 and own & BLOCKS_FOLLOWER and own & wanted and (to_best or allowed):
+    if own & BLOCKS_FOLLOWER and own & wanted and (to_best or allowed):
         request = flags | toward | COOPERATIVE | URGENT
         if _is_granted(net, state, v, request):
             return request
@@ -286,33 +282,31 @@ def _want_freely(  # type: ignore[no-untyped-def]
     lasting = other_length / max(0.1, speed) > _REMAINING_S
     if right:
         if here - _RIGHT_DISCOUNT_MPS > there:
-            floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
+            floats[v, SPEED_GAIN_RIGHT] *= math.pow(0.5, step_s)
         else:
-            floats[v, SPEED_GAIN] -= step_s * gain
+            floats[v, SPEED_GAIN_RIGHT] += step_s * gain
             _grow_keep_right(traffic, state, v, limit, other_length, beside, beside_gap, step_s)
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
                 if _is_granted(net, state, v, request):
                     return request
-        if floats[v, SPEED_GAIN] < -_RIGHT_THRESHOLD and lasting:
+        if floats[v, SPEED_GAIN_RIGHT] > _RIGHT_THRESHOLD and lasting:
             request = flags | toward | SPEED_GAINING
             if _is_granted(net, state, v, request):
                 return request
     else:
         if here > there:
-            if floats[v, SPEED_GAIN] > 0.0:
-                floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
+            floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
         elif here == there:
-            if floats[v, SPEED_GAIN] > 0.0:
-                floats[v, SPEED_GAIN] *= math.pow(0.8, step_s)
+            floats[v, SPEED_GAIN] *= math.pow(0.8, step_s)
         else:
             floats[v, SPEED_GAIN] += step_s * gain
         if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or avoiding) and lasting:
             request = flags | toward | SPEED_GAINING
             if _is_granted(net, state, v, request):
                 return request
-    own_offset = net.best_offset[variant, lane]
-    if to_best and offset == own_offset and (floats[v, SPEED_GAIN] < 0.0 if right else floats[v, SPEED_GAIN] > 0.0):
+    memory = floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]
+    if to_best and offset == net.best_offset[variant, lane] and memory > 0.0:
         request = flags | toward | STRATEGIC
         if _is_granted(net, state, v, request):
             return request
