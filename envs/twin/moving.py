@@ -28,6 +28,7 @@ from izoo.envs.twin.state import (
     ITEMS,
     LANE,
     LANE_EDGE,
+    LANE_INSIDE,
     LANE_LENGTH,
     LANE_LIMIT,
     LINK_CONT,
@@ -95,7 +96,8 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     if safe + EPS < needed:
         # It would not get past the minor link: it stays before it, if it can.
         if safe >= speed:
-            safe = max(safe, needed_wait)
+            if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
+                safe = max(safe, needed_wait)
         elif needed_can_brake:
             safe, waits = max(slowest, needed_wait), True
         needed = 0.0

@@ -31,7 +31,7 @@ def build_crossroads(
     """Build four equal legs around the signal ``TL`` with every turn from the lanes that ``netconvert`` chooses.
 
     Args:
-        phases: durations (s) and states of the signal, links in ``netconvert``'s order (legs A to D, right turns first).
+        phases: durations (s) and states of the signal; links in ``netconvert``'s order: legs A to D, right turns first.
     """
     folder.mkdir(parents=True, exist_ok=True)
     nodes = ['<node id="TL" x="0" y="0" type="traffic_light"/>']
