@@ -6,6 +6,8 @@ The rules were found by probing SUMO with two and three vehicles that meet (see 
 
 from __future__ import annotations
 
+import math
+
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import (
     CONFLICT_BEHIND,
@@ -71,6 +73,8 @@ STOP_NEAR_M = 4.5
 MARGIN_MS = 1000
 """Time that lies between the passages of two vehicles in conflict."""
 IMPATIENT_AFTER_MS = 180_000.0
+NEVER_LATER_S = 30.0
+"""Delay of a vehicle that would stop instead of passing."""
 POSITION_EPS = 0.1
 VISIBILITY_M = 4.5
 
@@ -286,14 +290,39 @@ def _meets(traffic, state, item, foe, merging):  # type: ignore[no-untyped-def]
                 traffic.floats[v, DECEL],
             )
         )
-    if other[ITEM_ARRIVAL_MS] > leave + MARGIN_MS:
+    foe_arrival, foe_speed = float(other[ITEM_ARRIVAL_MS]), state.item_floats[foe, ITEM_BRAKED_SPEED]
+    impatience = min(1.0, state.ints[v, WAITING_MS] / IMPATIENT_AFTER_MS)
+    if impatience > 0.0 and foe_arrival > arrival:
+        later_s, foe_speed = _braking_for(
+            0.001 * (foe_arrival - arrival),
+            state.item_floats[foe, ITEM_ARRIVAL_SPEED],
+            impatience * traffic.floats[w, DECEL],
+        )
+        foe_arrival += 1000.0 * later_s
+    if foe_arrival > leave + MARGIN_MS:
         return merging and _unsafe(
             state.item_floats[item, ITEM_LEAVE_SPEED],
             traffic.floats[v, DECEL],
-            state.item_floats[foe, ITEM_BRAKED_SPEED],
+            foe_speed,
             traffic.floats[w, DECEL],
         )
     return True
+
+
+@compiled
+def _braking_for(ahead_s, speed, decel):  # type: ignore[no-untyped-def]
+    """Return how much later (s) and how fast (m/s) a vehicle arrives that brakes from ``ahead_s`` before its arrival.
+
+    Args:
+        speed: with which it would arrive. decel: how hard it brakes for someone who has waited for long.
+    """
+    slowed = speed - decel * ahead_s
+    missing_m = 0.5 * decel * ahead_s * ahead_s
+    rest = slowed * slowed - 2.0 * decel * missing_m
+    if slowed <= 0.0 or rest <= 0.0:
+        return NEVER_LATER_S, 0.0
+    arrival_speed = math.sqrt(rest)
+    return (slowed - arrival_speed) / decel, arrival_speed
 
 
 @compiled
