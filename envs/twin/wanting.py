@@ -305,8 +305,12 @@ def _want_freely(  # type: ignore[no-untyped-def]
             request = flags | toward | SPEED_GAINING
             if _is_granted(net, state, v, request):
                 return request
-    memory = floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]
-    if to_best and offset == net.best_offset[variant, lane] and memory > 0.0:
+    if (
+        to_best
+        and offset == net.best_offset[variant, lane]
+        and gain > 0.0
+        and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
+    ):
         request = flags | toward | STRATEGIC
         if _is_granted(net, state, v, request):
             return request
