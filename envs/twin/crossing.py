@@ -242,11 +242,10 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
         return False
     if is_major(letter) or net.link_ints[link, LINK_CONT]:
         return True
-    if letter == STOP:
-        if state.ints[v, WAITING_MS] > 0 and state.item_floats[item, ITEM_DISTANCE] <= VISIBILITY_M:
-            state.ints[v, STOOD_FOR] = link
-        elif state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
-            return False
+    if letter == STOP and state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
+        return False
+    # Who was let pass after standing may go on; who was not must stand again.
+    state.ints[v, STOOD_FOR] = -1
     if net.wait_count[link] > 0:
         first = net.wait_first[link]
         for k in range(first, first + net.wait_count[link]):
@@ -257,6 +256,8 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
         for k in range(first, first + net.link_ints[link, LINK_RESPONSES]):
             if _blocks(net, traffic, state, item, net.responses[k]):
                 return False
+    if letter == STOP and state.item_floats[item, ITEM_DISTANCE] <= VISIBILITY_M:
+        state.ints[v, STOOD_FOR] = link
     return True
 
 
