@@ -34,8 +34,9 @@ def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # t
     for _ in range(count):
         ahead = max(0.0, speed * driver[TAU] + speed * (speed - leader_speed) / driver[TWO_ROOT_AB]) + min_gap
         gap = max(EPS, gap)
-        ratio = math.pow(speed / max(EPS, wish_mps), 4.0)
-        accel = driver[MAX_ACCEL] * (1.0 - ratio - (ahead * ahead) / (gap * gap))
+        ratio = speed / max(EPS, wish_mps)
+        ratio *= ratio
+        accel = driver[MAX_ACCEL] * (1.0 - ratio * ratio - (ahead * ahead) / (gap * gap))
         speed = max(0.0, speed + accel * part_s)
         gap -= max(0.0, (speed - leader_speed) * part_s)
     return speed
