@@ -61,7 +61,7 @@ SCORES: dict[str, Score] = {
     "nan_share": Score("share of commands that were NaN", ("nan_actions",), "agent_steps", "", "lower"),
     "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
 }
-"""Every score by name, the headline first (spec 10). ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
+"""Every score by name, the headline first. ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
 
 TIME_WEIGHT_G_PER_S = 1.0
 """Default lambda of the objective J, in g CO2 per vehicle second: about what an idling car emits."""
@@ -93,7 +93,7 @@ def score_tensors(sums: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]
 
 
 def add_scores(table: pd.DataFrame, time_weight_g_per_s: float = TIME_WEIGHT_G_PER_S) -> pd.DataFrame:
-    """Return ``table`` with a column per score, and ``objective_g``, the objective J of spec 1.
+    """Return ``table`` with a column per score, and ``objective_g``, the objective J.
 
     Args:
         table: rows with the columns :data:`~izoo.metrics.definitions.APPROACH_METRICS`.

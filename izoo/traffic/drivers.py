@@ -1,4 +1,4 @@
-"""How people drive: IDM parameters drawn per driver from a calibrated log-normal population (spec 3).
+"""How people drive: IDM parameters drawn per driver from a calibrated log-normal population.
 
 ``idm_population.json`` holds the mean and covariance of the log of (v0, s0, T, alpha, beta), per vehicle class; its
 ``source`` entry says where the numbers come from. v0 is drawn with the others but not used: the speed limit rules.
