@@ -6,6 +6,21 @@ when the vehicle moves next, and :func:`forget_advice` clears it then.
 
 from __future__ import annotations
 
+from izoo.envs.twin.arrays import (
+    ADVICES,
+    BLOCKER_LENGTH,
+    CHANGE_STATE,
+    DECEL,
+    LANE,
+    LANE_LIMIT,
+    LEFT_SPACE,
+    LENGTH,
+    MAX_ADVICES,
+    MIN_GAP,
+    POSITION,
+    SPEED,
+    TAU,
+)
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap, stop_speed
 from izoo.envs.twin.lane_flags import (
@@ -23,21 +38,6 @@ from izoo.envs.twin.lane_flags import (
     WANTS_CHANGE,
 )
 from izoo.envs.twin.nearby import HALTING_MPS
-from izoo.envs.twin.state import (
-    ADVICES,
-    BLOCKER_LENGTH,
-    CHANGE_STATE,
-    DECEL,
-    LANE,
-    LANE_LIMIT,
-    LEFT_SPACE,
-    LENGTH,
-    MAX_ADVICES,
-    MIN_GAP,
-    POSITION,
-    SPEED,
-    TAU,
-)
 
 EPS = 0.001
 _POSITION_EPS_M = 0.1

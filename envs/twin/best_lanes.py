@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     EDGE_FIRST_LANE,
     EDGE_LANES,
     LANE_EDGE,
@@ -31,6 +30,7 @@ from izoo.envs.twin.state import (
     PROGRAM_FIRST_PHASE,
     PROGRAM_PHASES,
 )
+from izoo.envs.twin.compiled import compiled
 
 MAX_CHECKED_LINKS = 12
 _MAX_VARIANTS = 64
@@ -38,7 +38,7 @@ _UPPER = range(ord("A"), ord("Z") + 1)
 
 
 class BestTables(NamedTuple):
-    """Fields of :class:`~izoo.envs.twin.state.TwinNet`; ``X`` variants, those of a route in neighbouring rows.
+    """Fields of :class:`~izoo.envs.twin.arrays.TwinNet`; ``X`` variants, those of a route in neighbouring rows.
 
     Attributes:
         variant_first, variant_count: ``[R]`` int32, the variants of each route.
@@ -65,7 +65,7 @@ class BestTables(NamedTuple):
 
 
 class NetTables(NamedTuple):
-    """What is needed of a net, as in :class:`~izoo.envs.twin.state.TwinNet`."""
+    """What is needed of a net, as in :class:`~izoo.envs.twin.arrays.TwinNet`."""
 
     lane_floats: np.ndarray
     lane_ints: np.ndarray

@@ -5,27 +5,7 @@ from __future__ import annotations
 import math
 
 from izoo.envs.twin.advising import forget_advice
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import secure_gap
-from izoo.envs.twin.lane_flags import (
-    BLOCKED,
-    COMMANDED,
-    COOPERATIVE,
-    LEFT_FOLLOWER_BLOCKS,
-    LEFT_LEADER_BLOCKS,
-    LEFTWARD,
-    OVERLAPS,
-    RIGHT_FOLLOWER_BLOCKS,
-    RIGHT_KEEPING,
-    RIGHT_LEADER_BLOCKS,
-    RIGHTWARD,
-    SPEED_GAINING,
-    STRATEGIC,
-    URGENT,
-)
-from izoo.envs.twin.nearby import follower_beside, leader_beside
-from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     BEHIND,
     BLOCKER_LENGTH,
     CHANGE_COMMAND,
@@ -64,6 +44,26 @@ from izoo.envs.twin.state import (
     SPEED_GAIN_RIGHT,
     TAIL_LANES,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import secure_gap
+from izoo.envs.twin.lane_flags import (
+    BLOCKED,
+    COMMANDED,
+    COOPERATIVE,
+    LEFT_FOLLOWER_BLOCKS,
+    LEFT_LEADER_BLOCKS,
+    LEFTWARD,
+    OVERLAPS,
+    RIGHT_FOLLOWER_BLOCKS,
+    RIGHT_KEEPING,
+    RIGHT_LEADER_BLOCKS,
+    RIGHTWARD,
+    SPEED_GAINING,
+    STRATEGIC,
+    URGENT,
+)
+from izoo.envs.twin.nearby import follower_beside, leader_beside
+from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
 from izoo.envs.twin.wanting import obey, want
 
 _GRAIN = 1e5

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap
-from izoo.envs.twin.order import last_on
-from izoo.envs.twin.planning import POSITION_EPS
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     AHEAD,
     DECEL,
     FIRST_ITEM,
@@ -32,6 +28,10 @@ from izoo.envs.twin.state import (
     SPEED,
     TAU,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap
+from izoo.envs.twin.order import last_on
+from izoo.envs.twin.planning import POSITION_EPS
 
 STANDING_MPS = 0.1
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     LANE_INSIDE,
     LANE_LENGTH,
     LINK_FROM,

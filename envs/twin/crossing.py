@@ -8,25 +8,7 @@ from __future__ import annotations
 
 import math
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.conflicts import (
-    CONFLICT_BEHIND,
-    CONFLICT_FOE_BEHIND,
-    CONFLICT_FOE_SIZE,
-    CONFLICT_FOE_YIELDS,
-    CONFLICT_KIND,
-    CONFLICT_LANE,
-    CONFLICT_SIZE,
-    CONFLICT_YIELDS,
-    CROSSING,
-    MERGING,
-    NOWHERE,
-    PARTING,
-)
-from izoo.envs.twin.following import follow_speed, stop_speed
-from izoo.envs.twin.order import back_on
-from izoo.envs.twin.signals import is_major
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     BEHIND,
     CONFLICT_MS,
     DECEL,
@@ -65,6 +47,24 @@ from izoo.envs.twin.state import (
     WAITING_MS,
     WILL_PASS,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.conflicts import (
+    CONFLICT_BEHIND,
+    CONFLICT_FOE_BEHIND,
+    CONFLICT_FOE_SIZE,
+    CONFLICT_FOE_YIELDS,
+    CONFLICT_KIND,
+    CONFLICT_LANE,
+    CONFLICT_SIZE,
+    CONFLICT_YIELDS,
+    CROSSING,
+    MERGING,
+    NOWHERE,
+    PARTING,
+)
+from izoo.envs.twin.following import follow_speed, stop_speed
+from izoo.envs.twin.lights import is_major
+from izoo.envs.twin.order import back_on
 
 RED, STOP = ord("r"), ord("s")
 STANDING_MPS = 0.1

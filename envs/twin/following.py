@@ -1,6 +1,6 @@
 """Car following: the intelligent driver model in sub-steps, and the ways in which it brakes for points and limits.
 
-Speeds in m/s, gaps in m, ``driver`` is a row of :attr:`~izoo.envs.twin.state.TwinTraffic.floats`. Formulas: Treiber,
+Speeds in m/s, gaps in m, ``driver`` is a row of :attr:`~izoo.envs.twin.arrays.TwinTraffic.floats`. Formulas: Treiber,
 Hennecke, Helbing (2000), discretised as SUMO does it (each found by probing, see the tests).
 """
 
@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from izoo.envs.twin.arrays import DECEL, EMERGENCY_DECEL, MAX_ACCEL, MIN_GAP, TAU, TWO_ROOT_AB
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.state import DECEL, EMERGENCY_DECEL, MAX_ACCEL, MIN_GAP, TAU, TWO_ROOT_AB
 
 EPS = 0.001
 """Smallest gap (m) and speed (m/s) that the formulas tell from 0."""

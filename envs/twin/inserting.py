@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, secure_gap
-from izoo.envs.twin.order import back_on, last_on, place, tail_on
-from izoo.envs.twin.planning import POSITION_EPS
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     ACCEL,
     DECEL,
     DEPART_LANE,
@@ -27,6 +23,10 @@ from izoo.envs.twin.state import (
     STATUS,
     WAITING,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.order import back_on, last_on, place, tail_on
+from izoo.envs.twin.planning import POSITION_EPS
 
 
 @compiled

@@ -5,13 +5,7 @@ from __future__ import annotations
 import math
 
 from izoo.envs.twin.advising import advise
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import may_pass, note_request, pass_link
-from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
-from izoo.envs.twin.order import drop_tail, lay_tail, take_out
-from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
-from izoo.envs.twin.signals import OFF_YELLOW, RED, YELLOW, is_major
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     ACCEL,
     ARRIVED,
     COMMAND,
@@ -45,6 +39,12 @@ from izoo.envs.twin.state import (
     VARIANT,
     WAITING_MS,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.crossing import may_pass, note_request, pass_link
+from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
+from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
+from izoo.envs.twin.order import drop_tail, lay_tail, take_out
+from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
 
 STANDING_MPS = 0.1
 

@@ -6,11 +6,7 @@ import itertools
 
 import numpy as np
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, secure_gap
-from izoo.envs.twin.order import back_on, last_on, tail_on
-from izoo.envs.twin.signals import LOWER_CASE
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     AHEAD,
     CHANGER_NEXT,
     DECEL,
@@ -39,6 +35,10 @@ from izoo.envs.twin.state import (
     TAU,
     VARIANT,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.lights import LOWER_CASE
+from izoo.envs.twin.order import back_on, last_on, tail_on
 
 HALTING_MPS = 0.1
 _LEAST_DECEL_MPS2 = 2.0

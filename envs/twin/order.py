@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     AHEAD,
     BEHIND,
     LANE,
@@ -17,6 +16,7 @@ from izoo.envs.twin.state import (
     POSITION,
     TAIL_LANES,
 )
+from izoo.envs.twin.compiled import compiled
 
 
 @compiled

@@ -7,25 +7,7 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 
 from __future__ import annotations
 
-from izoo.envs.twin.best_lanes import find_variant
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import limit_by_foes
-from izoo.envs.twin.following import (
-    EPS,
-    arrival_time_s,
-    brake_gap,
-    braked_speed,
-    follow_speed,
-    free_speed,
-    least_speed,
-    most_speed,
-    safe_stop_speed,
-    speed_after,
-    stop_speed,
-)
-from izoo.envs.twin.order import back_on, last_on, tail_on
-from izoo.envs.twin.signals import is_major, stops_all
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     AHEAD,
     DECEL,
     EMERGENCY_DECEL,
@@ -64,6 +46,24 @@ from izoo.envs.twin.state import (
     TAU,
     VARIANT,
 )
+from izoo.envs.twin.best_lanes import find_variant
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.crossing import limit_by_foes
+from izoo.envs.twin.following import (
+    EPS,
+    arrival_time_s,
+    brake_gap,
+    braked_speed,
+    follow_speed,
+    free_speed,
+    least_speed,
+    most_speed,
+    safe_stop_speed,
+    speed_after,
+    stop_speed,
+)
+from izoo.envs.twin.lights import is_major, stops_all
+from izoo.envs.twin.order import back_on, last_on, tail_on
 
 POSITION_EPS = 0.1
 STOP_LINE_GAP_M = 1.0

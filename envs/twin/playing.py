@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.envs.twin.compiled import directory
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     COMMAND,
     LANE,
     NET,
@@ -19,6 +18,7 @@ from izoo.envs.twin.state import (
     TwinState,
     TwinTraffic,
 )
+from izoo.envs.twin.compiled import directory
 from izoo.envs.twin.stepping import new_state, step
 
 
@@ -49,7 +49,7 @@ class TwinEpisode:
 
     @property
     def status(self) -> np.ndarray:
-        """``[N]`` int64, one of :data:`~izoo.envs.twin.state.NOT_YET` and those that follow it."""
+        """``[N]`` int64, one of :data:`~izoo.envs.twin.arrays.NOT_YET` and those that follow it."""
         return self.state.ints[:, STATUS]
 
     @property

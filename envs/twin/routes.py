@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     EDGE_FIRST_LANE,
     EDGE_LANES,
     LANE_FIRST_LINK,
@@ -24,7 +24,7 @@ from izoo.traffic.episode import SOURCE_KINDS
 
 
 class RouteTables(NamedTuple):
-    """The fields of :class:`~izoo.envs.twin.state.TwinNet` of the same names."""
+    """The fields of :class:`~izoo.envs.twin.arrays.TwinNet` of the same names."""
 
     route_edges: np.ndarray
     route_approach: np.ndarray

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
-from izoo.envs.twin.clearance import keep_clear
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.inserting import insert_vehicles
-from izoo.envs.twin.moving import drive
-from izoo.envs.twin.order import place
-from izoo.envs.twin.planning import plan, register_approaches
-from izoo.envs.twin.signals import begin_signals, show_signals
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     AHEAD,
     BEHIND,
     CHANGE_UNTIL_MS,
@@ -39,6 +31,14 @@ from izoo.envs.twin.state import (
     open_state,
     open_traffic,
 )
+from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
+from izoo.envs.twin.clearance import keep_clear
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.inserting import insert_vehicles
+from izoo.envs.twin.lights import begin_signals, show_signals
+from izoo.envs.twin.moving import drive
+from izoo.envs.twin.order import place
+from izoo.envs.twin.planning import plan, register_approaches
 
 
 def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:

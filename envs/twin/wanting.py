@@ -17,26 +17,7 @@ from izoo.envs.twin.advising import (
     reserve_room,
     slow_for_blocked,
 )
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, safe_stop_speed, secure_gap
-from izoo.envs.twin.lane_flags import (
-    BLOCKS_FOLLOWER,
-    COMMANDED,
-    COOPERATIVE,
-    KEPT,
-    LEFTWARD,
-    RIGHT_KEEPING,
-    RIGHTWARD,
-    SPEED_GAINING,
-    STAY,
-    STRATEGIC,
-    URGENT,
-    WANTED_LEFTWARD,
-    WANTED_RIGHTWARD,
-    WANTS_CHANGE_OR_STAY,
-)
-from izoo.envs.twin.nearby import HALTING_MPS
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     ACCEL,
     BLOCKER_LENGTH,
     CHANGE_MODE,
@@ -67,6 +48,25 @@ from izoo.envs.twin.state import (
     TAU,
     VARIANT,
 )
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap, follow_speed, safe_stop_speed, secure_gap
+from izoo.envs.twin.lane_flags import (
+    BLOCKS_FOLLOWER,
+    COMMANDED,
+    COOPERATIVE,
+    KEPT,
+    LEFTWARD,
+    RIGHT_KEEPING,
+    RIGHTWARD,
+    SPEED_GAINING,
+    STAY,
+    STRATEGIC,
+    URGENT,
+    WANTED_LEFTWARD,
+    WANTED_RIGHTWARD,
+    WANTS_CHANGE_OR_STAY,
+)
+from izoo.envs.twin.nearby import HALTING_MPS
 
 EPS = 0.001
 _FORGETTING = 0.1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import sumo
 
-from izoo.envs.twin.world import read_twin_world
+from izoo.envs.twin.whole_net import read_twin_world
 from izoo.networks.road import read_road
 from izoo.traffic.episode import PAPER_CV, Traffic
 from tests.envs.twin.oracle import Case

@@ -10,6 +10,7 @@ from defusedxml import ElementTree
 
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
+from izoo.envs.twin.arrays import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
 from izoo.envs.twin.conflicts import (
     CONFLICT_BEHIND,
     CONFLICT_FOE_BEHIND,
@@ -19,8 +20,7 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_YIELDS,
     NOWHERE,
 )
-from izoo.envs.twin.state import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
-from izoo.envs.twin.world import TwinWorld, read_twin_world
+from izoo.envs.twin.whole_net import TwinWorld, read_twin_world
 from izoo.networks.road import read_road
 from tests.envs.twin.crossroads import build_crossroads
 

@@ -10,11 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
-from izoo.envs.twin.conflicts import Ways, find_conflicts
-from izoo.envs.twin.nearby import incoming_lanes, mark_changing
-from izoo.envs.twin.routes import find_routes
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     EDGE_FIRST_LANE,
     EDGE_INSIDE,
     EDGE_LANES,
@@ -52,6 +48,10 @@ from izoo.envs.twin.state import (
     TwinNet,
     TwinTraffic,
 )
+from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
+from izoo.envs.twin.conflicts import Ways, find_conflicts
+from izoo.envs.twin.nearby import incoming_lanes, mark_changing
+from izoo.envs.twin.routes import find_routes
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet, lane_shape, parse_net
 from izoo.traffic.episode import DEPART_SPEED_MPS, Traffic

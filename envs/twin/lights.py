@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.state import (
+from izoo.envs.twin.arrays import (
     LINK_PROGRAM,
     LINK_SIGNAL,
     LINK_STATE,
@@ -15,6 +14,7 @@ from izoo.envs.twin.state import (
     PROGRAM_OFFSET_MS,
     PROGRAM_PHASES,
 )
+from izoo.envs.twin.compiled import compiled
 
 RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
 
