@@ -82,7 +82,7 @@ class TwinNet(NamedTuple):
         program_first_link: ``[T + 1]`` int32, range of each program in ``program_links``. program_links: int32, the
             links that show a program.
         route_edges: ``[R, MAX_ROUTE_EDGES]`` int32, source edge to exit edge, then -1; inside edges are left out.
-        route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.episode.Traffic`.
+        route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.sampling.Traffic`.
         route_exit_edge: ``[R]`` int32, row of the last edge. source_lanes: int32, rows of the lanes to enter on.
         route_of: ``[P, 2, Q]`` int32, the route by approach, source kind, exit.
         route_link: ``[R, L]`` int32, the link by which a vehicle of the route leaves the lane; -1 where the lane does

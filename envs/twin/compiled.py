@@ -8,19 +8,21 @@ reads it there. Nothing is counted or copied: whoever calls keeps the arrays ali
 
 from __future__ import annotations
 
+import functools
 from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils, errors
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numba.np.arrayobj import make_array, populate_array
 
+from izoo import compiling
 from izoo.errors import IzooError
 
-compiled = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+compiled = functools.partial(compiling.compiled, nogil=True, error_model="numpy", _nrt=False)
 """Decorator of every compiled function of the twin. Such a function cannot allocate."""
 
 Float1 = Annotated[np.ndarray, "float64", 1]
@@ -90,13 +92,13 @@ class _TablesModel(models.PrimitiveModel):  # type: ignore[misc]
 class _TablesAttribute(AttributeTemplate):  # type: ignore[misc]
     key = TablesType
 
-    def generic_resolve(self, kind: TablesType, name: str) -> types.Array | None:
+    def generic_resolve(self, kind: TablesType, name: str) -> types.Array | None:  # type: ignore[override]
         return kind.array_type(name)
 
 
 @lower_getattr_generic(TablesType)
 def _read_array(context: Any, builder: Any, kind: TablesType, value: Any, name: str) -> Any:
-    array_type = kind.array_type(name)
+    array_type: Any = kind.array_type(name)
     number = [field for field, *_ in kind.fields].index(name)
     constant = builder.module.add_metadata([])
 

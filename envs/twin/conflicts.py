@@ -50,7 +50,7 @@ class Conflicts(NamedTuple):
     """
 
     first: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]
     ints: np.ndarray
     floats: np.ndarray
     wait_first: np.ndarray

@@ -20,7 +20,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
-from izoo.traffic.episode import SOURCE_KINDS
+from izoo.traffic.sampling import SOURCE_KINDS
 
 
 class RouteTables(NamedTuple):

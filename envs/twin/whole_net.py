@@ -54,7 +54,7 @@ from izoo.envs.twin.nearby import incoming_lanes, mark_changing
 from izoo.envs.twin.routes import find_routes
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet, lane_shape, parse_net
-from izoo.traffic.episode import DEPART_SPEED_MPS, Traffic
+from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
 _DEFAULT_WIDTH_M = 3.2
 _LEAST_EMERGENCY_DECEL_MPS2 = 9.0
@@ -302,7 +302,7 @@ def to_ms(time_s: float) -> int:
 
 
 def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
-    """Return the demand as SUMO reads it from the route file of :func:`izoo.traffic.episode.write_routes`."""
+    """Return the demand as SUMO reads it from the route file of :func:`izoo.traffic.sampling.write_routes`."""
     length = np.array([float(f"{value:g}") for value in traffic.length_m.tolist()])
     min_gap, tau, accel, decel = (
         np.array([float(f"{value:.4f}") for value in column.tolist()])

@@ -13,7 +13,7 @@ import sumo
 
 from izoo.envs.twin.whole_net import read_twin_world
 from izoo.networks.road import read_road
-from izoo.traffic.episode import PAPER_CV, Traffic
+from izoo.traffic.sampling import PAPER_CV, Traffic
 from tests.envs.twin.oracle import Case
 
 _LEGS = {"A": (0.0, 1.0), "B": (1.0, 0.0), "C": (0.0, -1.0), "D": (-1.0, 0.0)}

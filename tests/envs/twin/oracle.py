@@ -16,7 +16,7 @@ from izoo.envs.twin.playing import TwinEpisode
 from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, twin_traffic
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.episode import Traffic, sample_traffic, write_routes
+from izoo.traffic.sampling import Traffic, sample_traffic, write_routes
 
 Commands = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
 """From a step's number, vehicles ``[n]`` and their speeds ``[n]`` to commanded speeds ``[n]``, NaN for none."""

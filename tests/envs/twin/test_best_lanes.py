@@ -14,7 +14,7 @@ from izoo.envs.twin.arrays import LANE_INSIDE, LINK_NEXT, TwinNet
 from izoo.envs.twin.whole_net import read_twin_world, twin_traffic
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.episode import sample_traffic, write_routes
+from izoo.traffic.sampling import sample_traffic, write_routes
 
 SEED, STEPS = 3, 240
 

@@ -12,7 +12,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.episode import Traffic
+from izoo.traffic.sampling import Traffic
 from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play_twin
 
 HORIZON_S = 300.0
