@@ -12,7 +12,7 @@ import numpy as np
 from izoo.contexts.context import Context
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.twin.arrays import DRIVING
-from izoo.envs.twin.playing import TwinEpisode
+from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, twin_traffic
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
