@@ -109,6 +109,7 @@ def test_conflicts_of_crossroads_are_sumos(lanes: int, tmp_path: Path) -> None:
     assert_same_conflicts(net, tmp_path, 20)
 
 
+@pytest.mark.slow
 def test_conflicts_of_measured_intersections_are_sumos(dataset: ContextList, tmp_path: Path) -> None:
     paths = sorted({str(context.intersection.net_path) for context in dataset})
     for path in paths[1:4]:

@@ -11,6 +11,7 @@ import pytest
 from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.twin.oracle import Case, first_departure, play_sumo, play_twin
 
+pytestmark = pytest.mark.slow
 STEPS = 120
 PERMISSIVE = [(1000.0, "GGgrrrGGgrrr")]
 RIGHT_ON_RED = [(1000.0, "srrGGgsrrGGg")]

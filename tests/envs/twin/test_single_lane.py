@@ -15,6 +15,7 @@ from izoo.networks.road import read_road
 from izoo.traffic.sampling import Traffic
 from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play_twin
 
+pytestmark = pytest.mark.slow
 HORIZON_S = 300.0
 MEASURED_SHARE = 0.4
 """Least share of the measured single-lane approaches on which a whole episode must hold; 0.45 was measured."""
@@ -75,7 +76,6 @@ def test_commands_make_a_difference() -> None:
     assert first_departure(case, play_sumo(case, steps), play_twin(case, steps, waves)) is not None
 
 
-@pytest.mark.slow
 def test_measured_single_lane_approaches(dataset: ContextList) -> None:
     held = []
     for context in dataset:
