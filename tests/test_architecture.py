@@ -165,7 +165,7 @@ def test_the_arrow_check_can_fail(name: str, source: str) -> None:
         ("izoo.envs.mdp.reward", "from izoo.envs.sumo.session import Session"),
         ("izoo.envs.mdp.reward", "def late():\n    from izoo.envs import backend"),
         ("izoo.envs.backend", "from izoo.envs.twin import state"),
-        ("izoo.envs.twin.state", "from izoo.envs.sumo import session"),
+        ("izoo.envs.twin.arrays", "from izoo.envs.sumo import session"),
         ("izoo.envs.sumo.worker", "from izoo.envs.env import EcoDrivingEnv"),
         ("izoo.envs.env", "import izoo.envs.views.host"),
         ("izoo.envs.nowhere", "import math"),

@@ -1,0 +1,1 @@
+"""The twin: a compiled microsimulator that drives vehicles as SUMO does."""

@@ -1,0 +1,250 @@
+"""Speeds that lane changing advises for the next step: to the vehicle that wants to change and to those around it.
+
+After a vehicle moved, others that were served before it, and then it itself, leave advice; :func:`advise` weighs it
+when the vehicle moves next, and :func:`forget_advice` clears it then.
+"""
+
+from __future__ import annotations
+
+from izoo.envs.twin.arrays import (
+    ADVICES,
+    BLOCKER_LENGTH,
+    CHANGE_STATE,
+    DECEL,
+    LANE,
+    LANE_LIMIT,
+    LEFT_SPACE,
+    LENGTH,
+    MAX_ADVICES,
+    MIN_GAP,
+    POSITION,
+    SPEED,
+    TAU,
+)
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap, stop_speed
+from izoo.envs.twin.lane_flags import (
+    BLOCKED,
+    BLOCKED_BY_FOLLOWER,
+    BLOCKED_BY_LEADER,
+    BLOCKS_BEHIND,
+    BLOCKS_BEHIND_STANDING,
+    BLOCKS_FOLLOWER,
+    BLOCKS_LEADER,
+    COOPERATIVE,
+    STRATEGIC,
+    WANTED_LEFTWARD,
+    WANTED_RIGHTWARD,
+    WANTS_CHANGE,
+)
+from izoo.envs.twin.nearby import HALTING_MPS
+
+EPS = 0.001
+_POSITION_EPS_M = 0.1
+_MARGIN_M = 1.0
+OVERTAKING_MPS = 10.0 / 3.6
+"""Speed difference with which somebody who lets others in expects to be overtaken."""
+_FALLING_BEHIND_MPS2 = 7.0 / 3.6
+_FAST_LEFT_MPS = 27.0
+_LONGEST_RAMP_M = 200.0
+_CONGESTED_MPS, _TOWN_LIMIT_MPS = 60.0 / 3.6, 70.1 / 3.6
+
+
+@compiled
+def forget_advice(state, v):  # type: ignore[no-untyped-def]
+    """Clear what was advised for the move that ``v`` has made; call it before lanes are changed."""
+    state.ints[v, ADVICES] = 0
+    state.ints[v, CHANGE_STATE] = 0
+    state.floats[v, LEFT_SPACE] = 0.0
+    state.floats[v, BLOCKER_LENGTH] = 0.0
+
+
+@compiled
+def add_advice(state, v, speed):  # type: ignore[no-untyped-def]
+    """Advise ``v`` to take ``speed`` (m/s) in the next step; of too many the highest is forgotten."""
+    count = state.ints[v, ADVICES]
+    if count < MAX_ADVICES:
+        state.advice[v, count] = speed
+        state.ints[v, ADVICES] = count + 1
+        return
+    highest = 0
+    for k in range(1, MAX_ADVICES):
+        if state.advice[v, k] > state.advice[v, highest]:
+            highest = k
+    state.advice[v, highest] = min(state.advice[v, highest], speed)
+
+
+@compiled
+def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed in ``[low, high]`` (m/s) for the coming step, ``wish`` where nobody advises otherwise."""
+    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+    best, advised = wish, False
+    blocker = state.floats[v, BLOCKER_LENGTH]
+    if blocker != 0.0:
+        space = state.floats[v, LEFT_SPACE] - blocker - _MARGIN_M - driver[MIN_GAP]
+        if space > 0.0:
+            # Leave room for the one who must cross over.
+            limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+            safe = stop_speed(driver, space, speed, limit, driver[DECEL], step_s)
+            high = min(high, safe)
+            if safe < wish:
+                best, advised = max(low, safe), True
+    for k in range(state.ints[v, ADVICES]):
+        advice = state.advice[v, k]
+        if low <= advice <= high:
+            best, advised = min(best, advice), True
+    if advised:
+        return best
+    flags = state.ints[v, CHANGE_STATE]
+    if flags & WANTS_CHANGE and flags & BLOCKED:
+        if flags & STRATEGIC:
+            return (high + wish) * 0.5
+        if flags & COOPERATIVE:
+            if flags & BLOCKED_BY_LEADER:
+                return (low + wish) * 0.5
+            if flags & BLOCKED_BY_FOLLOWER:
+                return (high + wish) * 0.5
+    if flags & BLOCKS_LEADER:
+        return (high + wish) * 0.5
+    return wish
+
+
+@compiled
+def is_congested(net, state, v):  # type: ignore[no-untyped-def]
+    """Whether rules of motorways do not bind ``v``: in town, and in slow traffic."""
+    return state.floats[v, SPEED] < _CONGESTED_MPS or net.lane_floats[state.ints[v, LANE], LANE_LIMIT] < _TOWN_LIMIT_MPS
+
+
+@compiled
+def slow_for_blocked(net, traffic, state, v, blocked, flags, step_s):  # type: ignore[no-untyped-def]
+    """Let ``v`` slow down for a vehicle ahead, on the lane beside, that must come over; return the state bits."""
+    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+    gap = state.floats[blocked, POSITION] - traffic.floats[blocked, LENGTH] - state.floats[v, POSITION]
+    gap -= driver[MIN_GAP]
+    if gap <= _POSITION_EPS_M or speed >= driver[DECEL]:
+        return flags
+    other = state.floats[blocked, SPEED]
+    limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    add_advice(state, v, follow_speed(driver, gap - _POSITION_EPS_M, speed, other, limit, step_s))
+    return flags | (BLOCKS_BEHIND_STANDING if other < HALTING_MPS else BLOCKS_BEHIND)
+
+
+@compiled
+def reserve_room(net, traffic, state, v, blocker, counter, step_s):  # type: ignore[no-untyped-def]
+    """Leave room at the lane's end for a ``blocker`` that wants to change the other way (state bit ``counter``)."""
+    if blocker < 0 or not state.ints[blocker, CHANGE_STATE] & counter:
+        return
+    floats = state.floats
+    room = traffic.floats[blocker, LENGTH] + traffic.floats[blocker, MIN_GAP]
+    if _can_reserve(traffic, state, v, room, step_s):
+        floats[v, BLOCKER_LENGTH] = max(room, floats[v, BLOCKER_LENGTH])
+        return
+    # There is no room for the blocker: it shall leave some.
+    own = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+    if _can_reserve(traffic, state, blocker, own, step_s) or floats[blocker, LEFT_SPACE] > floats[v, LEFT_SPACE]:
+        floats[blocker, BLOCKER_LENGTH] = max(own, floats[blocker, BLOCKER_LENGTH])
+
+
+@compiled
+def _can_reserve(traffic, state, v, room, step_s):  # type: ignore[no-untyped-def]
+    speed = state.floats[v, SPEED]
+    return room <= state.floats[v, LEFT_SPACE] - brake_gap(speed, traffic.floats[v, DECEL], 0.0, step_s)
+
+
+@compiled
+def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remaining_s, step_s):  # type: ignore[no-untyped-def]
+    """Fall back behind, or pass, a ``leader`` on the wanted lane; return the speed (m/s) aimed at, -1 to pass it."""
+    driver, speed, floats = traffic.floats[v], state.floats[v, SPEED], state.floats
+    limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    left = floats[v, LEFT_SPACE] - floats[v, BLOCKER_LENGTH]
+    planned = min(speed, stop_speed(driver, left, speed, limit, driver[DECEL], step_s))
+    for k in range(state.ints[v, ADVICES]):
+        advice = state.advice[v, k]
+        if advice >= speed - driver[DECEL] * step_s:
+            planned = min(planned, advice)
+    if leader < 0:
+        return planned
+    other = floats[leader, SPEED]
+    if not blocked & BLOCKED_BY_LEADER:
+        # Stay unblocked, even if the leader brakes.
+        pessimistic = other - OVERTAKING_MPS
+        target = follow_speed(driver, gap - (speed - pessimistic) * step_s, speed, pessimistic, limit, step_s)
+        add_advice(state, v, target)
+        return min(target, planned)
+    faster = planned - other
+    way = gap + traffic.floats[leader, LENGTH] + traffic.floats[leader, MIN_GAP] + driver[LENGTH]
+    way += secure_gap(traffic.floats[leader], other, speed)
+    flag = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
+    state.ints[leader, CHANGE_STATE] |= flag | BLOCKS_LEADER
+    if not (
+        faster < EPS
+        or (leftward and not is_congested(net, state, v))
+        or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < way
+        or faster * remaining_s < way
+    ):
+        add_advice(state, leader, other)
+        return -1.0
+    target = max(
+        max(0.0, speed - driver[DECEL] * step_s),
+        follow_speed(driver, gap, speed, other, limit, step_s),
+    )
+    if target >= speed:
+        add_advice(state, v, target)
+        return planned
+    decel = min(driver[DECEL], max(_FALLING_BEHIND_MPS2, (speed - target) / remaining_s))
+    target = min(planned, max(0.0, speed - decel * step_s))
+    add_advice(state, v, target)
+    return target
+
+
+@compiled
+def inform_follower(  # type: ignore[no-untyped-def]
+    net, traffic, state, v, follower, gap, blocked, leftward, remaining_s, planned, step_s
+):
+    """Ask a ``follower`` on the wanted lane to let ``v`` in, or to pass it."""
+    if follower < 0:
+        return
+    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+    helper, other = traffic.floats[follower], state.floats[follower, SPEED]
+    limit = net.lane_floats[state.ints[follower, LANE], LANE_LIMIT]
+    flags = BLOCKS_FOLLOWER | (WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD)
+    if not blocked & BLOCKED_BY_FOLLOWER:
+        if blocked & BLOCKED_BY_LEADER:
+            state.ints[follower, CHANGE_STATE] |= flags
+            safe = _speed_behind(helper, gap, other, planned, 0.0, limit, step_s)
+            add_advice(state, follower, safe)
+        return
+    state.ints[follower, CHANGE_STATE] |= flags
+    if planned - other >= OVERTAKING_MPS:
+        needed = secure_gap(helper, other, planned)
+        if (needed - gap) / remaining_s < planned - other:
+            add_advice(state, follower, max(other, planned - OVERTAKING_MPS))
+            return
+    braked = max(0.0, other - helper[DECEL] * step_s)
+    braked_1s = max(0.0, other - helper[DECEL])
+    faster = planned - braked_1s
+    opened = gap + faster
+    secure = secure_gap(helper, braked_1s, planned)
+    if opened > 0.0 and opened >= secure:
+        add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
+    elif faster > 0.0 and faster * (remaining_s - 1.0) > secure - opened + _POSITION_EPS_M:
+        add_advice(state, follower, braked)
+    elif not leftward and not is_congested(net, state, follower):
+        add_advice(state, follower, max(braked, OVERTAKING_MPS))
+    else:
+        passing = max(other, speed + OVERTAKING_MPS)
+        if other > speed and (
+            not leftward or planned > _FAST_LEFT_MPS or state.floats[v, LEFT_SPACE] > _LONGEST_RAMP_M
+        ):
+            # Slow enough that later ones can help, still fast enough to pass.
+            passing = max(braked, speed + OVERTAKING_MPS)
+        add_advice(state, follower, passing)
+        way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
+        add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
+
+
+@compiled
+def _speed_behind(helper, gap, speed, planned, least, limit, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed with which a follower leaves room for somebody who goes on with ``planned``."""
+    first = max(least, max(0.0, follow_speed(helper, gap + planned * step_s, speed, planned, limit, step_s)))
+    return max(least, follow_speed(helper, gap + (planned - first) * step_s, speed, planned, limit, step_s))

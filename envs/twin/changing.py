@@ -1,0 +1,230 @@
+"""Lane changing: per edge, from the vehicle furthest downstream to the last, each seeing the changes made before it."""
+
+from __future__ import annotations
+
+import math
+
+from izoo.envs.twin.advising import forget_advice
+from izoo.envs.twin.arrays import (
+    BEHIND,
+    BLOCKER_LENGTH,
+    CHANGE_COMMAND,
+    CHANGE_STATE,
+    CHANGE_TARGET,
+    CHANGE_UNTIL_MS,
+    CHANGED_MS,
+    CHANGER_FIRST_BLOCKED,
+    CHANGER_LAST_BLOCKED,
+    CHANGER_NEXT,
+    CHANGES_COMMANDED,
+    CHANGES_COOPERATIVE,
+    CHANGES_RIGHT,
+    CHANGES_SPEED,
+    CHANGES_STRATEGIC,
+    EDGE_CHANGES,
+    EDGE_FIRST_LANE,
+    EDGE_LANES,
+    KEEP_RIGHT,
+    LANE,
+    LANE_COUNT,
+    LANE_EDGE,
+    LANE_FRONT,
+    LANE_INDEX,
+    LANE_LEFT,
+    LANE_RIGHT,
+    LENGTH,
+    LINK_FROM,
+    LOOK_AHEAD_SPEED,
+    MAX_TAIL_LANES,
+    MIN_GAP,
+    NOW_MS,
+    POSITION,
+    SPEED,
+    SPEED_GAIN,
+    SPEED_GAIN_RIGHT,
+    TAIL_LANES,
+)
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import secure_gap
+from izoo.envs.twin.lane_flags import (
+    BLOCKED,
+    COMMANDED,
+    COOPERATIVE,
+    LEFT_FOLLOWER_BLOCKS,
+    LEFT_LEADER_BLOCKS,
+    LEFTWARD,
+    OVERLAPS,
+    RIGHT_FOLLOWER_BLOCKS,
+    RIGHT_KEEPING,
+    RIGHT_LEADER_BLOCKS,
+    RIGHTWARD,
+    SPEED_GAINING,
+    STRATEGIC,
+    URGENT,
+)
+from izoo.envs.twin.nearby import follower_beside, leader_beside
+from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
+from izoo.envs.twin.wanting import obey, want
+
+_GRAIN = 1e5
+
+
+@compiled
+def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
+    """Turn the commanded change of this step into a lane to be on, as ``vehicle.changeLaneRelative`` does."""
+    change = state.ints[v, CHANGE_COMMAND]
+    if change == 0:
+        return
+    state.ints[v, CHANGE_COMMAND] = 0
+    target = net.lane_ints[state.ints[v, LANE], LANE_INDEX] + change
+    if target >= 0:
+        state.ints[v, CHANGE_TARGET] = target
+        state.ints[v, CHANGE_UNTIL_MS] = state.clock[NOW_MS] + step_ms
+
+
+@compiled
+def prepare_change(state, v):  # type: ignore[no-untyped-def]
+    """Make ``v`` ready for lane changing, after it moved."""
+    forget_advice(state, v)
+    # SUMO keeps five decimals of these, rounded up.
+    state.floats[v, SPEED_GAIN_RIGHT] = math.ceil(state.floats[v, SPEED_GAIN_RIGHT] * _GRAIN) / _GRAIN
+    state.floats[v, SPEED_GAIN] = math.ceil(state.floats[v, SPEED_GAIN] * _GRAIN) / _GRAIN
+    state.floats[v, KEEP_RIGHT] = math.ceil(state.floats[v, KEEP_RIGHT] * _GRAIN) / _GRAIN
+
+
+@compiled
+def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
+    """Let the vehicles of every edge with several lanes change, all vehicles having moved and been prepared."""
+    for edge in range(net.edge_ints.shape[0]):
+        if net.edge_ints[edge, EDGE_CHANGES]:
+            change_on_edge(net, traffic, state, edge, step_ms / 1000.0)
+
+
+@compiled
+def change_on_edge(net, traffic, state, edge, step_s):  # type: ignore[no-untyped-def]
+    """Let the vehicles of one edge change."""
+    first = net.edge_ints[edge, EDGE_FIRST_LANE]
+    end = first + net.edge_ints[edge, EDGE_LANES]
+    total = 0
+    for lane in range(first, end):
+        total += state.lanes[lane, LANE_COUNT]
+        state.changer[lane, CHANGER_NEXT] = state.lanes[lane, LANE_FRONT]
+        state.changer[lane, CHANGER_FIRST_BLOCKED] = state.changer[lane, CHANGER_LAST_BLOCKED] = -1
+        state.changer_density[lane] = 0.0
+    for _ in range(total):
+        lane = -1
+        for k in range(first, end):
+            v = state.changer[k, CHANGER_NEXT]
+            if v >= 0 and (
+                lane < 0 or state.floats[v, POSITION] > state.floats[state.changer[lane, CHANGER_NEXT], POSITION]
+            ):
+                lane = k
+        v = state.changer[lane, CHANGER_NEXT]
+        state.changer[lane, CHANGER_NEXT] = state.ints[v, BEHIND]
+        now_on = _decide(net, traffic, state, v, lane, step_s)
+        state.changer_density[now_on] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+
+
+@compiled
+def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
+    """Let ``v`` look to the right, then to the left, and change where it wants to and may; return its lane."""
+    leader, gap = leader_beside(net, traffic, state, v, lane, step_s)
+    rightward = leftward = 0
+    if net.lane_ints[lane, LANE_RIGHT] >= 0:
+        rightward = _check(net, traffic, state, v, lane - 1, leader, gap, step_s)
+        if rightward & RIGHTWARD and not rightward & BLOCKED:
+            _change(net, traffic, state, v, lane - 1, rightward)
+            return lane - 1
+        if rightward & RIGHTWARD and rightward & URGENT:
+            _note_blocked(state, v, lane - 1)
+    if net.lane_ints[lane, LANE_LEFT] >= 0:
+        leftward = _check(net, traffic, state, v, lane + 1, leader, gap, step_s)
+        if leftward & LEFTWARD and not leftward & BLOCKED:
+            _change(net, traffic, state, v, lane + 1, leftward)
+            return lane + 1
+        if leftward & LEFTWARD and leftward & URGENT:
+            _note_blocked(state, v, lane + 1)
+    state.ints[v, CHANGE_STATE] = rightward | leftward
+    return lane
+
+
+@compiled
+def _note_blocked(state, v, lane):  # type: ignore[no-untyped-def]
+    """Show ``v`` to those behind it on the lane that it must change to."""
+    state.changer[lane, CHANGER_LAST_BLOCKED] = v
+    if state.changer[lane, CHANGER_FIRST_BLOCKED] < 0:
+        state.changer[lane, CHANGER_FIRST_BLOCKED] = v
+
+
+@compiled
+def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[no-untyped-def]
+    """Return the state bits of changing to the neighbouring ``lane``: what is in the way, and what is wanted."""
+    right = lane < state.ints[v, LANE]
+    by_leader = RIGHT_LEADER_BLOCKS if right else LEFT_LEADER_BLOCKS
+    by_follower = RIGHT_FOLLOWER_BLOCKS if right else LEFT_FOLLOWER_BLOCKS
+    beside, beside_gap = leader_beside(net, traffic, state, v, lane, step_s)
+    follower, follower_gap = follower_beside(net, traffic, state, v, lane)
+    speed, blocked = state.floats[v, SPEED], 0
+    if follower >= 0:
+        if follower_gap < 0.0:
+            blocked |= by_follower | OVERLAPS
+        elif follower_gap < secure_gap(traffic.floats[follower], state.floats[follower, SPEED], speed):
+            blocked |= by_follower
+    if beside >= 0:
+        if beside_gap < 0.0:
+            blocked |= by_leader | OVERLAPS
+        elif beside_gap < secure_gap(traffic.floats[v], speed, state.floats[beside, SPEED]):
+            blocked |= by_leader
+    flags = blocked | want(
+        net, traffic, state, v, -1 if right else 1, leader, gap, beside, beside_gap, follower, follower_gap, blocked,
+        step_s,
+    )  # fmt: skip
+    return obey(net, state, v, flags)
+
+
+@compiled
+def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def]
+    """Move ``v`` to ``lane``, beside its own, with its tail, and clear its memories."""
+    ints, floats = state.ints, state.floats
+    room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+    state.lane_room[ints[v, LANE]] -= room
+    state.lane_room[lane] += room
+    tails = ints[v, TAIL_LANES]
+    drop_tail(state, v)
+    take_out(state, v)
+    place(state, v, lane)
+    if tails > 0:
+        _lay_tail_behind(net, traffic, state, v, lane, tails)
+    if flags & COMMANDED:
+        ints[v, CHANGES_COMMANDED] += 1
+    elif flags & STRATEGIC:
+        ints[v, CHANGES_STRATEGIC] += 1
+    elif flags & COOPERATIVE:
+        ints[v, CHANGES_COOPERATIVE] += 1
+    elif flags & SPEED_GAINING:
+        ints[v, CHANGES_SPEED] += 1
+    elif flags & RIGHT_KEEPING:
+        ints[v, CHANGES_RIGHT] += 1
+    ints[v, CHANGED_MS] = state.clock[NOW_MS]
+    forget_advice(state, v)
+    floats[v, BLOCKER_LENGTH] = 0.0
+    floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
+
+
+@compiled
+def _lay_tail_behind(net, traffic, state, v, lane, count):  # type: ignore[no-untyped-def]
+    """Put the tail on the lanes before the new one that belong to the edges that it was on."""
+    known, before = 0, lane
+    for k in range(min(count, MAX_TAIL_LANES)):
+        edge = net.lane_ints[state.tail_lane[v, k], LANE_EDGE]
+        found = -1
+        for j in range(net.incoming_start[before], net.incoming_start[before + 1]):
+            candidate = net.link_ints[net.incoming_links[j], LINK_FROM]
+            if net.lane_ints[candidate, LANE_EDGE] == edge:
+                found = candidate
+                break
+        if found < 0:
+            break
+        state.tail_lane[v, known] = before = found
+        known += 1
+    lay_tail(net, traffic, state, v, known)

@@ -1,0 +1,340 @@
+"""Right of way: vehicles inside the junction, gaps between those that approach it, and keeping it clear.
+
+The rules were found by probing SUMO with two and three vehicles that meet (see the tests); ``sumo --link-output`` and
+``getJunctionFoes`` print what they are fed with.
+"""
+
+from __future__ import annotations
+
+import math
+
+from izoo.envs.twin.arrays import (
+    BEHIND,
+    CONFLICT_MS,
+    DECEL,
+    FIRST_ITEM,
+    ITEM_ARRIVAL_MS,
+    ITEM_ARRIVAL_SPEED,
+    ITEM_BRAKED_SPEED,
+    ITEM_DISTANCE,
+    ITEM_LEAVE_MS,
+    ITEM_LEAVE_SPEED,
+    ITEM_LINK,
+    ITEM_NEXT,
+    ITEM_REQUEST,
+    ITEM_VEHICLE,
+    ITEMS,
+    JUNCTION_MS,
+    LANE,
+    LANE_FRONT,
+    LANE_INSIDE,
+    LANE_LENGTH,
+    LANE_LIMIT,
+    LANE_TAILS,
+    LENGTH,
+    LINK_CONT,
+    LINK_ENTRY,
+    LINK_FIRST_RESPONSE,
+    LINK_FROM,
+    LINK_NEXT,
+    LINK_RESPONSES,
+    LINK_TO,
+    MIN_GAP,
+    NEVER_MS,
+    NOW_MS,
+    SPEED,
+    STOOD_FOR,
+    WAITING_MS,
+    WILL_PASS,
+)
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.conflicts import (
+    CONFLICT_BEHIND,
+    CONFLICT_FOE_BEHIND,
+    CONFLICT_FOE_SIZE,
+    CONFLICT_FOE_YIELDS,
+    CONFLICT_KIND,
+    CONFLICT_LANE,
+    CONFLICT_SIZE,
+    CONFLICT_YIELDS,
+    CROSSING,
+    MERGING,
+    NOWHERE,
+    PARTING,
+)
+from izoo.envs.twin.following import follow_speed, stop_speed
+from izoo.envs.twin.lights import is_major
+from izoo.envs.twin.order import back_on
+
+RED, STOP = ord("r"), ord("s")
+STANDING_MPS = 0.1
+STOP_NEAR_M = 4.5
+"""A vehicle that has stood this close to a link counts as having stopped for it."""
+MARGIN_MS = 1000
+"""Time that lies between the passages of two vehicles in conflict."""
+IMPATIENT_AFTER_MS = 180_000.0
+NEVER_LATER_S = 30.0
+"""Delay of a vehicle that would stop instead of passing."""
+POSITION_EPS = 0.1
+VISIBILITY_M = 4.5
+
+
+# -- vehicles inside the junction --------------------------------------------------------------------------------------
+
+
+@compiled
+def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+    """Return the plan's speeds and its request, lowered by vehicles on ways in conflict.
+
+    Args:
+        link: the next link of vehicle ``v``; it has conflicts if it begins inside the junction.
+        distance_m: from the front to that link, that is to the end of a way.
+        best, passing: speed (m/s) for the coming step, and at the link.
+        request: whether the vehicle asks to pass the link.
+    """
+    first = net.conflict_first[link]
+    for row in range(first, first + net.conflict_count[link]):
+        lane = net.conflict_ints[row, CONFLICT_LANE]
+        if state.lanes[lane, LANE_FRONT] < 0 and state.lanes[lane, LANE_TAILS] == 0:
+            continue
+        w = state.lanes[lane, LANE_FRONT]
+        while w >= 0:
+            best, passing, request = _heed(
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+            )
+            w = state.ints[w, BEHIND]
+        for k in range(state.lanes[lane, LANE_TAILS]):
+            w = state.tails[lane, k]
+            best, passing, request = _heed(
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+            )
+    return best, passing, request
+
+
+@compiled
+def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+    """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
+    if w == v:
+        return best, passing, request
+    kind = net.conflict_ints[row, CONFLICT_KIND]
+    size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
+    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
+    if kind != MERGING and to_conflict + size < 0.0:
+        return best, passing, request
+    if foe_behind == NOWHERE:
+        return best, passing, request
+    lane = net.conflict_ints[row, CONFLICT_LANE]
+    in_front = state.ints[w, LANE] == lane
+    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
+    past = back_left + foe_size < 0.0
+    entered = back_left < traffic.floats[w, LENGTH]
+    in_the_way = (to_conflict > 0.0 and not past and entered) or (
+        kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
+    )
+    if (kind == CROSSING and past) or (kind == PARTING and back_left < 0.0):
+        return best, passing, request
+    if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
+        return best, passing, request
+    if not in_the_way and not _goes_first(net, state, v, w, row):
+        return best, passing, request
+    driver = traffic.floats[v]
+    speed = state.floats[v, SPEED]
+    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+    gap = to_conflict - driver[MIN_GAP] - back_left
+    if kind == CROSSING:
+        if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
+            # Before the waiting point, that is where the conflict is taken to begin.
+            gap += to_way - to_conflict
+            to_conflict = to_way
+        gap -= foe_size
+    if gap >= 0.0:
+        safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
+    else:
+        safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
+    if kind == CROSSING and to_conflict >= 0.0:
+        stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
+        leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
+        final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
+        in_time = speed + (final - speed) / leave_s * step_s
+        safe = max(safe, min(in_time, stop))
+    best = min(best, safe)
+    passing = min(passing, safe)
+    if best < STANDING_MPS and state.floats[w, SPEED] < STANDING_MPS:
+        request = False
+    return best, passing, request
+
+
+@compiled
+def _goes_first(net, state, v, w, row):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
+    own, foe = state.ints[v, JUNCTION_MS], state.ints[w, JUNCTION_MS]
+    if not net.conflict_ints[row, CONFLICT_YIELDS]:
+        foe = state.ints[w, CONFLICT_MS]
+    elif net.conflict_ints[row, CONFLICT_FOE_YIELDS]:
+        own, foe = state.ints[v, CONFLICT_MS], state.ints[w, CONFLICT_MS]
+    else:
+        own = state.ints[v, CONFLICT_MS]
+    if own != foe:
+        return own > foe
+    if state.floats[v, SPEED] != state.floats[w, SPEED]:
+        return state.floats[v, SPEED] < state.floats[w, SPEED]
+    return _named_before(v, w)
+
+
+@compiled
+def _named_before(v, w):  # type: ignore[no-untyped-def]
+    """Return whether the decimal name of ``v`` sorts before that of ``w``."""
+    one, other = v, w
+    while one >= 10 * max(other, 1) or (one >= 10 and other < 10):
+        one //= 10
+    while other >= 10 * max(one, 1) or (other >= 10 and one < 10):
+        other //= 10
+    # Now both have the same number of digits, or one begins the other.
+    return one < other or (one == other and v < w)
+
+
+@compiled
+def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
+    """Note that the front of vehicle ``v`` passed ``link`` in this step."""
+    ints = state.ints
+    inside_before = net.lane_ints[net.link_ints[link, LINK_FROM], LANE_INSIDE] == 1
+    inside_after = net.lane_ints[net.link_ints[link, LINK_NEXT], LANE_INSIDE] == 1
+    now_ms = state.clock[NOW_MS]
+    if not inside_before and inside_after:
+        ints[v, JUNCTION_MS] = now_ms
+    if inside_after and (inside_before or not net.link_ints[link, LINK_CONT]):
+        ints[v, CONFLICT_MS] = now_ms
+    if not inside_after:
+        ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
+    # Who passes no longer approaches: vehicles that drive later in this step need not wait for it.
+    first = ints[v, FIRST_ITEM]
+    for item in range(first, first + ints[v, ITEMS]):
+        if state.item_ints[item, ITEM_LINK] == link:
+            state.item_ints[item, ITEM_VEHICLE] = -1
+
+
+@compiled
+def note_request(net, state, v):  # type: ignore[no-untyped-def]
+    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane."""
+    lane = state.ints[v, LANE]
+    if net.lane_ints[lane, LANE_INSIDE] == 0:
+        return
+    state.ints[v, WILL_PASS] = 0
+    first = state.ints[v, FIRST_ITEM]
+    for item in range(first, first + state.ints[v, ITEMS]):
+        link = state.item_ints[item, ITEM_LINK]
+        if link >= 0 and net.link_ints[link, LINK_FROM] == lane:
+            state.ints[v, WILL_PASS] = state.item_ints[item, ITEM_REQUEST]
+
+
+# -- vehicles that approach --------------------------------------------------------------------------------------------
+
+
+@compiled
+def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def]
+    """Return whether the vehicle of ``item`` may pass its link in this step, foes considered."""
+    numbers = state.item_ints[item]
+    link, v = numbers[ITEM_LINK], numbers[ITEM_VEHICLE]
+    letter = state.link_letter[link]
+    if letter == RED:
+        return False
+    if is_major(letter) or net.link_ints[link, LINK_CONT]:
+        return True
+    if letter == STOP and state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
+        return False
+    # Who was let pass after standing may go on; who was not must stand again.
+    state.ints[v, STOOD_FOR] = -1
+    if net.wait_count[link] > 0:
+        first = net.wait_first[link]
+        for k in range(first, first + net.wait_count[link]):
+            if _blocks(net, traffic, state, item, net.wait_foes[k]):
+                return False
+    else:
+        first = net.link_ints[link, LINK_FIRST_RESPONSE]
+        for k in range(first, first + net.link_ints[link, LINK_RESPONSES]):
+            if _blocks(net, traffic, state, item, net.responses[k]):
+                return False
+    if letter == STOP and state.item_floats[item, ITEM_DISTANCE] <= VISIBILITY_M:
+        state.ints[v, STOOD_FOR] = link
+    return True
+
+
+@compiled
+def _blocks(net, traffic, state, item, foe_link):  # type: ignore[no-untyped-def]
+    """Return whether a vehicle that approaches ``foe_link`` keeps the one of ``item`` from passing."""
+    foe = state.link_first[foe_link]
+    link, v = state.item_ints[item, ITEM_LINK], state.item_ints[item, ITEM_VEHICLE]
+    merging = net.link_ints[link, LINK_TO] == net.link_ints[foe_link, LINK_TO]
+    while foe >= 0:
+        w = state.item_ints[foe, ITEM_VEHICLE]
+        if w >= 0 and w != v and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging):
+            return True
+        foe = state.item_ints[foe, ITEM_NEXT]
+    return False
+
+
+@compiled
+def _meets(traffic, state, item, foe, merging):  # type: ignore[no-untyped-def]
+    """Return whether the passages of two items come too close; ``merging`` if both lead to one lane."""
+    own, other = state.item_ints[item], state.item_ints[foe]
+    v, w = own[ITEM_VEHICLE], other[ITEM_VEHICLE]
+    arrival, leave = own[ITEM_ARRIVAL_MS], own[ITEM_LEAVE_MS]
+    if other[ITEM_LEAVE_MS] < arrival:
+        return merging and (
+            arrival - other[ITEM_LEAVE_MS] < MARGIN_MS
+            or _unsafe(
+                state.item_floats[foe, ITEM_LEAVE_SPEED],
+                traffic.floats[w, DECEL],
+                state.item_floats[item, ITEM_ARRIVAL_SPEED],
+                traffic.floats[v, DECEL],
+            )
+        )
+    foe_arrival, foe_speed = float(other[ITEM_ARRIVAL_MS]), state.item_floats[foe, ITEM_BRAKED_SPEED]
+    impatience = min(1.0, state.ints[v, WAITING_MS] / IMPATIENT_AFTER_MS)
+    if impatience > 0.0 and foe_arrival > arrival:
+        later_s, foe_speed = _braking_for(
+            0.001 * (foe_arrival - arrival),
+            state.item_floats[foe, ITEM_ARRIVAL_SPEED],
+            impatience * traffic.floats[w, DECEL],
+        )
+        foe_arrival += 1000.0 * later_s
+    if foe_arrival > leave + MARGIN_MS:
+        return merging and _unsafe(
+            state.item_floats[item, ITEM_LEAVE_SPEED],
+            traffic.floats[v, DECEL],
+            foe_speed,
+            traffic.floats[w, DECEL],
+        )
+    return True
+
+
+@compiled
+def _braking_for(ahead_s, speed, decel):  # type: ignore[no-untyped-def]
+    """Return how much later (s) and how fast (m/s) a vehicle arrives that brakes from ``ahead_s`` before its arrival.
+
+    Args:
+        speed: with which it would arrive. decel: how hard it brakes for someone who has waited for long.
+    """
+    slowed = speed - decel * ahead_s
+    missing_m = 0.5 * decel * ahead_s * ahead_s
+    rest = slowed * slowed - 2.0 * decel * missing_m
+    if slowed <= 0.0 or rest <= 0.0:
+        return NEVER_LATER_S, 0.0
+    arrival_speed = math.sqrt(rest)
+    return (slowed - arrival_speed) / decel, arrival_speed
+
+
+@compiled
+def _unsafe(leader_mps, leader_decel, follower_mps, follower_decel):  # type: ignore[no-untyped-def]
+    """Return whether a follower at the same place would need more room to stop than its leader."""
+    return leader_mps * leader_mps / leader_decel <= follower_mps * follower_mps / follower_decel
+
+
+# -- keeping the junction clear ----------------------------------------------------------------------------------------
+
+
+@compiled
+def keep_clear(net, traffic, state, v):  # type: ignore[no-untyped-def]
+    """Leave the items as they are."""

@@ -1,0 +1,64 @@
+"""What every link shows now."""
+
+from __future__ import annotations
+
+from izoo.envs.twin.arrays import (
+    LINK_PROGRAM,
+    LINK_SIGNAL,
+    LINK_STATE,
+    NOW_MS,
+    PHASE_BEGIN_MS,
+    PHASE_STATE,
+    PROGRAM_CYCLE_MS,
+    PROGRAM_FIRST_PHASE,
+    PROGRAM_OFFSET_MS,
+    PROGRAM_PHASES,
+)
+from izoo.envs.twin.compiled import compiled
+
+RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
+
+
+@compiled
+def show_signals(net, state):  # type: ignore[no-untyped-def]
+    """Set the letters of all signals to those of the present time."""
+    now_ms = state.clock[NOW_MS]
+    for program in range(net.program_ints.shape[0]):
+        if now_ms < state.program_switch_ms[program]:
+            continue
+        first = net.program_ints[program, PROGRAM_FIRST_PHASE]
+        cycle_ms = net.program_ints[program, PROGRAM_CYCLE_MS]
+        time_ms = (now_ms - net.program_ints[program, PROGRAM_OFFSET_MS]) % cycle_ms
+        phase, end_ms = first, cycle_ms
+        for k in range(first + 1, first + net.program_ints[program, PROGRAM_PHASES]):
+            if net.phase_ints[k, PHASE_BEGIN_MS] > time_ms:
+                end_ms = net.phase_ints[k, PHASE_BEGIN_MS]
+                break
+            phase = k
+        state.program_phase[program] = phase
+        state.program_switch_ms[program] = now_ms + end_ms - time_ms
+        letters = net.phase_ints[phase, PHASE_STATE]
+        for k in range(net.program_first_link[program], net.program_first_link[program + 1]):
+            link = net.program_links[k]
+            state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
+
+
+@compiled
+def begin_signals(net, state):  # type: ignore[no-untyped-def]
+    """Begin an episode: links without a signal show their own state for ever."""
+    for link in range(net.link_ints.shape[0]):
+        if net.link_ints[link, LINK_PROGRAM] < 0:
+            state.link_letter[link] = net.link_ints[link, LINK_STATE]
+    state.program_switch_ms[:] = -1
+
+
+@compiled
+def stops_all(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` is red or yellow."""
+    return letter in (RED, YELLOW, OFF_YELLOW)
+
+
+@compiled
+def is_major(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` has priority."""
+    return letter < LOWER_CASE

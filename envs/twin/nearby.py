@@ -1,0 +1,188 @@
+"""Whom a lane change concerns: leaders and followers on the lanes of an edge, and beyond its ends."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from izoo.envs.twin.arrays import (
+    AHEAD,
+    CHANGER_NEXT,
+    DECEL,
+    EDGE_CHANGES,
+    EDGE_FIRST_LANE,
+    EDGE_INSIDE,
+    EDGE_LANES,
+    LANE,
+    LANE_BACK,
+    LANE_EDGE,
+    LANE_FRONT,
+    LANE_INSIDE,
+    LANE_LEFT,
+    LANE_LENGTH,
+    LANE_LIMIT,
+    LANE_RIGHT,
+    LANE_TAILS,
+    LENGTH,
+    LINK_FROM,
+    LINK_NEXT,
+    LINK_PROGRAM,
+    LINK_STATE,
+    MIN_GAP,
+    POSITION,
+    SPEED,
+    TAU,
+    VARIANT,
+)
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.lights import LOWER_CASE
+from izoo.envs.twin.order import back_on, last_on, tail_on
+
+HALTING_MPS = 0.1
+_LEAST_DECEL_MPS2 = 2.0
+_MAX_LANES_BEHIND = 32
+
+
+def incoming_lanes(link_ints: np.ndarray, lane_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[L + 1]`` starts and the links by which vehicles come onto each lane, both int32."""
+    target = link_ints[:, LINK_NEXT]
+    order = np.argsort(target, kind="stable").astype(np.int32)
+    return np.searchsorted(target[order], np.arange(lane_count + 1)).astype(np.int32), order
+
+
+def mark_changing(edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.ndarray, link_ints: np.ndarray) -> None:
+    """Set ``EDGE_CHANGES``: 1 on edges on which vehicles may change lanes.
+
+    Inside junctions that is where all lanes are equally long and none is behind a minor link without signal. Lanes that
+    begin at the same lane are no neighbours there.
+    """
+    edge_ints[:, EDGE_CHANGES] = edge_ints[:, EDGE_LANES] > 1
+    for edge in np.flatnonzero((edge_ints[:, EDGE_INSIDE] == 1) & (edge_ints[:, EDGE_LANES] > 1)):
+        lanes = edge_ints[edge, EDGE_FIRST_LANE] + np.arange(edge_ints[edge, EDGE_LANES])
+        links = link_ints[np.isin(link_ints[:, LINK_NEXT], lanes)]
+        minor = (links[:, LINK_PROGRAM] < 0) & np.isin(links[:, LINK_STATE], [ord(letter) for letter in "m=sw"])
+        edge_ints[edge, EDGE_CHANGES] = len(np.unique(lane_floats[lanes, LANE_LENGTH])) == 1 and not minor.any()
+        origin = {int(link[LINK_NEXT]): int(link[LINK_FROM]) for link in links}
+        for right, left in itertools.pairwise(lanes.tolist()):
+            if origin.get(right) == origin.get(left):
+                lane_ints[right, LANE_LEFT] = lane_ints[left, LANE_RIGHT] = -1
+
+
+@compiled
+def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
+    """Return who would lead ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
+    floats = state.floats
+    if lane == state.ints[v, LANE]:
+        leader = state.ints[v, AHEAD]
+    else:
+        behind = state.changer[lane, CHANGER_NEXT]
+        leader = state.ints[behind, AHEAD] if behind >= 0 else state.lanes[lane, LANE_BACK]
+    needed = floats[v, POSITION] + traffic.floats[v, MIN_GAP]
+    if leader >= 0:
+        return leader, floats[leader, POSITION] - traffic.floats[leader, LENGTH] - needed
+    if state.lanes[lane, LANE_TAILS] > 0:
+        leader = tail_on(net, traffic, state, lane, v)
+        if leader >= 0:
+            return leader, back_on(net, traffic, state, leader, lane) - needed
+    return _leader_beyond(net, traffic, state, v, lane, step_s)
+
+
+@compiled
+def _leader_beyond(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
+    """Look for a leader past the end of ``lane``, as far as the brakes reach, also past red lights."""
+    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+    variant = state.ints[v, VARIANT]
+    reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
+    seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
+    if seen > reach and not net.lane_ints[lane, LANE_INSIDE]:
+        return -1, 0.0
+    while True:
+        link = net.best_link[variant, lane]
+        if link < 0:
+            return -1, 0.0
+        lane = net.link_ints[link, LINK_NEXT]
+        leader = last_on(net, traffic, state, lane, v)
+        if leader >= 0:
+            return leader, seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
+        limit = net.lane_floats[lane, LANE_LIMIT]
+        if limit < speed:
+            reach = brake_gap(limit, driver[DECEL], driver[TAU], step_s)
+        seen += net.lane_floats[lane, LANE_LENGTH]
+        if seen > reach and not net.lane_ints[lane, LANE_INSIDE]:
+            return -1, 0.0
+
+
+@compiled
+def follower_beside(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
+    """Return who would follow ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the follower's own)."""
+    back = state.floats[v, POSITION] - traffic.floats[v, LENGTH]
+    follower = state.changer[lane, CHANGER_NEXT]
+    if follower >= 0:
+        return follower, back - state.floats[follower, POSITION] - traffic.floats[follower, MIN_GAP]
+    return _follower_before(net, traffic, state, v, lane, back)
+
+
+@compiled
+def _braking_way(net, lane):  # type: ignore[no-untyped-def]
+    limit = net.lane_floats[lane, LANE_LIMIT]
+    return min(limit * limit * 0.5 / _LEAST_DECEL_MPS2, 1000.0)
+
+
+@compiled
+def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-untyped-def]
+    """Look on all ways that lead to ``lane`` for the follower that lacks most of its secure gap."""
+    search = _braking_way(net, lane) - back
+    queue = state.changer_queue
+    ways = state.changer_way
+    count = _enqueue(net, queue, ways, 0, lane, 0.0)
+    done, found, found_gap, worst = 0, -1, 0.0, 0.0
+    while done < count:
+        link, way = queue[done], ways[done]
+        done += 1
+        before = net.link_ints[link, LINK_FROM]
+        search = max(search, _braking_way(net, before) - back)
+        follower, gap = _first_on(net, traffic, state, v, before, link, way, back)
+        if follower >= 0:
+            lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
+            if found < 0 or lacking > worst:
+                found, found_gap, worst = follower, gap, lacking
+        if way < search:
+            count = _enqueue(net, queue, ways, count, before, way)
+    return found, found_gap
+
+
+@compiled
+def _enqueue(net, queue, ways, count, lane, way):  # type: ignore[no-untyped-def]
+    """Append the links that lead to ``lane``, each with the way back to the begin of the lane that it leaves."""
+    for k in range(net.incoming_start[lane], net.incoming_start[lane + 1]):
+        if count >= _MAX_LANES_BEHIND:
+            break
+        link = net.incoming_links[k]
+        queue[count] = link
+        ways[count] = way + net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+        count += 1
+    return count
+
+
+@compiled
+def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no-untyped-def]
+    """Return the vehicle on ``lane`` that is first to come, and its gap to a back bumper at ``back``."""
+    if state.lanes[lane, LANE_TAILS] > 0:
+        other = tail_on(net, traffic, state, lane, v)
+        if other >= 0:
+            # Its front has gone on: beside ``v``, and nobody counts behind it; or another way.
+            if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]:
+                return -1, 0.0
+            gap = way - net.lane_floats[lane, LANE_LENGTH] + back - traffic.floats[other, MIN_GAP]
+            if gap <= 0.0:
+                return other, gap
+    first = state.lanes[lane, LANE_FRONT]
+    if first < 0 or first == v:
+        return -1, 0.0
+    gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
+    if state.link_letter[link] >= LOWER_CASE and state.floats[first, SPEED] < HALTING_MPS:
+        # Who stands on a minor road does not block.
+        gap = max(gap, 0.0)
+    return first, gap

@@ -1,0 +1,200 @@
+"""What every vehicle could do in the coming step, from the state at its beginning.
+
+A vehicle looks along its route from lane to lane and makes an item of every link: how fast it may go if it passes the
+link, how fast if it stops before it, and when it would be there. Items end with a red light, with the end of the route
+or of a lane that does not lead on, or where the vehicle could stop in time and sees a whole road beyond.
+"""
+
+from __future__ import annotations
+
+from izoo.envs.twin.arrays import (
+    AHEAD,
+    DECEL,
+    EMERGENCY_DECEL,
+    FIRST_ITEM,
+    ITEM_ARRIVAL_MS,
+    ITEM_ARRIVAL_SPEED,
+    ITEM_BRAKED_SPEED,
+    ITEM_DISTANCE,
+    ITEM_LEAVE_MS,
+    ITEM_LEAVE_SPEED,
+    ITEM_LINK,
+    ITEM_NEXT,
+    ITEM_PASS,
+    ITEM_PASSAGE,
+    ITEM_REQUEST,
+    ITEM_TOTAL,
+    ITEM_VEHICLE,
+    ITEM_WAIT,
+    ITEMS,
+    LANE,
+    LANE_EDGE,
+    LANE_INSIDE,
+    LANE_LENGTH,
+    LANE_LIMIT,
+    LANE_TAILS,
+    LENGTH,
+    LINK_NEXT,
+    LINK_VIA,
+    MAX_ACCEL,
+    MAX_ITEMS_PER_VEHICLE,
+    MIN_GAP,
+    NOW_MS,
+    POSITION,
+    ROUTE,
+    SPEED,
+    TAU,
+    VARIANT,
+)
+from izoo.envs.twin.best_lanes import find_variant
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.crossing import limit_by_foes
+from izoo.envs.twin.following import (
+    EPS,
+    arrival_time_s,
+    brake_gap,
+    braked_speed,
+    follow_speed,
+    free_speed,
+    least_speed,
+    most_speed,
+    safe_stop_speed,
+    speed_after,
+    stop_speed,
+)
+from izoo.envs.twin.lights import is_major, stops_all
+from izoo.envs.twin.order import back_on, last_on, tail_on
+
+POSITION_EPS = 0.1
+STOP_LINE_GAP_M = 1.0
+YELLOW_DECEL_MPS2 = 3.0
+VISIBILITY_M = 4.5
+LOOK_BEYOND_M = 5.0
+SPEED_EPS = 1e-4
+"""A speed (m/s) below this times the step (s) counts as 0."""
+
+
+@compiled
+def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
+    """Make the items of vehicle ``v``."""
+    step_s = step_ms / 1000.0
+    floats, ints = state.floats, state.ints
+    driver = traffic.floats[v]
+    route = traffic.ints[v, ROUTE]
+    variant = ints[v, VARIANT] = find_variant(net, state, route)
+    speed, lane = floats[v, SPEED], ints[v, LANE]
+    wish = net.lane_floats[lane, LANE_LIMIT]
+    fastest = most_speed(driver, speed, step_s)
+    slowest = least_speed(driver, speed, step_s)
+    reach = fastest * step_s + brake_gap(fastest, driver[DECEL], driver[TAU], step_s)
+    seen = net.lane_floats[lane, LANE_LENGTH] - floats[v, POSITION]
+    inside = net.lane_ints[lane, LANE_INSIDE] == 1
+    seen_roads = 0.0 if inside else seen
+    best = min(fastest, wish)
+    passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
+    beyond = slowed_for_minor = False
+    lane_limit = wish
+    first = state.clock[ITEM_TOTAL]
+    count = 0
+    leader = ints[v, AHEAD]
+    if leader < 0 and state.lanes[lane, LANE_TAILS] > 0:
+        leader = tail_on(net, traffic, state, lane, v)
+    while True:
+        if leader >= 0:
+            back = back_on(net, traffic, state, leader, lane)
+            gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
+            safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
+            best = min(best, safe)
+            passing = min(passing, best)
+            if count > 0:
+                state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(
+                    state.item_floats[first + count - 1, ITEM_LEAVE_SPEED], safe
+                )
+        item = first + count
+        values, numbers = state.item_floats[item], state.item_ints[item]
+        if count > 0:
+            state.item_floats[item - 1, ITEM_WAIT] = min(state.item_floats[item - 1, ITEM_WAIT], best)
+        numbers[ITEM_VEHICLE], numbers[ITEM_LINK], numbers[ITEM_NEXT], numbers[ITEM_REQUEST] = v, -1, -1, 0
+        values[ITEM_DISTANCE] = seen
+        count += 1
+        link = net.best_link[variant, lane]
+        if link < 0:
+            if net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[route]:
+                safe = max(EPS, free_speed(driver, seen, speed, lane_limit, wish, step_s))
+            else:
+                safe = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s)
+            best = min(best, safe)
+            if count > 1:
+                state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], safe)
+            values[ITEM_PASS] = values[ITEM_WAIT] = best
+            break
+        letter = state.link_letter[link]
+        stopped = stops_all(letter)
+        decel = driver[DECEL]
+        if stopped:
+            decel = max(decel, min(YELLOW_DECEL_MPS2, driver[EMERGENCY_DECEL]))
+        braking = brake_gap(speed, decel, 0.0, step_s)
+        offset = STOP_LINE_GAP_M if stopped or is_major(letter) else 0.0
+        if seen >= braking:
+            offset = min(offset, seen - braking)
+        offset = max(POSITION_EPS, offset)
+        waiting = min(best, stop_speed(driver, max(0.0, seen - offset), speed, wish, decel, step_s))
+        numbers[ITEM_LINK] = link
+        values[ITEM_WAIT] = waiting
+        values[ITEM_PASS] = passing
+        leaving = inside and count == 1
+        request = (best > SPEED_EPS * step_s and not (slowed_for_minor and not inside)) or leaving
+        if stopped and seen >= braking:
+            values[ITEM_ARRIVAL_SPEED] = values[ITEM_LEAVE_SPEED] = values[ITEM_PASSAGE] = 0.0
+            numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
+            break
+        before = best
+        best, passing, request = limit_by_foes(net, traffic, state, v, link, seen, best, passing, request, step_s)
+        if best < before and count > 1:
+            state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
+        values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
+        arrival_speed = passing
+        if not is_major(letter) and braking < seen and seen > VISIBILITY_M:
+            top = safe_stop_speed(VISIBILITY_M, driver[DECEL], 0.0, step_s)
+            arrival_speed = min(passing, speed_after(VISIBILITY_M, top, driver[MAX_ACCEL]))
+            slowed_for_minor = True
+        enter_ms = state.clock[NOW_MS] - step_ms + int(1000.0 * arrival_time_s(driver, seen, best, arrival_speed) + 0.5)
+        next_lane = net.link_ints[link, LINK_NEXT]
+        next_length = net.lane_floats[next_lane, LANE_LENGTH]
+        lane_limit = net.lane_floats[next_lane, LANE_LIMIT]
+        inside_m = next_length if net.lane_ints[next_lane, LANE_INSIDE] == 1 else 0.0
+        leave_speed = min(lane_limit, speed_after(inside_m, arrival_speed, driver[MAX_ACCEL]))
+        values[ITEM_PASS] = best
+        values[ITEM_ARRIVAL_SPEED], values[ITEM_LEAVE_SPEED] = arrival_speed, leave_speed
+        values[ITEM_BRAKED_SPEED] = braked_speed(driver, seen, best, arrival_speed, step_s)
+        values[ITEM_PASSAGE] = inside_m + driver[LENGTH]
+        numbers[ITEM_ARRIVAL_MS], numbers[ITEM_REQUEST] = enter_ms, request
+        if count == MAX_ITEMS_PER_VEHICLE:
+            break
+        if (not request or best <= 0.0 or seen > reach) and beyond and seen_roads > LOOK_BEYOND_M:
+            break
+        beyond = beyond or net.link_ints[link, LINK_VIA] < 0
+        lane = next_lane
+        inside = net.lane_ints[lane, LANE_INSIDE] == 1
+        best = min(best, max(free_speed(driver, seen, speed, lane_limit, wish, step_s), slowest - EPS))
+        if not inside:
+            seen_roads += next_length
+        seen += next_length
+        passing = min(speed_after(next_length, best, driver[MAX_ACCEL]), lane_limit)
+        leader = last_on(net, traffic, state, lane, v)
+    ints[v, FIRST_ITEM], ints[v, ITEMS] = first, count
+    state.clock[ITEM_TOTAL] = first + count
+
+
+@compiled
+def register_approaches(state):  # type: ignore[no-untyped-def]
+    """Let every link know the items of the vehicles that approach it."""
+    state.link_first[:] = -1
+    for item in range(state.clock[ITEM_TOTAL]):
+        link = state.item_ints[item, ITEM_LINK]
+        if link >= 0:
+            values, numbers = state.item_floats[item], state.item_ints[item]
+            mean = max(0.5 * (values[ITEM_ARRIVAL_SPEED] + values[ITEM_LEAVE_SPEED]), EPS)
+            numbers[ITEM_LEAVE_MS] = numbers[ITEM_ARRIVAL_MS] + int(1000.0 * values[ITEM_PASSAGE] / mean + 0.5)
+            state.item_ints[item, ITEM_NEXT] = state.link_first[link]
+            state.link_first[link] = item

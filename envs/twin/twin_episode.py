@@ -1,0 +1,73 @@
+"""One environment's traffic as an object: what holds the arrays that compiled code reaches by their addresses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.envs.twin.arrays import (
+    COMMAND,
+    LANE,
+    NET,
+    POSITION,
+    SIGNALS,
+    SPEED,
+    STATE,
+    STATUS,
+    TRAFFIC,
+    TwinNet,
+    TwinState,
+    TwinTraffic,
+)
+from izoo.envs.twin.compiled import directory
+from izoo.envs.twin.stepping import new_state, step
+
+
+class TwinEpisode:
+    """An episode on the twin, from its first second.
+
+    Attributes:
+        net, traffic, state: the arrays; values may be changed, arrays never replaced.
+
+    Args:
+        step_ms: length of a step, 50 to 1000.
+    """
+
+    def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500) -> None:
+        self.net, self.traffic, self.step_ms = net, traffic, step_ms
+        self.state: TwinState = new_state(net, traffic)
+        pairs = ((net, NET), (traffic, TRAFFIC), (self.state, STATE))
+        self._directories = [directory(tables, kind) for tables, kind in pairs]
+        self._addresses = [words.ctypes.data for words in self._directories]
+
+    def step(self) -> None:
+        """Advance by one step."""
+        step(*self._addresses, self.step_ms)
+
+    def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
+        """Command speeds until further notice; NaN gives control back."""
+        self.state.floats[vehicles, COMMAND] = speeds_mps
+
+    @property
+    def status(self) -> np.ndarray:
+        """``[N]`` int64, one of :data:`~izoo.envs.twin.arrays.NOT_YET` and those that follow it."""
+        return self.state.ints[:, STATUS]
+
+    @property
+    def lane(self) -> np.ndarray:
+        """``[N]`` int64, row of the net's lanes."""
+        return self.state.ints[:, LANE]
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """``[N]`` float64, front bumper on its lane."""
+        return self.state.floats[:, POSITION]
+
+    @property
+    def speed_mps(self) -> np.ndarray:
+        """``[N]`` float64."""
+        return self.state.floats[:, SPEED]
+
+    @property
+    def signals(self) -> np.ndarray:
+        """``[N]`` int64, SUMO's signal bits: 1 right, 2 left blinker."""
+        return self.state.ints[:, SIGNALS]

@@ -1,0 +1,77 @@
+"""Best lanes against ``vehicle.getBestLanes`` of the installed SUMO."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import procedural_context
+from izoo.contexts.source import ContextList
+from izoo.envs.sumo.session import import_libsumo, sumo_arguments
+from izoo.envs.twin.arrays import LANE_INSIDE, LINK_NEXT, TwinNet
+from izoo.envs.twin.whole_net import read_twin_world, twin_traffic
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
+from izoo.traffic.sampling import sample_traffic, write_routes
+
+SEED, STEPS = 3, 240
+
+
+def continuation(net: TwinNet, variant: int, lane: int) -> list[int]:
+    """Lanes on the best way from ``lane``, inside lanes left out."""
+    lanes = [] if net.lane_ints[lane, LANE_INSIDE] else [lane]
+    while net.best_link[variant, lane] >= 0:
+        lane = int(net.link_ints[net.best_link[variant, lane], LINK_NEXT])
+        if not net.lane_ints[lane, LANE_INSIDE]:
+            lanes.append(lane)
+    return lanes
+
+
+def assert_best_lanes_equal(context: Context, folder: Path) -> int:
+    """Compare all that SUMO reports in an episode with one of the route's variants; return how many were compared."""
+    libsumo = import_libsumo()
+    path = build_net(context.intersection)
+    road = read_road(path)
+    world = read_twin_world(road, path)
+    net, row = world.net, {name: k for k, name in enumerate(world.lane_ids)}
+    traffic = sample_traffic(context, road, SEED, STEPS * 0.5)
+    route = twin_traffic(traffic, road, net).ints[:, 1]
+    write_routes(traffic, road, folder / "traffic.rou.xml")
+    libsumo.start(["sumo", *sumo_arguments(path, folder / "traffic.rou.xml", SEED, 0.5)])
+    compared = 0
+    try:
+        for step in range(STEPS):
+            libsumo.simulationStep()
+            for name in libsumo.vehicle.getIDList() if step % 8 == 0 else ():
+                lane = row[libsumo.vehicle.getLaneID(name)]
+                if net.lane_ints[lane, LANE_INSIDE]:
+                    continue
+                reported = libsumo.vehicle.getBestLanes(name)
+                first = net.variant_first[route[int(name)]]
+                variants = range(first, first + net.variant_count[route[int(name)]])
+                lanes = [row[best[0]] for best in reported]
+                found = [
+                    np.allclose(net.best_length[x, lanes], [best[1] for best in reported])
+                    and net.best_offset[x, lanes].tolist() == [best[3] for best in reported]
+                    and [continuation(net, x, k) for k in lanes] == [[row[k] for k in best[5]] for best in reported]
+                    for x in variants
+                ]
+                assert any(found), f"{context.name}: vehicle {name} at step {step}: {reported}"
+                compared += 1
+    finally:
+        libsumo.close()
+    return compared
+
+
+def test_best_lanes_are_sumos(tmp_path: Path) -> None:
+    world = procedural_context(lane_count=3, phase_count=2, approach="all", inflow_vph_per_lane=600.0)
+    assert assert_best_lanes_equal(world, tmp_path) > 100
+
+
+def test_best_lanes_are_sumos_on_measured_intersections(dataset: ContextList, tmp_path: Path) -> None:
+    """Pockets, and several lanes to one exit of which some yield (number 110)."""
+    contexts = {context.intersection.name.rsplit("/", 1)[-1]: context for context in dataset}
+    for number in ("110", "106"):
+        assert assert_best_lanes_equal(contexts[number].replace(approach=None), tmp_path) > 100

@@ -1,0 +1,116 @@
+"""Where ways cross, merge and part: as SUMO says when it is asked for the distances of vehicles to their foes."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+from defusedxml import ElementTree
+
+from izoo.contexts.source import ContextList
+from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
+from izoo.envs.twin.arrays import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
+from izoo.envs.twin.conflicts import (
+    CONFLICT_BEHIND,
+    CONFLICT_FOE_BEHIND,
+    CONFLICT_FOE_YIELDS,
+    CONFLICT_LANE,
+    CONFLICT_SIZE,
+    CONFLICT_YIELDS,
+    NOWHERE,
+)
+from izoo.envs.twin.whole_net import TwinWorld, read_twin_world
+from izoo.networks.road import read_road
+from tests.envs.twin.crossroads import build_crossroads
+
+Pair = tuple[str, str]
+Place = tuple[float, float, float, bool, bool]
+"""From the stop line to the conflict, its length, the foe's way to it (m); whether the first and the second yield."""
+
+
+def distances_of_sumo(net: Path, folder: Path) -> dict[Pair, Place]:
+    """Put two vehicles before the junction for every pair of connections and ask SUMO for their conflicts."""
+    libsumo, session = import_libsumo(), SumoSession()
+    root = ElementTree.parse(net).getroot()
+    length = {lane.get("id"): float(lane.get("length")) for lane in root.iter("lane")}
+    links = [c for c in root.iter("connection") if c.get("tl") == "TL"]
+    found: dict[Pair, Place] = {}
+    for pair in itertools.permutations(links, 2):
+        starts = [f"{c.get('from')}_{c.get('fromLane')}" for c in pair]
+        if starts[0] == starts[1]:
+            continue
+        lines = ["<routes>"]
+        for k, (c, start) in enumerate(zip(pair, starts, strict=True)):
+            lines.append(
+                f'<vehicle id="{k}" depart="0" departLane="{c.get("fromLane")}" departSpeed="5" '
+                f'departPos="{length[start] - 25}"><route edges="{c.get("from")} {c.get("to")}"/></vehicle>'
+            )
+        routes = folder / "pair.rou.xml"
+        routes.write_text("".join([*lines, "</routes>"]))
+        session.load(sumo_arguments(net, routes, 1, 0.5))
+        for _ in range(2):
+            session.advance()
+        if len(libsumo.vehicle.getIDList()) == 2:
+            to_line = [
+                length[libsumo.vehicle.getLaneID(str(k))] - libsumo.vehicle.getLanePosition(str(k)) for k in (0, 1)
+            ]
+            if [libsumo.vehicle.getLaneID(str(k)) for k in (0, 1)] == starts:
+                for _, ego, foe, ego_end, _, lane, other, yields, foe_yields in libsumo.vehicle.getJunctionFoes(
+                    "0", 200
+                ):
+                    found[lane, other] = (ego - to_line[0], ego_end - ego, foe - to_line[1], yields, foe_yields)
+    session.close()
+    return found
+
+
+def distances_of_twin(world: TwinWorld) -> dict[Pair, Place]:
+    """Return the same from the twin's tables."""
+    net = world.net
+    found: dict[Pair, Place] = {}
+    for link in range(len(net.link_ints)):
+        first = net.conflict_first[link]
+        for row in range(first, first + net.conflict_count[link]):
+            own, foe = int(net.link_ints[link, LINK_FROM]), int(net.conflict_ints[row, CONFLICT_LANE])
+            before = [
+                float(net.lane_floats[via, LANE_LENGTH]) if via != lane else 0.0
+                for lane, via in (
+                    (own, net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_VIA]),
+                    (foe, net.link_ints[net.conflict_ints[row, 1], LINK_VIA]),
+                )
+            ]
+            floats, ints = net.conflict_floats[row], net.conflict_ints[row]
+            found[world.lane_ids[own], world.lane_ids[foe]] = (
+                before[0] + float(net.lane_floats[own, LANE_LENGTH] - floats[CONFLICT_BEHIND]),
+                float(floats[CONFLICT_SIZE]),
+                before[1] + float(net.lane_floats[foe, LANE_LENGTH] - floats[CONFLICT_FOE_BEHIND]),
+                bool(ints[CONFLICT_YIELDS]),
+                bool(ints[CONFLICT_FOE_YIELDS]),
+            )
+    return found
+
+
+def assert_same_conflicts(net: Path, folder: Path, least: int) -> None:
+    theirs = distances_of_sumo(net, folder)
+    ours = distances_of_twin(read_twin_world(read_road(net), net))
+    common = theirs.keys() & ours.keys()
+    assert len(common) >= least
+    for pair in common:
+        if ours[pair][2] < -NOWHERE / 2:
+            assert theirs[pair][2] < -NOWHERE / 2, pair
+            continue
+        assert ours[pair][:3] == pytest.approx(theirs[pair][:3], abs=2e-3), pair
+        assert ours[pair][3:] == theirs[pair][3:], pair
+
+
+@pytest.mark.parametrize("lanes", [1, 2])
+def test_conflicts_of_crossroads_are_sumos(lanes: int, tmp_path: Path) -> None:
+    net = build_crossroads(tmp_path, [(1000.0, "G" * (12 if lanes == 1 else 16))], lanes=lanes)
+    assert_same_conflicts(net, tmp_path, 20)
+
+
+@pytest.mark.slow
+def test_conflicts_of_measured_intersections_are_sumos(dataset: ContextList, tmp_path: Path) -> None:
+    paths = sorted({str(context.intersection.net_path) for context in dataset})
+    for path in paths[1:4]:
+        assert_same_conflicts(Path(path), tmp_path, 4)
