@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from izoo.envs.twin.compiled import Byte1, Byte2, Float1, Float2, Int1, Int2, Int3, Long1, Long2, opener, tables_type
 
-# -- net ---------------------------------------------------------------------------------------------------------------
-
 LANE_LENGTH, LANE_LIMIT = range(2)
 """Columns of :attr:`TwinNet.lane_floats`: length (m), speed limit (m/s)."""
 
@@ -141,8 +139,6 @@ class TwinNet(NamedTuple):
     wait_foes: Int1
 
 
-# -- traffic -----------------------------------------------------------------------------------------------------------
-
 LENGTH, MIN_GAP, TAU, MAX_ACCEL, DECEL, EMERGENCY_DECEL, TWO_ROOT_AB, DEPART_SPEED = range(8)
 """Columns of :attr:`TwinTraffic.floats`: m, m, s, m/s^2, m/s^2, m/s^2, ``2 sqrt(accel decel)``, m/s."""
 
@@ -161,8 +157,6 @@ class TwinTraffic(NamedTuple):
     floats: Float2
     ints: Long2
 
-
-# -- state of one environment ------------------------------------------------------------------------------------------
 
 NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
 """Values of ``STATUS``: not yet due; due but not inserted; on the road; at the end of its route; removed by SUMO."""
@@ -187,7 +181,7 @@ NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
 ) = range(16)
 """Columns of :attr:`TwinState.floats`: front bumper on its lane (m); m/s; acceleration of the last step (m/s^2); speed
 that SUMO itself would have chosen in the last step ("speed without TraCI", m/s); commanded speed (m/s), NaN for none;
-speed from planning, before right of way (m/s); lane changing's memories (owner: lanes); others as their owners say."""
+speed from planning, before right of way (m/s); lane changing's memories."""
 
 (
     STATUS,
@@ -220,13 +214,12 @@ speed from planning, before right of way (m/s); lane changing's memories (owner:
     STOOD_FOR,
 ) = range(28)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
-how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane changing (owner:
-lanes): commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
-last change, changes by reason; position of its edge in the route; speeds advised (owner: lanes);
+how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane
+changing: commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
+last change, changes by reason; position of its edge in the route; speeds advised;
 row of the best lanes' tables, set when it enters an edge; index of the lane that it is commanded to, and until when;
 when it entered the junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass
-the link at the end of its lane in the last plan, the link with ``s`` that it stood before
-(owner: junction)."""
+the link at the end of its lane in the last plan, the link with ``s`` that it stood before."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many

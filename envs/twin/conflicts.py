@@ -193,9 +193,6 @@ def _conflict(
     return [other, foe, kind, int(yields), int(foe_yields), int(waits)], [own, sizes[0], theirs, sizes[1]]
 
 
-# -- geometry ----------------------------------------------------------------------------------------------------------
-
-
 def _lengths(shape: np.ndarray) -> np.ndarray:
     """Return the way ``[n]`` along a shape to each of its points, seen from above."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shape[:, :2], axis=0), axis=1))])

@@ -79,9 +79,6 @@ POSITION_EPS = 0.1
 VISIBILITY_M = 4.5
 
 
-# -- vehicles inside the junction --------------------------------------------------------------------------------------
-
-
 @compiled
 def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
     """Return the plan's speeds and its request, lowered by vehicles on ways in conflict.
@@ -229,9 +226,6 @@ def note_request(net, state, v):  # type: ignore[no-untyped-def]
             state.ints[v, WILL_PASS] = state.item_ints[item, ITEM_REQUEST]
 
 
-# -- vehicles that approach --------------------------------------------------------------------------------------------
-
-
 @compiled
 def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def]
     """Return whether the vehicle of ``item`` may pass its link in this step, foes considered."""
@@ -330,9 +324,6 @@ def _braking_for(ahead_s, speed, decel):  # type: ignore[no-untyped-def]
 def _unsafe(leader_mps, leader_decel, follower_mps, follower_decel):  # type: ignore[no-untyped-def]
     """Return whether a follower at the same place would need more room to stop than its leader."""
     return leader_mps * leader_mps / leader_decel <= follower_mps * follower_mps / follower_decel
-
-
-# -- keeping the junction clear ----------------------------------------------------------------------------------------
 
 
 @compiled
