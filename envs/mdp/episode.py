@@ -193,6 +193,8 @@ class Episode:
 
     def give_way(self, rows: Sequence[int]) -> None:
         """Say which agents the simulator slows for a lane change; they are left to it in the next step."""
+        if not self._yielding and not rows:
+            return
         if self._yielding:
             self.tables.flags[:, YIELDING] = 0
         self.tables.flags[rows, YIELDING] = 1

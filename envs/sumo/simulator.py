@@ -132,7 +132,7 @@ class SumoSimulator:
                 episode.collide(self.names.row_of[rear])
         suspects = episode.observe(reading)
         self.names.forget(leavers)
-        episode.give_way(self._slowed(suspects))
+        episode.give_way(self._slowed(suspects) if len(suspects) else ())
         if episode.over:
             episode.finish(self._ending())
         return ()
