@@ -139,5 +139,5 @@ def test_a_function_that_only_borrows_may_not_make_an_array() -> None:
         return values[1:].sum()
 
     assert compiling.compiled(reads, borrows=True, cache=False)(np.arange(4.0)) == 6.0
-    with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
+    with pytest.raises(numba.core.errors.NumbaError, match="passed into the function"):
         compiling.compiled(makes, borrows=True, cache=False)(3)
