@@ -23,9 +23,10 @@ from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_choice
 from izoo.networks.road import RoadNet
 
+SIMULATORS = ("sumo", "twin")
 Contexts = Context | Sequence[Context] | ContextSource | Schedule
 
 
@@ -183,8 +184,25 @@ def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
     tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
+def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
+    return frames, SumoSimulator(config, row_of(frames, 0), load_weights())
+
+
+def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    from izoo.envs.twin.twin_backend import TwinBackend
+
+    backend = TwinBackend(config, 1)
+    return backend.frames, backend
+
+
+_BACKENDS = {"sumo": _on_sumo, "twin": _on_twin}
+
+
 class EcoDrivingEnv(EcoDrivingBase):
-    """One intersection on SUMO, in this process, which can hold no other; SUMO starts at the first reset.
+    """One intersection, in this process, on SUMO (of which a process can hold only one) or on the twin.
+
+    SUMO starts at the first reset.
 
     Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule. ``reset(TensorDict({("context",
     "episode"): ...}))`` plays a given episode again; ``reset(context=..., seed=...)`` plays any context.
@@ -210,11 +228,12 @@ class EcoDrivingEnv(EcoDrivingBase):
         seed: int = 0,
         worker: int = 0,
         num_workers: int = 1,
+        simulator: str = "sumo",
     ) -> None:
         config = config or EnvConfig()
-        frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
-        simulator = SumoSimulator(config, row_of(frames, 0), load_weights())
-        super().__init__(contexts, config, seed, [], frames, simulator, worker, num_workers)
+        check_choice("simulator", simulator, SIMULATORS)
+        frames, backend = _BACKENDS[simulator](config)
+        super().__init__(contexts, config, seed, [], frames, backend, worker, num_workers)
 
     def _reset(
         self,
