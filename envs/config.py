@@ -13,6 +13,7 @@ __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
+SIMULATORS = ("sumo", "twin")
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
 
 

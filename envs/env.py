@@ -16,7 +16,7 @@ from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import SIMULATORS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
@@ -26,7 +26,6 @@ from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError, check_choice
 from izoo.networks.road import RoadNet
 
-SIMULATORS = ("sumo", "twin")
 Contexts = Context | Sequence[Context] | ContextSource | Schedule
 
 

@@ -30,6 +30,7 @@ class EvaluateConfig:
         seed: base of the episode seeds and of the drawn contexts.
         out: folder of the results; an evaluation that was interrupted goes on there. null: a folder named after the
             options, in ``evaluations`` of the run's folder or of the current one.
+        simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
         num_workers: worker processes, each with one simulator.
         executor: where they are: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS
             names, or else one on this machine).
@@ -46,6 +47,7 @@ class EvaluateConfig:
     seeds: int = 3
     seed: int = 0
     out: str | None = None
+    simulator: Literal["sumo", "twin"] = "sumo"
     num_workers: int = 2
     executor: Literal["processes", "ray"] = "processes"
     uncommanded: bool = True

@@ -52,7 +52,11 @@ class EpisodeFailed(RuntimeError):
 
 
 def play_all(
-    tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig, num_workers: int
+    tasks: Sequence[Task],
+    policies: Mapping[str, bytes],
+    config: EnvConfig,
+    num_workers: int,
+    simulator: str = "sumo",
 ) -> Iterator[tuple[Task, Rows]]:
     """Play episodes and yield them as they finish.
 
@@ -61,19 +65,20 @@ def play_all(
         policies: serialised policies by key.
         config: settings of the environments.
         num_workers: worker processes; 0 plays in this process.
+        simulator: ``sumo`` or ``twin``.
 
     Raises:
         IzooError: an episode's input cannot be used (the message names the episode).
         EpisodeFailed: an episode failed otherwise.
     """
     if num_workers == 0:
-        yield from _play_here(tasks, policies, config)
+        yield from _play_here(tasks, policies, config, simulator)
         return
     queue = deque((task, 1) for task in tasks)
     setup = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
     workers: list[_Worker] = []
     try:
-        cloudpickle.dump((dict(policies), config), setup)
+        cloudpickle.dump((dict(policies), config, simulator), setup)
         setup.flush()
         workers.extend(_Worker(setup.fileno()) for _ in range(min(num_workers, len(tasks))))
         while queue or any(worker.current for worker in workers):
@@ -185,8 +190,10 @@ def worker_main(descriptor: int, setup: int) -> None:
     player.close()
 
 
-def _play_here(tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig) -> Iterator[tuple[Task, Rows]]:
-    player = Player(policies, config)
+def _play_here(
+    tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig, simulator: str
+) -> Iterator[tuple[Task, Rows]]:
+    player = Player(policies, config, simulator)
     try:
         for task in tasks:
             try:
@@ -203,11 +210,11 @@ def _play_here(tasks: Sequence[Task], policies: Mapping[str, bytes], config: Env
 class Player:
     """An environment and the policies, unpacked when first needed."""
 
-    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig) -> None:
+    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig, simulator: str) -> None:
         # Imported here so that workers come up before torch and SUMO are loaded.
         from izoo.envs.env import EcoDrivingEnv
 
-        self.env = EcoDrivingEnv(config=config)
+        self.env = EcoDrivingEnv(config=config, simulator=simulator)
         self._packed = policies
         self._policies: dict[str, Any] = {}
 

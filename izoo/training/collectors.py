@@ -16,12 +16,12 @@ from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.evaluation import ray_cluster as cluster
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv
 from izoo.training.past import EpisodePast
 
 
@@ -85,7 +85,8 @@ class BatchSource:
     ) -> None:
         frames = frames_per_batch(config)
         with workers_ignore_interrupts():
-            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
+            name = "twin" if config.simulator == "twin" else config.collector.name
+            self._collector = _BUILDERS[name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -115,13 +116,15 @@ def check_collector(config: TrainConfig) -> None:
 
 def num_envs(config: TrainConfig) -> int:
     """Return how many environments a batch comes from."""
+    if config.simulator == "twin":
+        return TWIN_ENVS if config.num_envs is None else config.num_envs
     return 1 if config.collector.name == "single" else config.num_workers
 
 
 def frames_per_batch(config: TrainConfig) -> int:
-    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, as a multiple of their number."""
-    workers = num_envs(config)
-    return -(-config.algo.frames_per_batch // workers) * workers
+    """Return the steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number."""
+    count = num_envs(config)
+    return -(-config.algo.frames_per_batch // count) * count
 
 
 def _single(
@@ -142,6 +145,25 @@ def _parallel(
     frames: int,
 ) -> Collector:
     env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed, pasts=pasts)
+    return _collector(env, policy, frames)
+
+
+def _on_twin(
+    config: TrainConfig,
+    policy: TensorDictModuleBase,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    frames: int,
+) -> Collector:
+    env = TrainingTwinEnv(
+        num_envs(config),
+        contexts=schedule,
+        config=config.env,
+        seed=config.seed,
+        threads=config.twin.threads,
+        surrogate=config.twin.surrogate,
+        pasts=pasts,
+    )
     return _collector(env, policy, frames)
 
 
@@ -225,6 +247,7 @@ _Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[Episo
 _BUILDERS: dict[str, _Builder] = {
     "single": _single,
     "parallel": _parallel,
+    "twin": _on_twin,
     "multisync": _multisync,
     "ray": _ray,
 }

@@ -15,6 +15,7 @@ from torchrl.data import Unbounded
 
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
+from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 
@@ -76,6 +77,10 @@ class TrainingEnv(_Training, EcoDrivingEnv):
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
     """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
+
+
+class TrainingTwinEnv(_Training, TwinEnv):
+    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`."""
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

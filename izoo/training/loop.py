@@ -27,6 +27,8 @@ from izoo.training.validation import Validator
 CHANGEABLE = (
     "total_frames",
     "num_workers",
+    "num_envs",
+    "twin",
     "device",
     "collector",
     "logger",
