@@ -199,8 +199,9 @@ def _lengths(shape: np.ndarray) -> np.ndarray:
 
 
 def _scale(ways: Ways, lane: int) -> float:
-    """Return metres of lane position per metre of drawn shape."""
-    return float(ways.lane_floats[lane, LANE_LENGTH] / max(_lengths(ways.shapes[lane])[-1], 1e-9))
+    """Return metres of lane position per metre of drawn shape; only here do slopes count."""
+    drawn_m = float(np.linalg.norm(np.diff(ways.shapes[lane], axis=0), axis=1).sum())
+    return float(ways.lane_floats[lane, LANE_LENGTH]) / max(drawn_m, 1e-9)
 
 
 def _intersections(one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
@@ -291,8 +292,8 @@ def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float,
     common = max(
         _apart(a, b) - float(_lengths(a)[-1]) + end for a, b, end in ((one, two, ends[0]), (two, one, ends[1]))
     )
-    common = min(common, *ends)
-    own, theirs = (min(common * _scale(ways, k), end) for k, end in zip((lane, other), ends, strict=True))
+    common = min(common, float(_lengths(one)[-1]), float(_lengths(two)[-1]))
+    own, theirs = (common * _scale(ways, k) for k in (lane, other))
     return (ends[0] - own, ends[1] - theirs) if at_begin else (own, theirs)
 
 
