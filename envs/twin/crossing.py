@@ -80,7 +80,7 @@ VISIBILITY_M = 4.5
 
 
 @compiled
-def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Return the plan's speeds and its request, lowered by vehicles on ways in conflict.
 
     Args:
@@ -88,6 +88,7 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
         distance_m: from the front to that link, that is to the end of a way.
         best, passing: speed (m/s) for the coming step, and at the link.
         request: whether the vehicle asks to pass the link.
+        floor: speed (m/s) with which it can stop before the link that it comes to before, 0 where there is none.
     """
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
@@ -97,19 +98,19 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
         w = state.lanes[lane, LANE_FRONT]
         while w >= 0:
             best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
             )
             w = state.ints[w, BEHIND]
         for k in range(state.lanes[lane, LANE_TAILS]):
             w = state.tails[lane, k]
             best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
             )
     return best, passing, request
 
 
 @compiled
-def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
     if w == v:
         return best, passing, request
@@ -156,7 +157,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
         final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
         in_time = speed + (final - speed) / leave_s * step_s
         safe = max(safe, min(in_time, stop))
-    best = min(best, safe)
+    # It may always drive up to the link before and stop there.
+    best = max(min(best, safe), floor)
     passing = min(passing, safe)
     if best < STANDING_MPS and state.floats[w, SPEED] < STANDING_MPS:
         request = False

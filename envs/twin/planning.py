@@ -149,7 +149,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
             break
         before = best
-        best, passing, request = limit_by_foes(net, traffic, state, v, link, seen, best, passing, request, step_s)
+        floor = state.item_floats[item - 1, ITEM_WAIT] if count > 1 else 0.0
+        best, passing, request = limit_by_foes(
+            net, traffic, state, v, link, seen, best, passing, request, floor, step_s
+        )
         if best < before and count > 1:
             state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
