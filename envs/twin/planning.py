@@ -7,8 +7,11 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 
 from __future__ import annotations
 
+import math
+
 from izoo.envs.twin.arrays import (
     AHEAD,
+    COMMAND,
     DECEL,
     EMERGENCY_DECEL,
     FIRST_ITEM,
@@ -91,6 +94,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
     seen_roads = 0.0 if inside else seen
     best = min(fastest, wish)
+    command = floats[v, COMMAND]
+    if not math.isnan(command):
+        best = max(min(command, best), slowest)
     passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
     beyond = slowed_for_minor = False
     lane_limit = wish
