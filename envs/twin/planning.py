@@ -7,8 +7,11 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 
 from __future__ import annotations
 
+import math
+
 from izoo.envs.twin.arrays import (
     AHEAD,
+    COMMAND,
     DECEL,
     EMERGENCY_DECEL,
     FIRST_ITEM,
@@ -91,6 +94,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
     seen_roads = 0.0 if inside else seen
     best = min(fastest, wish)
+    command = floats[v, COMMAND]
+    if not math.isnan(command):
+        best = max(min(command, best), slowest)
     passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
     beyond = slowed_for_minor = False
     lane_limit = wish
@@ -149,7 +155,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
             break
         before = best
-        best, passing, request = limit_by_foes(net, traffic, state, v, link, seen, best, passing, request, step_s)
+        floor = state.item_floats[item - 1, ITEM_WAIT] if count > 1 else 0.0
+        best, passing, request = limit_by_foes(
+            net, traffic, state, v, link, seen, best, passing, request, floor, step_s
+        )
         if best < before and count > 1:
             state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
