@@ -45,6 +45,7 @@ _MARGIN_M = 1.0
 OVERTAKING_MPS = 10.0 / 3.6
 """Speed difference with which somebody who lets others in expects to be overtaken."""
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
+_DAWDLING_MPS2 = 1.0
 _FAST_LEFT_MPS = 27.0
 _LONGEST_RAMP_M = 200.0
 _CONGESTED_MPS, _TOWN_LIMIT_MPS = 60.0 / 3.6, 70.1 / 3.6
@@ -165,10 +166,10 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     if leader < 0:
         return planned
     other = floats[leader, SPEED]
+    # The leader may brake a little.
+    pessimistic = other - _DAWDLING_MPS2 * step_s
+    target = follow_speed(driver, gap + (pessimistic - speed) * step_s, speed, pessimistic, limit, step_s)
     if not blocked & BLOCKED_BY_LEADER:
-        # Stay unblocked, even if the leader brakes.
-        pessimistic = other - OVERTAKING_MPS
-        target = follow_speed(driver, gap - (speed - pessimistic) * step_s, speed, pessimistic, limit, step_s)
         add_advice(state, v, target)
         return min(target, planned)
     faster = planned - other
@@ -184,10 +185,7 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     ):
         add_advice(state, leader, other)
         return -1.0
-    target = max(
-        max(0.0, speed - driver[DECEL] * step_s),
-        follow_speed(driver, gap, speed, other, limit, step_s),
-    )
+    target = max(target, max(0.0, speed - driver[DECEL] * step_s))
     if target >= speed:
         add_advice(state, v, target)
         return planned

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.twin.active import activate
 from izoo.envs.twin.advising import forget_advice
 from izoo.envs.twin.arrays import (
+    ACTIVE_FIRST,
+    ACTIVE_NEXT,
+    ACTIVE_SERVED,
     BEHIND,
     BLOCKER_LENGTH,
     CHANGE_COMMAND,
@@ -42,6 +46,7 @@ from izoo.envs.twin.arrays import (
     SPEED,
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
+    STEP_COUNT,
     TAIL_LANES,
 )
 from izoo.envs.twin.compiled import compiled
@@ -95,9 +100,38 @@ def prepare_change(state, v):  # type: ignore[no-untyped-def]
 @compiled
 def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Let the vehicles of every edge with several lanes change, all vehicles having moved and been prepared."""
-    for edge in range(net.edge_ints.shape[0]):
-        if net.edge_ints[edge, EDGE_CHANGES]:
+    _measure_room(traffic, state)
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
+        edge = net.lane_ints[lane, LANE_EDGE]
+        if net.edge_ints[edge, EDGE_LANES] == 1:
+            break
+        first = net.edge_ints[edge, EDGE_FIRST_LANE]
+        if net.edge_ints[edge, EDGE_CHANGES] and state.active[first, ACTIVE_SERVED] != state.clock[STEP_COUNT]:
+            state.active[first, ACTIVE_SERVED] = state.clock[STEP_COUNT]
             change_on_edge(net, traffic, state, edge, step_ms / 1000.0)
+        lane = state.active[lane, ACTIVE_NEXT]
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0 and net.edge_ints[net.lane_ints[lane, LANE_EDGE], EDGE_LANES] > 1:
+        after = state.active[lane, ACTIVE_NEXT]
+        if net.lane_ints[lane, LANE_LEFT] >= 0 and state.lanes[lane + 1, LANE_COUNT] > 0:
+            activate(net, state, lane + 1)
+        if net.lane_ints[lane, LANE_RIGHT] >= 0 and state.lanes[lane - 1, LANE_COUNT] > 0:
+            activate(net, state, lane - 1)
+        lane = after
+
+
+@compiled
+def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
+    """Sum up what the vehicles of each lane take of its length."""
+    state.lane_room[:] = 0.0
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
+        v = state.lanes[lane, LANE_FRONT]
+        while v >= 0:
+            state.lane_room[lane] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+            v = state.ints[v, BEHIND]
+        lane = state.active[lane, ACTIVE_NEXT]
 
 
 @compiled

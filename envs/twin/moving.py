@@ -39,6 +39,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
     WAITING_MS,
 )
+from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import may_pass, note_request, pass_link
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
@@ -192,6 +193,8 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
         floats[v, POSITION] -= net.lane_floats[lane, LANE_LENGTH]
         pass_link(net, state, v, link)
         lane = net.link_ints[link, LINK_NEXT]
+        if not net.lane_ints[lane, LANE_INSIDE]:
+            ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     ints[v, LANE] = lane
     lay_tail(net, traffic, state, v, kept)
     return lane
