@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 from izoo.envs.twin.active import activate
-from izoo.envs.twin.advising import forget_advice
+from izoo.envs.twin.advising import clear_memories, forget_advice
 from izoo.envs.twin.arrays import (
     ACTIVE_FIRST,
     ACTIVE_NEXT,
     ACTIVE_SERVED,
     BEHIND,
-    BLOCKER_LENGTH,
     CHANGE_COMMAND,
     CHANGE_STATE,
     CHANGE_TARGET,
@@ -28,7 +25,6 @@ from izoo.envs.twin.arrays import (
     EDGE_CHANGES,
     EDGE_FIRST_LANE,
     EDGE_LANES,
-    KEEP_RIGHT,
     LANE,
     LANE_COUNT,
     LANE_EDGE,
@@ -38,14 +34,11 @@ from izoo.envs.twin.arrays import (
     LANE_RIGHT,
     LENGTH,
     LINK_FROM,
-    LOOK_AHEAD_SPEED,
     MAX_TAIL_LANES,
     MIN_GAP,
     NOW_MS,
     POSITION,
     SPEED,
-    SPEED_GAIN,
-    SPEED_GAIN_RIGHT,
     STEP_COUNT,
     TAIL_LANES,
 )
@@ -71,8 +64,6 @@ from izoo.envs.twin.nearby import follower_beside, leader_beside
 from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
 from izoo.envs.twin.wanting import obey, want
 
-_GRAIN = 1e5
-
 
 @compiled
 def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
@@ -91,10 +82,6 @@ def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
 def prepare_change(state, v):  # type: ignore[no-untyped-def]
     """Make ``v`` ready for lane changing, after it moved."""
     forget_advice(state, v)
-    # SUMO keeps five decimals of these, rounded up.
-    state.floats[v, SPEED_GAIN_RIGHT] = math.ceil(state.floats[v, SPEED_GAIN_RIGHT] * _GRAIN) / _GRAIN
-    state.floats[v, SPEED_GAIN] = math.ceil(state.floats[v, SPEED_GAIN] * _GRAIN) / _GRAIN
-    state.floats[v, KEEP_RIGHT] = math.ceil(state.floats[v, KEEP_RIGHT] * _GRAIN) / _GRAIN
 
 
 @compiled
@@ -219,7 +206,7 @@ def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[n
 @compiled
 def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def]
     """Move ``v`` to ``lane``, beside its own, with its tail, and clear its memories."""
-    ints, floats = state.ints, state.floats
+    ints = state.ints
     room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     state.lane_room[ints[v, LANE]] -= room
     state.lane_room[lane] += room
@@ -241,8 +228,7 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
         ints[v, CHANGES_RIGHT] += 1
     ints[v, CHANGED_MS] = state.clock[NOW_MS]
     forget_advice(state, v)
-    floats[v, BLOCKER_LENGTH] = 0.0
-    floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
+    clear_memories(state, v)
 
 
 @compiled

@@ -101,7 +101,8 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
             safe, waits = max(slowest, needed_wait), True
-        needed = 0.0
+        # Who goes on shall not be held up by lane changes.
+        needed = 0.0 if waits and safe < speed else min(needed, safe)
     state.ints[v, HAS_TO_WAIT] = waits
     return safe, needed
 

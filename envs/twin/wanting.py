@@ -81,6 +81,7 @@ _LEFT_THRESHOLD, _RIGHT_THRESHOLD = 0.2, 2.0
 _KEEP_RIGHT_S, _ACCEPTANCE_S = 5.0, 7.0
 _REMAINING_S = 20.0
 _FORESIGHT_S = 8.0
+_EQUAL_MPS = 5e-6
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
 """Values of ``CHANGE_MODE``: as SUMO has it; what the route needs, and commands."""
@@ -294,6 +295,8 @@ def _want_freely(  # type: ignore[no-untyped-def]
     length = net.best_length[variant, lane]
     here = min(limit, cap, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
     there = min(other_limit, _anticipate(traffic, state, v, beside, beside_gap, other_length, limit, chasing, step_s))
+    if abs(there - here) < _EQUAL_MPS:
+        there = here
     gain = (there - here) / max(there, _LEAST_GAIN_SPEED_MPS)
     lasting = other_length / max(0.1, speed) > _REMAINING_S
     if right:
@@ -324,7 +327,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
     if (
         to_best
         and offset == net.best_offset[variant, lane]
-        and gain > 0.0
+        and gain >= 0.0
         and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
     ):
         request = flags | toward | STRATEGIC
