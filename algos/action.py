@@ -79,8 +79,8 @@ class AdviseAction:
     name: Literal["advise"] = "advise"
     depth: float = 0.8
     brake_mps2: float = 1.5
-    act_share: float = 0.08
-    spread: float = 0.5
+    act_share: float = 0.06
+    spread: float = 0.35
 
     def __post_init__(self) -> None:
         check_range("action.depth", self.depth, 0.01, 1.0)
@@ -94,7 +94,7 @@ class AdviseAction:
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes for advice."""
-        from izoo.algos.advising import Advised, SpeedCap
+        from izoo.algos.advice import Advised, SpeedCap
 
         learned = build(config, features, -self.depth, self.depth, rest=self.rest)
         return Advised(learned, SpeedCap(env, self.brake_mps2))
@@ -131,7 +131,7 @@ class ResidualAction:
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes for corrections."""
-        from izoo.algos.advising import Advised
+        from izoo.algos.advice import Advised
         from izoo.algos.residual import Correction, NominalDriver
 
         learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, rest=self.rest)

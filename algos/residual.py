@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from izoo.algos.advising import Translator
+from izoo.algos.advice import Translator
 from izoo.algos.scripted import Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig

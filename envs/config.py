@@ -22,6 +22,9 @@ class EnvConfig:
 
     Attributes:
         step_s: length of a simulation step.
+        hold_s: how long a decision of the policy lasts, a whole multiple of ``step_s``; ``None``: one step. Its action
+            is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
+            (until then its own driver drives). The last decision of an episode may be shorter.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
@@ -40,6 +43,7 @@ class EnvConfig:
     """
 
     step_s: float = 0.5
+    hold_s: float | None = None
     horizon_s: float = 1000.0
     warmup_s: float = 25.0
     num_agents: int = 64
@@ -67,6 +71,7 @@ class EnvConfig:
         for name in self.emit:
             check_choice("emit group", name, EMIT_GROUPS)
         check_range("step_s", self.step_s, 0.05, 1.0, "s")
+        self._check_hold()
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
         check_range("num_agents", self.num_agents, 1, 4096)
@@ -81,6 +86,33 @@ class EnvConfig:
                 f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one."
             )
 
+    def _check_hold(self) -> None:
+        if self.hold_s is None:
+            return
+        check_range("hold_s", self.hold_s, self.step_s, 60.0, "s")
+        ratio = self.hold_s / self.step_s
+        if abs(ratio - round(ratio)) > 1e-6:
+            near = sorted({max(int(ratio), 1) * self.step_s, (int(ratio) + 1) * self.step_s})
+            raise IzooError(
+                f"env.hold_s is {self.hold_s:g}, which is no whole multiple of env.step_s={self.step_s:g}: a decision "
+                f"lasts whole steps. Give {' or '.join(f'{value:g}' for value in near)}, or null for one step."
+            )
+
+    @property
+    def hold_steps(self) -> int:
+        """Simulation steps of a decision."""
+        return 1 if self.hold_s is None else round(self.hold_s / self.step_s)
+
+    @property
+    def decision_s(self) -> float:
+        """Length of a decision."""
+        return self.hold_steps * self.step_s
+
+    @property
+    def decisions(self) -> int:
+        """Decisions of an episode: steps as a policy sees them."""
+        return -(-self.control_steps // self.hold_steps)
+
     @property
     def warmup_steps(self) -> int:
         """Steps in which nothing is controlled or measured."""
@@ -88,5 +120,5 @@ class EnvConfig:
 
     @property
     def control_steps(self) -> int:
-        """Steps of an episode as the policy sees it: the horizon without the warm-up."""
+        """Simulation steps of an episode that are controlled: the horizon without the warm-up."""
         return round(self.horizon_s / self.step_s) - self.warmup_steps

@@ -1,8 +1,8 @@
 """Rows for vehicles and slots for agents, in compiled code.
 
 A vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. What is freed in
-a step is handed out again from the next step on, so that a newcomer never stands in a leaver's place; the lowest free
-number goes first.
+a step is handed out again from the next step on, and an agent slot from the next decision on, so that a newcomer never
+stands in a leaver's place; the lowest free number goes first.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from izoo.envs.mdp.state import (
     PRESENT,
 )
 from izoo.envs.mdp.tally import book_entry
-from izoo.envs.mdp.world import LEAVERS, MEMBERS
+from izoo.envs.mdp.world import FREE, FREED, LEAVERS, MEMBERS
 
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
 
@@ -72,7 +72,7 @@ def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
 def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
-            if tables.agent_row[slot] < 0:
+            if tables.agent_row[slot] == FREE:
                 tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
                 return
     tables.episode[_UNSLOTTED] += 1
@@ -94,17 +94,21 @@ def leave(world, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def release(tables, terminated, done):  # type: ignore[no-untyped-def]
-    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done."""
-    for slot in range(terminated.shape[0]):
-        terminated[slot] = 0
-        done[slot] = 0
+def release(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
+    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done.
+
+    Marks of earlier steps stay unless this one ``begins`` a decision.
+    """
+    if begins:
+        for slot in range(terminated.shape[0]):
+            terminated[slot] = 0
+            done[slot] = 0
     for j in range(tables.cursor[LEAVERS]):
         row = tables.leavers[j]
         slot = tables.ints[row, AGENT]
         tables.flags[row, :] = 0
         if slot >= 0:
-            tables.agent_row[slot] = -1
+            tables.agent_row[slot] = FREED
             terminated[slot] = 1
             done[slot] = 1
     tables.cursor[LEAVERS] = 0

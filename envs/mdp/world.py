@@ -19,8 +19,12 @@ from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
-(MEMBERS, LEAVERS, SUSPECTS, PHASE) = range(4)
-"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, and the phase of the signal."""
+(MEMBERS, LEAVERS, SUSPECTS, PHASE, HELD) = range(5)
+"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, the phase of the signal, and how
+many steps of the present decision have been played."""
+FREE, FREED = -1, -2
+"""Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
+decision and cannot until the next."""
 
 
 class Tables(NamedTuple):
@@ -30,15 +34,16 @@ class Tables(NamedTuple):
         floats, ints, flags: ``[C, *]``, a row per vehicle (:mod:`izoo.envs.mdp.state`).
         terms: ``[C, T]`` individual reward terms; a leaver's are needed once more.
         sums, episode: ``[P, M]`` and ``[E]`` metrics.
-        agent_row: ``[A]`` row behind each agent slot, -1 where it is empty.
-        acting: ``[A]`` the same when the step began: who acted in it.
+        agent_row: ``[A]`` row behind each agent slot, below 0 where it is empty (:data:`FREE`, :data:`FREED`).
+        acting: ``[A]`` rows of those who decided when the decision began and were still there when the step did; -1
+            for all other slots.
         members: ``[C]`` rows of the vehicles in the region, in the order in which they came.
         leavers: ``[C]`` rows whose vehicle left in this step; they still hold its last state.
         suspects: ``[C]`` agents' rows on a lane that does not lead to their exit.
         order, lane_start: ``[C]`` and ``[L + 1]``, the members sorted by lane and position.
         command, target_mps, release: ``[A]`` orders for the coming step: rows with their speeds, and rows that are no
             longer commanded.
-        cursor: ``[4]`` how far the lists above are filled, and the signal's phase.
+        cursor: ``[5]`` how far the lists above are filled, the signal's phase, and how far the decision has come.
     """
 
     floats: np.ndarray
@@ -84,7 +89,7 @@ def empty_tables(config: EnvConfig, num_lanes: int) -> Tables:
         command=np.zeros(a, np.int64),
         target_mps=np.zeros(a),
         release=np.zeros(a, np.int64),
-        cursor=np.zeros(4, np.int64),
+        cursor=np.zeros(5, np.int64),
     )
 
 
@@ -113,6 +118,7 @@ class Rules(NamedTuple):
     """What stays fixed for an episode: weather, engine, reward, sensors, and what is emitted."""
 
     step_s: float
+    hold_steps: int
     temperature_c: float
     humidity_pct: float
     electric: bool
@@ -133,6 +139,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet) -> Rules:
     reward, weights, shared_weights = reward_arrays(config.reward)
     return Rules(
         step_s=config.step_s,
+        hold_steps=config.hold_steps,
         temperature_c=context.temperature_c,
         humidity_pct=context.humidity_pct,
         electric=context.engine == "electric",

@@ -40,8 +40,10 @@ def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.
     numbers, weights, shared_weights = reward_arrays(config)
     reward_terms(rows, floats, numbers, terms, fleet, shared)
     reward, vector = np.full(4, np.nan, np.float32), np.full((4, 11), np.nan, np.float32)
+    step = np.full(4, np.nan)
     rules = (numbers, weights, shared_weights)
-    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shared, *rules, reward, vector, len(rows) == 0)
+    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shared, *rules, step, reward, vector, len(rows) == 0, True)
+    np.testing.assert_allclose(step, reward, rtol=1e-6)
     return reward, vector
 
 

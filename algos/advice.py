@@ -73,7 +73,7 @@ class SpeedCap(Translator):
             )
         self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
         self.limit_scale = feature("speed_limit_mps").scale
-        self.brake_mps2, self.decision_s = brake_mps2, config.step_s
+        self.brake_mps2, self.decision_s = brake_mps2, config.decision_s
 
     def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         return observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
