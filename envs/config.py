@@ -13,7 +13,7 @@ __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
-EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
+EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class EnvConfig:
         lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).
         reward: weights of the reward.
         emit: groups of keys that are emitted besides ``agents``: any of ``vehicles``, ``signal``, ``context``,
-            ``metrics``, ``reward_vector``. Fewer groups make stepping and storage cheaper.
+            ``metrics``, ``reward_vector``, ``team_reward`` (the reward's fleet part, whether or not a CV is there to be
+            paid). Fewer groups make stepping and storage cheaper.
         recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
         watchdog_s: a worker that does not answer for this long is replaced.
         gui: open sumo-gui (one environment, in this process).

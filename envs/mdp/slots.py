@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from izoo.compiling import compiled
 from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.share import HERE, OUTSIDE
 from izoo.envs.mdp.state import (
     ACCEL,
     AGENT,
@@ -19,6 +20,7 @@ from izoo.envs.mdp.state import (
     EXIT,
     FRESH,
     IS_CV,
+    LEADER,
     LENGTH,
     MOVES_CLASS,
     NUMBER,
@@ -60,6 +62,10 @@ def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     ints[row, NUMBER], ints[row, MOVES_CLASS] = number, demand.moves_class[number]
     ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
     ints[row, AGENT] = -1
+    ints[row, LEADER] = -1
+    if demand.fate[number] == OUTSIDE:
+        demand.outside[approach] -= 1
+    demand.fate[number] = HERE
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
     book_entry(row, floats, ints, flags, tables.sums)

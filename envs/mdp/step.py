@@ -14,7 +14,8 @@ from izoo.envs.mdp.motion import place
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.orders import plan_commands
-from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms
+from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms, team_pay
+from izoo.envs.mdp.share import count_outside, share_out
 from izoo.envs.mdp.signals import read_clock
 from izoo.envs.mdp.slots import release
 from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
@@ -122,9 +123,18 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     fleet, shared = np.empty(NUM_TERMS), np.empty(NUM_SHARED)
     paid = np.empty(tables.acting.shape[0])
     reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared)
+    own = np.zeros((tables.acting.shape[0], NUM_TERMS))
+    if rules.reward.sums:
+        count_outside(world, time_s, measured)
+        share_out(world, rows, tables.terms, own, fleet)
+    else:
+        for a in range(tables.acting.shape[0]):
+            if tables.acting[a] >= 0:
+                for c in range(NUM_TERMS):
+                    own[a, c] = tables.terms[tables.acting[a], c]
     pay(
         tables.acting,
-        tables.terms,
+        own,
         fleet,
         shared,
         rules.reward,
@@ -136,6 +146,10 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         rows.shape[0] == 0,
         begins,
     )
+    if begins:
+        out.team_reward[0] = 0.0
+    if measured:
+        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights)
     release(tables, out.agent_terminated, out.agent_done, begins)
     observe(
         tables.agent_row,
