@@ -7,6 +7,8 @@
 - :mod:`~izoo.algos.sets`, :mod:`~izoo.algos.mappo`: PPO on whole frames; with a critic over the set of vehicles.
 - :mod:`~izoo.algos.gcrl`: PPO on the graph of nearby vehicles.
 - :mod:`~izoo.algos.action`: what a learned action stands for.
+- :mod:`~izoo.algos.resting`, :mod:`~izoo.algos.advice`, :mod:`~izoo.algos.residual`: actions whose origin is doing
+  nothing; advice to the simulator's driver, and corrections of glide.
 - :mod:`~izoo.algos.ppo_config`, :mod:`~izoo.algos.ddpg_config`: hyper-parameters.
 - :mod:`~izoo.algos.scripted`: drivers that do not learn.
 """

@@ -16,6 +16,8 @@ OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
 ACTION = ("agents", "action")
 LOG_PROB = ("agents", "action_log_prob")
+GUIDED = ("agents", "guided")
+"""``[*B, A]`` bool: agents for whom an action below 0 means something (:class:`izoo.algos.resting.RestingNormal`)."""
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")

@@ -19,18 +19,21 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from izoo.algos import base
+from izoo.algos.action import Rest
 from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.ppo_config import PPOConfig
 
 
-def make_actor(features: int, low: float, high: float, config: PPOConfig) -> ProbabilisticActor:
-    """Return the policy: a tanh-squashed normal over accelerations in ``[low, high]`` m/s^2.
+def make_actor(
+    features: int, low: float, high: float, config: PPOConfig, rest: Rest | None = None
+) -> ProbabilisticActor:
+    """Return the policy: a tanh-squashed normal over actions in ``[low, high]``; with ``rest``, a censored one.
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
     network = base.mlp(features, config.hidden, 2, config.activation, last_gain=0.01)
-    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread)  # type: ignore[arg-type]
-    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high)
+    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, rest)  # type: ignore[arg-type]
+    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, rest)
 
 
 def make_critic(features: int, config: PPOConfig) -> ValueOperator:
@@ -88,7 +91,10 @@ class PPOLoss(ClipPPOLoss):
         return losses
 
     def divergence(self, tensordict: TensorDictBase) -> Tensor:
-        """Return KL(collecting policy || policy) per row; the tanh, a bijection, does not change it."""
+        """Return KL(collecting policy || policy) per row; the tanh, a bijection, does not change it.
+
+        Of advice it is that of the normal before it is censored, which is no less.
+        """
         old = torch.distributions.Normal(tensordict.get(base.LOC), tensordict.get(base.SCALE))
         with self.actor_network_params.to_module(self.actor_network):
             new = self.actor_network.get_dist(tensordict.select(*self.actor_network.in_keys)).base_dist
@@ -101,14 +107,21 @@ class PPO:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the acceleration, m/s^2.
+        low, high: bounds of the action: an acceleration in m/s^2, or advice.
         device: where the networks live.
+        rest: that an action of 0 is doing nothing.
     """
 
     def __init__(
-        self, config: PPOConfig, features: int, low: float, high: float, device: torch.device | str = "cpu"
+        self,
+        config: PPOConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Rest | None = None,
     ) -> None:
-        self.config = config
+        self.config, self.rest = config, rest
         self.actor = self.make_actor(features, low, high).to(device)
         self.policy = self.make_policy(low, high)
         self.critic = self.make_critic(features).to(device)
@@ -117,11 +130,11 @@ class PPO:
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
-        return make_actor(features, low, high, self.config)
+        return make_actor(features, low, high, self.config, self.rest)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return CompiledPolicy(self.actor, low, high)
+        return CompiledPolicy(self.actor, low, high, self.rest)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""
@@ -183,7 +196,10 @@ class PPO:
             terminated,
             time_dim=1,
         )
-        rows = base.agent_rows(batch, [base.OBSERVATION, base.ACTION, base.LOG_PROB, base.LOC, base.SCALE])
+        keys = [base.OBSERVATION, base.ACTION, base.LOG_PROB, base.LOC, base.SCALE]
+        if self.rest is not None and self.rest.two_sided:
+            keys.append(base.GUIDED)
+        rows = base.agent_rows(batch, keys)
         valid = advantage[mask]
         if len(valid) > 1:
             valid = (valid - valid.mean()) / valid.std().clamp_min(1e-6)

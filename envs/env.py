@@ -17,7 +17,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import SIMULATORS, EnvConfig
-from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
@@ -68,7 +68,8 @@ class EcoDrivingBase(EnvBase):
         self._first, self._stride = first, stride
         self._restart_episodes()
         views = frames if batch_size else row_of(frames, 0)
-        self.reader = FrameReader(config, views, self.batch_size, self.leaves)
+        leaves = [*self.leaves, *(name for name in (TEAM_REWARD,) if name in config.emit)]
+        self.reader = FrameReader(config, views, self.batch_size, leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -121,6 +122,7 @@ class EcoDrivingBase(EnvBase):
         row["agent_terminated"][:] = 0
         row["reward"][:] = 0.0
         row["reward_vector"][:] = 0.0
+        row[TEAM_REWARD][:] = 0.0
         row["totals"][:] = 0.0
         row["terminated"][:] = 0
         row["truncated"][:] = 1

@@ -272,3 +272,11 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
 def test_unknown_nested_option_lists_its_siblings() -> None:
     with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
         compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
+
+
+def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
+    chosen = compose.compose_config("train", TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
+    assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
+    assert compose.compose_config("train", TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
+    with pytest.raises(IzooError, match=r"env\.reward.*paper, fuel, fuel_team"):
+        compose.compose_config("train", TrainConfig, ["env.reward=fuell"])

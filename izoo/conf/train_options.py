@@ -131,7 +131,8 @@ class TrainConfig:
 
     Attributes:
         algo: the algorithm and its hyper-parameters.
-        action: whether the policy commands accelerations (``direct``) or corrects a scripted driver's (``residual``).
+        action: whether the policy commands accelerations (``direct``), advises the simulator's own driver (``advise``)
+            or corrects a scripted one (``residual``).
         contexts: which contexts episodes are drawn from.
         env: the environment.
         collector: how environments are stepped.

@@ -222,7 +222,7 @@ def _worker_env(
     config: TrainConfig, schedule: Schedule, pasts: Sequence[EpisodePast], worker: int, num_workers: int
 ) -> EnvBase:
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
-    done = sum(past.episode * config.env.control_steps + past.steps for past in pasts)
+    done = sum(past.episode * config.env.decisions + past.steps for past in pasts)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
     return TrainingEnv(
         schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, pasts=pasts
