@@ -154,7 +154,7 @@ def _pass_on_lane_changes(world, state):  # type: ignore[no-untyped-def]
         if row < 0:
             continue
         v = tables.ints[row, NUMBER]
-        asks = frame.defer[a] != 0 or np.isnan(frame.action[a])
+        asks = frame.defer[a] != 0 or np.isnan(frame.action[a]) or tables.acting[a] < 0
         state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
         change = frame.lane_change[a]
         if change != KEEP_LANE and not tables.flags[row, DEFERRED]:
