@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict.nn import TensorDictModuleBase
@@ -19,7 +19,7 @@ from izoo.training import checkpoint, runs
 
 def contestant(
     config: GeneralizationConfig, plan: Plan, env: EnvConfig, entry: Entry, seed: int, run_dir: Path
-) -> TensorDictModuleBase | str | None:
+) -> TensorDictModuleBase | str:
     """Return what :func:`izoo.evaluation.evaluate_policy` takes for an entry.
 
     Args:
@@ -34,7 +34,7 @@ def contestant(
         return untrained(train_config(config, plan, entry, seed, run_dir))
     if entry.floor_mps is not None:
         return Glide(env, GlideConfig(floor_mps=entry.floor_mps))
-    return entry.policy
+    return cast(str, entry.policy)
 
 
 def untrained(config: TrainConfig) -> TensorDictModuleBase:

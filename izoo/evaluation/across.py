@@ -21,10 +21,9 @@ from izoo.metrics.benefit import FORMS, PAIR, benefits
 PAPER_FORM = "best of {n} training seeds, chosen by its ratio of sums on the test set: the paper's form"
 THRESHOLDS = tuple(round(-1.0 + 0.01 * k, 2) for k in range(201))
 """Benefits at which performance profiles are given."""
-Rows = pd.DataFrame
 
 
-def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> Rows:
+def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
     """Return a row per approach: :func:`izoo.metrics.benefit.benefits` over ``baseline``, sorted by context.
 
     Where the table has rows of the uncommanded CV and the policy is another, their columns
@@ -43,7 +42,7 @@ def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> Rows
     return rows.sort_values(["context", "approach"], kind="stable").reset_index(drop=True)
 
 
-def run_rows(table: pd.DataFrame, policy: str, train_seed: int, baseline: str = HUMAN) -> Rows:
+def run_rows(table: pd.DataFrame, policy: str, train_seed: int, baseline: str = HUMAN) -> pd.DataFrame:
     """Return :func:`policy_rows` of one training seed, with its column ``train_seed``."""
     rows = policy_rows(table, policy, baseline)
     rows.insert(0, RUN, train_seed)
@@ -55,7 +54,7 @@ def _matching(table: pd.DataFrame, baseline: str, chosen: pd.DataFrame) -> pd.Da
     return table[table["policy"] == baseline].merge(chosen[list(PAIR)], on=list(PAIR), how="inner")
 
 
-def compare(rows: Rows) -> dict[str, Any]:
+def compare(rows: pd.DataFrame) -> dict[str, Any]:
     """Aggregate the benefits of a policy over approaches, and over training seeds where there are several.
 
     Args:
@@ -77,7 +76,7 @@ def compare(rows: Rows) -> dict[str, Any]:
     }
 
 
-def aggregate(rows: Rows) -> dict[str, Any]:
+def aggregate(rows: pd.DataFrame) -> dict[str, Any]:
     """Sum up the rows of all training seeds of one entry; plain values, ready for JSON.
 
     Args:
@@ -91,7 +90,9 @@ def aggregate(rows: Rows) -> dict[str, Any]:
     compared = compare(rows)
     tasks = rows.drop_duplicates(TASK)
     parts = [(int(seed), part[part["left_out"] == ""]) for seed, part in rows.groupby(RUN)]
-    per_seed = [{"seed": seed, **plain_figures(part), "n": len(part)} for seed, part in parts if len(part)]
+    per_seed: list[dict[str, Any]] = [
+        {"seed": seed, **plain_figures(part), "n": len(part)} for seed, part in parts if len(part)
+    ]
     best = max(per_seed, key=lambda run: run["exact"]["ratio_of_sums"], default=None)
     n = {
         "train_seeds": len(parts),
@@ -105,7 +106,7 @@ def aggregate(rows: Rows) -> dict[str, Any]:
     return {"n": n, **compared, "per_seed": per_seed, "best_seed": best and {"label": label, **best}}
 
 
-def improvement(x: Rows, y: Rows) -> statistics.Estimate | None:
+def improvement(x: pd.DataFrame, y: pd.DataFrame) -> statistics.Estimate | None:
     """Return the probability that a training seed of X has more benefit (exact gate) on an approach than one of Y.
 
     Ties count one half. ``None`` without common approaches.
@@ -121,17 +122,17 @@ def improvement(x: Rows, y: Rows) -> statistics.Estimate | None:
     return statistics.improvement(a[tasks].to_numpy(), b[tasks].to_numpy(), places.loc[tasks].tolist())
 
 
-def profile(rows: Rows) -> np.ndarray:
+def profile(rows: pd.DataFrame) -> np.ndarray:
     """Share of (training seed, approach) with a benefit above each of :data:`THRESHOLDS`; empty without approaches."""
     values = _scores(rows).to_numpy()
     return statistics.performance_profile(values, THRESHOLDS) if values.size else np.empty(0)
 
 
-def _scores(rows: Rows) -> pd.DataFrame:
+def _scores(rows: pd.DataFrame) -> pd.DataFrame:
     return score_matrix(rows[rows["left_out"] == ""], "benefit_exact")
 
 
-def compare_entries(rows: Mapping[str, Rows]) -> dict[str, Any]:
+def compare_entries(rows: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Compare entries by their gated benefit (exact gate) on the approaches that all of them have.
 
     Args:

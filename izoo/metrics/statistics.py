@@ -173,6 +173,24 @@ def paired_saving(policy: ArrayLike, baseline: ArrayLike) -> Estimate:
     return Estimate(1.0 - ratio, 1.0 - ratio - half, 1.0 - ratio + half, x.size, 1, over="episode seeds")
 
 
+def fall_p_value(difference: ArrayLike, groups: Sequence[object]) -> float:
+    """One-sided paired test over intersections: the p-value of "the mean difference is not below 0".
+
+    Student's t with the jackknife's variance. Without variance, and so for a single intersection, the sign decides.
+
+    Args:
+        difference: ``[M]``, one per approach.
+        groups: ``[M]`` labels, the intersections of the approaches.
+    """
+    x = np.asarray(difference, dtype=np.float64)[None]
+    members = group_members(groups)
+    part = _jackknifed([_left_out(x, mean, left_out) for left_out in members] if len(members) > 1 else [])
+    centre = float(x.mean())
+    if not part.variance > 0.0:
+        return 0.0 if centre < 0.0 else 1.0
+    return student_t_below(centre / math.sqrt(part.variance), part.degrees)
+
+
 def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> Array:
     """Share of ``values`` (any shape) strictly above each threshold: ``[K] -> [K]``."""
     x = np.asarray(values, dtype=np.float64).reshape(-1)

@@ -62,6 +62,13 @@ def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
     assert all(figure["alt"] for figure in content["figures"].values())
     assert "-1.85 %" in text
     assert "248 of 1048" in text
+    for words in (
+        "whole region: mean",
+        "over uncommanded, whole region",
+        "demand served",
+        "fewer than 6 intersections",
+    ):
+        assert words in text
 
 
 def test_the_same_results_give_the_same_page(page: Path, evaluation: Path, tmp_path: Path, capsys) -> None:
