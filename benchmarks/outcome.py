@@ -11,17 +11,30 @@ from rich.table import Table
 from izoo.benchmarks.generalization_options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
 from izoo.envs.config import EnvConfig
-from izoo.evaluation.across import aggregate, compare_entries, run_rows
+from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.show import percent
-from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of
+from izoo.evaluation.show import intervals_in_words, percent
+from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of, human_vehicles_of
 from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
 from izoo.training.records import MetricsTable
 from izoo.training.runs import METRICS_FILE
 
 CURVES_FILE = "learning_curves.png"
+COLUMNS = (
+    ("mean, exact gate", "exact", "mean"),
+    ("IQM", "exact", "iqm"),
+    ("over uncommanded", "over_uncommanded", "mean"),
+    ("whole region", "region_exact", "mean"),
+    ("region, over uncommanded", "region_over_uncommanded", "mean"),
+    ("mean, tested gate", "tested", "mean"),
+    ("ratio of sums", "exact", "ratio_of_sums"),
+    ("gated", "exact", "share_gated"),
+    ("demand served", "served", "policy"),
+)
+"""Columns of the table of entries: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
+NOTHING: dict[str, Any] = {"value": None}
 
 
 def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
@@ -32,8 +45,18 @@ def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
 
 def sum_up(folder: Path, results: Results) -> dict[str, Any]:
     """Return the ``aggregates`` of the index (:mod:`izoo.reporting.results`)."""
-    rows = {entry.name: entry_rows(folder, entry) for entry in results.entries if entry.done}
-    return {"entries": {name: aggregate(table) for name, table in rows.items()}, **compare_entries(rows)}
+    done = [entry for entry in results.entries if entry.done]
+    rows = {entry.name: entry_rows(folder, entry) for entry in done}
+    beside = {entry.name: human_vehicles(folder, entry) for entry in done}
+    entries = {name: {**aggregate(table), **beside[name]} for name, table in rows.items()}
+    return {"entries": entries, **compare_entries(rows)}
+
+
+def human_vehicles(folder: Path, entry: EntryRecord) -> dict[str, Any]:
+    """Return what an entry did on CVs with the parameters of human-driven vehicles; empty where nobody asked."""
+    tables = [(run.seed, human_vehicles_of(folder, run)) for run in entry.done]
+    parts = [run_rows(table, entry.name, seed) for seed, table in tables if table is not None]
+    return {"human_vehicles": compare(pd.concat(parts, ignore_index=True))} if len(parts) == len(tables) else {}
 
 
 def draw_curves(folder: Path, results: Results) -> None:
@@ -48,43 +71,35 @@ def draw_curves(folder: Path, results: Results) -> None:
 
 
 def outcome_table(results: Results) -> Table:
-    """Return a line per entry: benefits over human driving on the test contexts, with intervals over intersections."""
+    """Return a line per entry: what it saved on the test contexts, with intervals."""
     table = Table(title=f"{results.title}: benefit over human driving", title_justify="left")
-    for column in (
-        "entry",
-        "seeds",
-        "mean, exact gate",
-        "IQM",
-        "mean, tested gate",
-        "ratio of sums",
-        "gated",
-        "best seed",
-    ):
+    entries = results.aggregates["entries"]
+    beside = any("human_vehicles" in content for content in entries.values())
+    labels = [*(label for label, _, _ in COLUMNS), *(["human vehicles"] if beside else []), "best seed"]
+    for column in ("entry", "seeds", *labels):
         table.add_column(column, justify="left" if column == "entry" else "right")
-    for name, content in results.aggregates["entries"].items():
-        block = content["all"]
-        places, runs = block["over_intersections"], block["per_seed"]
-        sums = [run["exact"]["ratio_of_sums"] for run in runs]
-        gated = [run["exact"]["share_gated"] for run in runs]
+    for name, content in entries.items():
+        sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
         table.add_row(
             name,
             str(content["n"]["train_seeds"]),
-            percent(places["exact"]["mean"]),
-            percent(places["exact"]["iqm"]),
-            percent(places["tested"]["mean"]),
-            _percent(sum(sums) / max(len(sums), 1)),
-            _percent(sum(gated) / max(len(gated), 1)),
-            "-" if len(runs) < 2 else _percent(max(sums)),
+            *(percent(content["all"].get(part, {}).get(figure, NOTHING)) for _, part, figure in COLUMNS),
+            *([_beside(content)] if beside else []),
+            "-" if len(sums) < 2 else f"{100.0 * max(sums) + 0.0:.1f} %",
         )
+    places = [content["n"]["intersections"] for content in entries.values()]
+    trained = [len(entry.done) for entry in results.entries if entry.kind == "trained"]
     table.caption = (
-        "Ratio of sums and gated: means over training seeds. Best seed: the ratio of sums of the best one on the test "
-        "set, the paper's form."
+        f"{intervals_in_words(places, trained)} Over uncommanded: benefit over CVs that nobody commands, without gate. "
+        "Best seed: the ratio of sums of the best one on the test set, the paper's form."
+        + (" Human vehicles: mean, exact gate, on CVs with the parameters of human-driven ones." if beside else "")
     )
     return table
 
 
-def _percent(share: float) -> str:
-    return f"{round(100 * share, 1) + 0.0:.1f} %"  # no "-0.0"
+def _beside(content: dict[str, Any]) -> str:
+    """The headline on CVs that nobody could tell from human-driven ones but by their commands."""
+    return percent(content["human_vehicles"]["all"]["exact"]["mean"]) if "human_vehicles" in content else "-"
 
 
 def other_environment(env: EnvConfig) -> str:

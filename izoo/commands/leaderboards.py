@@ -13,6 +13,14 @@ from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
 
 EXIT_MARKED = 1
+FIGURES = (
+    ("mean benefit, exact gate", "exact", "mean"),
+    ("whole region", "region_exact", "mean"),
+    ("over uncommanded, no gate", "over_uncommanded", "mean"),
+    ("demand served", "served", "policy"),
+)
+"""Columns of a leaderboard: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
+NOTHING = {"value": None}
 
 
 def _validate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,27 +86,29 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from izoo.evaluation.show import percent
-    from izoo.reporting.submissions import headline
+    from izoo.evaluation.show import intervals_in_words, percent
 
     console = Console()
     for group in merged["groups"]:
         protocol = group["protocol"]
         title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
         table = Table(title=title, title_justify="left")
-        for column in ("rank", "policy", "mean benefit, exact gate", "approaches", "training seeds"):
+        for column in ("rank", "policy", *(label for label, _, _ in FIGURES), "approaches", "training seeds"):
             table.add_column(column, justify="left" if column == "policy" else "right")
-        for line in [*group["ranked"], *group["marked"]]:
+        lines = [*group["ranked"], *group["marked"]]
+        for line in lines:
             n = line["n"]
             table.add_row(
                 str(line.get("rank", "-")),
                 line["policy"]["name"],
-                percent(headline(line)),
+                *(percent(line["aggregates"]["all"].get(part, {}).get(name, NOTHING)) for _, part, name in FIGURES),
                 str(n["approaches"]),
                 str(n["train_seeds"]),
             )
         console.print(table)
-        for line in [*group["ranked"], *group["marked"]]:
+        trained = [line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"]
+        console.print(intervals_in_words([line["n"]["intersections"] for line in lines], trained), highlight=False)
+        for line in lines:
             for text in [*line["marks"], *line["notes"]]:
                 console.print(f"  {line['policy']['name']} ({line['source']}): {text}", highlight=False, soft_wrap=True)
 

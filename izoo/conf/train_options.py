@@ -89,7 +89,8 @@ class ValidationConfig:
         every_batches: batches between two validations; weights that are due while one is still running wait, or give
             way to newer ones. The last weights of a run of this many batches or more are validated too. 0: never.
         contexts: how many contexts are drawn from the validation split; where contexts have no splits, or too few
-            intersections for one, from the training contexts.
+            intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
+            becoming the best.
         seeds: paired episodes per context, 3 or more.
     """
 
