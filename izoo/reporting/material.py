@@ -13,7 +13,7 @@ import pandas as pd
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
-from izoo.files import check_folder
+from izoo.files import check_folder, read_text
 from izoo.reporting.results import RESULTS_FILE, EntryRecord, read_results
 from izoo.training.runs import CONFIG_FILE, METRICS_FILE
 from izoo.training.validation import VALIDATION_FILE
@@ -139,14 +139,14 @@ def read_evaluation(folder: Path) -> tuple[pd.DataFrame, tuple[tuple[str, str], 
     if HUMAN not in set(table["policy"]):
         raise IzooError(f"{folder / CSV_FILE} has no rows of human driving; evaluate again with out={folder}.")
     try:
-        manifest = json.loads((folder / MANIFEST_FILE).read_text())
+        manifest = json.loads(read_text(folder / MANIFEST_FILE))
         versions, env = manifest["settings"]["versions"], manifest["settings"]["env"]
         dict(manifest["policies"])  # which a replay needs
         facts = (
             ("versions", f"izoo {versions['izoo']}, SUMO {versions['sumo']}"),
             ("episode", f"{env['horizon_s']:g} s, of which the first {env['warmup_s']:g} s are not measured"),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise IzooError(f"{folder / MANIFEST_FILE} is damaged; remove the folder and evaluate again.") from error
     return table, facts
 

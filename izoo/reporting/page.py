@@ -88,7 +88,7 @@ def write_report(
     path = out or results / PAGE_FILE
     if path.is_dir():
         raise IzooError(f"{path} is a folder; name a file: out={path / PAGE_FILE}.")
-    if out is not None and _is_foreign(path):
+    if _is_foreign(path):
         raise IzooError(f"{path} exists and is no report; it is not overwritten. Choose another file with out=FILE.")
     text = render(material, replay=replay, imports=imports, note=note)
     try:
@@ -103,7 +103,7 @@ def _is_foreign(path: Path) -> bool:
     """Whether a file holds something that :func:`write_report` has not written."""
     try:
         if not path.is_file() or path.stat().st_size == 0:
-            return False
+            return path.exists() and not path.is_file()
         with path.open("rb") as file:
             return b'name="generator" content="izoo.report"' not in file.read(4096)
     except OSError as error:

@@ -55,7 +55,7 @@ import pandas as pd
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.errors import IzooError
 from izoo.evaluation.table import CSV_FILE, read_csv
-from izoo.files import write_json
+from izoo.files import read_text, write_json
 
 FORMAT = "izoo-results-1"
 RESULTS_FILE, SETTINGS_FILE = "results.json", "settings.yaml"
@@ -152,9 +152,9 @@ def read_results(folder: Path) -> Results:
     if not path.is_file():
         raise IzooError(f"{folder} has no {RESULTS_FILE}; give a folder that izoo.benchmarks.generalization wrote.")
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(read_text(path))
         found = values.get("format")
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; run the benchmark again with out={folder}, it goes on.") from error
     if found != FORMAT:
         raise IzooError(f"{path} is of the format {found!r}, not {FORMAT!r}; another version of izoo wrote it.")

@@ -25,7 +25,7 @@ from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate
 from izoo.evaluation.aggregates import RUN
 from izoo.evaluation.provenance import DECISIVE
-from izoo.files import write_json
+from izoo.files import read_text, write_json
 from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_TRAIN_SEEDS
 
 FORMAT, MERGED_FORMAT = "izoo-leaderboard-2", "izoo-leaderboard-merged-2"
@@ -102,7 +102,7 @@ def read_submission(path: Path) -> dict[str, Any]:
         IzooError: the file cannot be read, or does not follow the schema; the first place that does not is named.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(read_text(path))
         json.dumps(content, allow_nan=False)  # Python's JSON reads NaN, and 1e999 as infinity
     except (OSError, ValueError, RecursionError) as error:
         raise IzooError(f"cannot read {path}: {error}; give a leaderboard file.") from error

@@ -48,12 +48,11 @@ class _Training(EcoDrivingBase):
         names = next((list(script.commands) for script in scripts if script.commands), ["action"])
         episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
         longest = max(len(script) for script in scripts)
-        request = TensorDict({"context": TensorDict({"episode": episodes}, self.batch_size)}, self.batch_size)
-        frame = super()._reset(request)
+        frame = super()._reset(episode=episodes)
         for step in range(longest):
             starting = torch.tensor([len(script) == longest - step for script in scripts])
             if step > 0 and starting.any():
-                frame = super()._reset(request.clone().set("_reset", starting.view(*self.batch_size, 1)))
+                frame = super()._reset(self._only(starting), episode=episodes)
             masks = frame.get(("agents", "mask")).view(-1, slots)
             waits = [longest - len(script) for script in scripts]
             rows = [
@@ -66,9 +65,13 @@ class _Training(EcoDrivingBase):
         # A script without steps belongs to an episode that was about to begin.
         unbegun = torch.tensor([len(script) == 0 for script in scripts])
         if longest > 0 and unbegun.any():
-            frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
+            frame = super()._reset(self._only(unbegun), episode=episodes)
         self._next_episode[:] = [script.episode + self._stride for script in scripts]
         return frame
+
+    def _only(self, chosen: Tensor) -> TensorDict:
+        """Return what resets the environments ``chosen [N]`` alone."""
+        return TensorDict({"_reset": chosen.view(*self.batch_size, 1)}, self.batch_size)
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):

@@ -1,7 +1,5 @@
-"""Periodic validation: another process compares the run's weights with human driving while training goes on.
-
-``python -m izoo.training.validation CHECKPOINT RESULT`` is that process: of low priority, without workers of its own,
-and gone as soon as the run is.
+"""Periodic validation: another process (:mod:`izoo.training.validating`) compares the run's weights with human driving
+while training goes on.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import IO, Any
@@ -24,7 +21,6 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import choose_contexts, episode_seeds
-from izoo.files import write_json
 from izoo.metrics.benefit import SIGNIFICANCE
 from izoo.metrics.statistics import fall_p_value
 from izoo.training import checkpoint
@@ -33,7 +29,7 @@ from izoo.training.records import MetricsTable
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
 """Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
-NICENESS = 10
+PROCESS = "izoo.training.validating"
 POLICY, APPROACHES = "policy", "approaches_benefit"
 _PATIENCE_S = 0.2
 
@@ -142,7 +138,7 @@ class Validator:
         result = self._result(self._validating)
         result.parent.mkdir(exist_ok=True)
         self._log = (self.run_dir / LOG_FILE).open("wb")
-        command = [sys.executable, "-m", "izoo.training.validation", str(self._validating), str(result)]
+        command = [sys.executable, "-m", PROCESS, str(self._validating), str(result)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         # A session of its own keeps the terminal's Ctrl-C away; the open pipe tells the process that the run lives.
         self._process = subprocess.Popen(
@@ -167,7 +163,7 @@ class Validator:
             row: of the table.
             approaches: intersection and benefit by approach; without them, the mean decides.
         """
-        if "benefit" not in row:
+        if "benefit" not in row or row.get("nan_share"):  # the simulator drove those whose action was NaN
             return False
         frames, earlier = self.table.series("benefit")
         if checkpoint.best_of(self.run_dir) is None or not earlier:
@@ -239,6 +235,7 @@ def validate(path: Path) -> dict[str, Any]:
         "benefit_over_uncommanded": uncommanded["all"]["ungated"]["mean"]["value"],
         "benefit_ungated": main["all"]["ungated"]["mean"]["value"],
         "throughput_kept": human["all"]["throughput"]["share_kept"]["value"],
+        "nan_share": summary["scores"][POLICY]["nan_share"],
         "emission_g_per_vehicle": summary["scores"][POLICY]["emission_g_per_vehicle"],
         "approaches": main["all"]["exact"]["mean"]["n"],
         "saturated": len(main["saturated"]),
@@ -262,23 +259,3 @@ def _last_line(log: Path, code: int) -> str:
         if lines:
             return lines[-1]
     return f"exit code {code}"
-
-
-def _end_with_parent() -> None:
-    def watch() -> None:
-        while os.read(0, 1):  # not sys.stdin, whose lock would be missed at the end
-            pass
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def main(checkpoint_file: str, result_file: str) -> None:
-    """Validate a checkpoint and write the row as JSON, whole or not at all."""
-    write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)
-
-
-if __name__ == "__main__":
-    _end_with_parent()
-    os.nice(NICENESS)
-    main(*sys.argv[1:])
