@@ -109,6 +109,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             back = back_on(net, traffic, state, leader, lane)
             gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
             safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
+            if count == 0 and inside and ints[leader, LANE] != lane and gap < driver[MIN_GAP]:
+                # Behind somebody who has left the junction but for the tail.
+                safe = 0.0
             best = min(best, safe)
             passing = min(passing, best)
             if count > 0:
