@@ -65,9 +65,8 @@ def forget_empty(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def activate_sources(net, state):  # type: ignore[no-untyped-def]
-    """Enter the lanes on which vehicles were inserted."""
-    for k in range(net.source_lanes.shape[0]):
-        lane = net.source_lanes[k]
+def activate_busy(net, state):  # type: ignore[no-untyped-def]
+    """Enter the lanes that vehicles came onto since, in the order of their rows."""
+    for lane in range(state.lanes.shape[0]):
         if state.lanes[lane, LANE_COUNT] > 0:
             activate(net, state, lane)

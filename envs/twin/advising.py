@@ -29,7 +29,7 @@ from izoo.envs.twin.arrays import (
     TAU,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap, stop_speed
+from izoo.envs.twin.following import brake_gap, follow_speed, most_speed, secure_gap, stop_speed
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
     BLOCKED_BY_FOLLOWER,
@@ -224,8 +224,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
     if not blocked & BLOCKED_BY_FOLLOWER:
         if blocked & BLOCKED_BY_LEADER:
             state.ints[follower, CHANGE_STATE] |= flags
-            safe = _speed_behind(helper, gap, other, planned, 0.0, limit, step_s)
-            add_advice(state, follower, safe)
+            add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, step_s))
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
     if planned - other >= OVERTAKING_MPS:
@@ -250,6 +249,16 @@ def inform_follower(  # type: ignore[no-untyped-def]
         add_advice(state, follower, passing)
         way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
         add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
+
+
+@compiled
+def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room."""
+    left = gap + (planned - most_speed(helper, speed, step_s)) * step_s
+    faster = follow_speed(helper, left, speed, planned, limit, step_s)
+    if faster >= speed:
+        return faster
+    return min(speed, follow_speed(helper, gap + (planned - speed) * step_s, speed, planned, limit, step_s))
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.envs.twin.active import activate, activate_sources, forget_empty
+from izoo.envs.twin.active import activate_busy, forget_empty
 from izoo.envs.twin.arrays import (
     ACTIVE_FIRST,
     ACTIVE_LAST,
@@ -95,7 +95,7 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
     show_signals(net, state)
     state.clock[ITEM_TOTAL] = 0
-    activate_sources(net, state)
+    activate_busy(net, state)
     forget_empty(state)
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
@@ -122,7 +122,7 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
     for k in range(count):
         v = state.moved[k]
         place(state, v, state.ints[v, LANE])
-        activate(net, state, state.ints[v, LANE])
+    activate_busy(net, state)
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
