@@ -49,8 +49,8 @@ def check_cells(table: pd.DataFrame, where: Path, text: Sequence[str], whole: Se
         value = table[column].iloc[row]
         place = f"{where}, line {row + first}"
         return IzooError(
-            f"{place}: {column} is {str(value)[:40]!r}; it must be {wanted}. The file was damaged or changed; remove it "
-            "and evaluate again."
+            f"{place}: {column} is {str(value)[:40]!r}; it must be {wanted}. The file was damaged or changed; remove "
+            "it and evaluate again."
         )
 
     for column, (low, high) in RANGES.items():
