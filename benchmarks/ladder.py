@@ -101,7 +101,6 @@ def rungs(table: pd.DataFrame) -> pd.DataFrame:
     for (policy, kind), group in table.assign(kind=kinds).groupby(["policy", "kind"], sort=False):
         away = group["co2_g_difference"].abs()
         beyond = away - group["co2_g_spread"].fillna(0.0) > WIDE
-        crossed = group["crossed_twin"].sum() / group["crossed_sumo"].sum() - 1.0
         rows.append(
             {
                 "policy": policy,
@@ -113,13 +112,19 @@ def rungs(table: pd.DataFrame) -> pd.DataFrame:
                 "co2_worst": float(away.max()),
                 "co2_beyond": int(beyond.sum()),
                 "co2_spread": float(group["co2_g_spread"].mean()),
-                "crossed": float(crossed),
+                "crossed": _change(group, "crossed"),
                 "crossed_mean_abs": float(group["crossed_difference"].abs().mean()),
                 "travel_time": float(group["travel_time_s_difference"].mean()),
-                "stopped": float(group["stopped_s_twin"].sum() / group["stopped_s_sumo"].sum() - 1.0),
+                "stopped": _change(group, "stopped_s"),
             }
         )
     return pd.DataFrame(rows)
+
+
+def _change(group: pd.DataFrame, name: str) -> float:
+    """Return how much larger a measure is on the twin, summed over approaches; NaN where it is 0 in SUMO."""
+    sumo, twin = (float(group[f"{name}_{side}"].sum()) for side in ("sumo", "twin"))
+    return twin / sumo - 1.0 if sumo else np.nan
 
 
 def gains(sumo: pd.DataFrame, twin: pd.DataFrame) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from izoo.contexts.context import Context
-from izoo.envs import EcoDrivingEnv, TwinEnv
+from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.scene import Scene
 from izoo.evaluation.playing import Policy
@@ -80,7 +80,7 @@ class SideBySide:
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        self._sumo, self._twin = EcoDrivingEnv(config=config), TwinEnv(1, config=config, threads=1)
+        self._sumo, self._twin = (EcoDrivingEnv(config=config, worker=0, simulator=name) for name in ("sumo", "twin"))
 
     def close(self) -> None:
         """End both."""

@@ -9,6 +9,7 @@ where it was stopped.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -62,9 +63,9 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
         {
             "contexts": len(contexts),
             "seeds": len(seeds),
-            "exact": ladder.exactness(exact).to_dict("records"),
-            "approaches": rungs.to_dict("records"),
-            "gains": gained.to_dict("records"),
+            "exact": _records(ladder.exactness(exact)),
+            "approaches": _records(rungs),
+            "gains": _records(gained),
             "same_order": ladder.same_order(gained),
         },
     )
@@ -73,6 +74,11 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
         Console().print(shown)
     print(f"Results: {out}", flush=True)
     return out
+
+
+def _records(table: pd.DataFrame) -> Any:
+    """Return a table's rows for JSON, where NaN is null."""
+    return json.loads(table.to_json(orient="records"))
 
 
 def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
