@@ -84,7 +84,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 needed_wait, needed_can_brake = values[ITEM_WAIT], can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
-            waits = waits or (safe < driver[DECEL] and safe <= slowest and safe < fastest)
+            waits = waits or (safe < driver[DECEL] and safe <= values[ITEM_WAIT] and safe < fastest)
         elif (
             not can_brake
             and net.link_ints[link, LINK_PROGRAM] < 0
