@@ -253,12 +253,18 @@ def inform_follower(  # type: ignore[no-untyped-def]
 
 @compiled
 def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room."""
+    """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room.
+
+    It keeps its speed where the gap is secure after the step, and slows down otherwise.
+    """
     left = gap + (planned - most_speed(helper, speed, step_s)) * step_s
     faster = follow_speed(helper, left, speed, planned, limit, step_s)
     if faster >= speed:
         return faster
-    return min(speed, follow_speed(helper, gap + (planned - speed) * step_s, speed, planned, limit, step_s))
+    left = gap + (planned - speed) * step_s
+    if left >= secure_gap(helper, speed, planned):
+        return speed
+    return follow_speed(helper, left, speed, planned, limit, step_s)
 
 
 @compiled

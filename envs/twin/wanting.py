@@ -249,7 +249,8 @@ def _prepare_urgent(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Make room for an urgent change: reserve some for those who cross over, and tell leader and follower."""
     floats, lane = state.floats, state.ints[v, LANE]
-    if to_best and abs(offset) > 1 and net.best_open[state.ints[v, VARIANT], lane]:
+    is_open = net.best_open[state.ints[v, VARIANT], lane]
+    if to_best and abs(offset) > 1 and is_open and not net.lane_ints[lane, LANE_INSIDE]:
         reserve = _CROSSING_ROOM_RIGHT_M if right else _CROSSING_ROOM_LEFT_M
         floats[v, BLOCKER_LENGTH] = max(reserve, floats[v, BLOCKER_LENGTH])
     floats[v, LEFT_SPACE] = left_m
