@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from izoo.benchmarks.generalization_options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
@@ -14,7 +17,7 @@ from izoo.envs.config import EnvConfig
 from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.show import intervals_in_words, percent
+from izoo.evaluation.show import figure_table, intervals_in_words, stacked
 from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of, human_vehicles_of
 from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
@@ -22,19 +25,23 @@ from izoo.training.records import MetricsTable
 from izoo.training.runs import METRICS_FILE
 
 CURVES_FILE = "learning_curves.png"
-COLUMNS = (
-    ("mean, exact gate", "exact", "mean"),
-    ("IQM", "exact", "iqm"),
-    ("over uncommanded", "over_uncommanded", "mean"),
-    ("whole region", "region_exact", "mean"),
-    ("region, over uncommanded", "region_over_uncommanded", "mean"),
-    ("mean, tested gate", "tested", "mean"),
-    ("ratio of sums", "exact", "ratio_of_sums"),
-    ("gated", "exact", "share_gated"),
-    ("demand served", "served", "policy"),
-)
-"""Columns of the table of entries: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
-NOTHING: dict[str, Any] = {"value": None}
+TABLES = {
+    "benefit over human driving": (
+        ("exact gate", "exact", "mean"),
+        ("over\nuncommanded", "over_uncommanded", "mean"),
+        ("whole region", "region_exact", "mean"),
+        ("region, over\nuncommanded", "region_over_uncommanded", "mean"),
+    ),
+    "the same, otherwise summed up": (
+        ("IQM", "exact", "iqm"),
+        ("tested gate", "tested", "mean"),
+        ("ratio of sums", "exact", "ratio_of_sums"),
+        ("gated to 0", "exact", "share_gated"),
+        ("demand served", "served", "policy"),
+    ),
+}
+"""Tables of the entries: per title the columns, each a label, and part and name of its figure
+(:data:`izoo.evaluation.aggregates.FIGURES`)."""
 
 
 def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
@@ -70,36 +77,39 @@ def draw_curves(folder: Path, results: Results) -> None:
         compare_curves(curves, folder / CURVES_FILE, f"{results.title}: training")
 
 
-def outcome_table(results: Results) -> Table:
-    """Return a line per entry: what it saved on the test contexts, with intervals."""
-    table = Table(title=f"{results.title}: benefit over human driving", title_justify="left")
-    entries = results.aggregates["entries"]
-    beside = any("human_vehicles" in content for content in entries.values())
-    labels = [*(label for label, _, _ in COLUMNS), *(["human vehicles"] if beside else []), "best seed"]
-    for column in ("entry", "seeds", *labels):
-        table.add_column(column, justify="left" if column == "entry" else "right")
-    for name, content in entries.items():
-        sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
-        table.add_row(
-            name,
-            str(content["n"]["train_seeds"]),
-            *(percent(content["all"].get(part, {}).get(figure, NOTHING)) for _, part, figure in COLUMNS),
-            *([_beside(content)] if beside else []),
-            "-" if len(sums) < 2 else f"{100.0 * max(sums) + 0.0:.1f} %",
-        )
+def outcome_tables(results: Results) -> Group:
+    """Return a line per entry: what it saved on the test contexts, with intervals; narrow enough for a terminal."""
+    entries: dict[str, Any] = results.aggregates["entries"]
+    shown: list[Any] = []
+    for title, columns in TABLES.items():
+        table = figure_table(f"{results.title}: {title}", "entry", [label for label, _, _ in columns])
+        for name, content in entries.items():
+            seeds = content["n"]["train_seeds"]
+            figures = (content["all"].get(part, {}).get(figure) for _, part, figure in columns)
+            table.add_row(f"{name}\n{seeds} seeds" if seeds > 1 else name, *map(stacked, figures))
+        shown.append(table)
+    shown += _beside(results, entries)
     places = [content["n"]["intersections"] for content in entries.values()]
     trained = [len(entry.done) for entry in results.entries if entry.kind == "trained"]
-    table.caption = (
-        f"{intervals_in_words(places, trained)} Over uncommanded: benefit over CVs that nobody commands, without gate. "
-        "Best seed: the ratio of sums of the best one on the test set, the paper's form."
-        + (" Human vehicles: mean, exact gate, on CVs with the parameters of human-driven ones." if beside else "")
-    )
-    return table
+    words = f"{intervals_in_words(places, trained)} Over uncommanded: without gate, so that a loss shows."
+    return Group(*shown, Text(words))
 
 
-def _beside(content: dict[str, Any]) -> str:
-    """The headline on CVs that nobody could tell from human-driven ones but by their commands."""
-    return percent(content["human_vehicles"]["all"]["exact"]["mean"]) if "human_vehicles" in content else "-"
+def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
+    """The paper's form of several training seeds, and what was played on human vehicles, where there is any."""
+    best = any(content["n"]["train_seeds"] > 1 for content in entries.values())
+    human = any("human_vehicles" in content for content in entries.values())
+    columns = [*(["ratio of sums of the best\nseed on the test set:\nthe paper's form"] if best else [])]
+    columns += ["exact gate, on CVs with\nthe parameters of\nhuman-driven vehicles"] if human else []
+    if not columns:
+        return []
+    table = figure_table(f"{results.title}: beside", "entry", columns)
+    for name, content in entries.items():
+        sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
+        cells = [(f"{100.0 * max(sums) + 0.0:.1f} %" if len(sums) > 1 else "-")] if best else []
+        vehicles = content["human_vehicles"]["all"]["exact"]["mean"] if "human_vehicles" in content else None
+        table.add_row(name, *cells, *([stacked(vehicles)] if human else []))
+    return [table]
 
 
 def other_environment(env: EnvConfig) -> str:

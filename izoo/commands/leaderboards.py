@@ -14,13 +14,12 @@ from izoo.files import os_reason, write_json
 
 EXIT_MARKED = 1
 FIGURES = (
-    ("mean benefit, exact gate", "exact", "mean"),
+    ("mean benefit,\nexact gate", "exact", "mean"),
     ("whole region", "region_exact", "mean"),
-    ("over uncommanded, no gate", "over_uncommanded", "mean"),
-    ("demand served", "served", "policy"),
+    ("over\nuncommanded,\nno gate", "over_uncommanded", "mean"),
+    ("demand\nserved", "served", "policy"),
 )
 """Columns of a leaderboard: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
-NOTHING = {"value": None}
 
 
 def _validate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,27 +83,20 @@ def _print_checked(item: Any) -> None:
 
 def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    from izoo.evaluation.show import intervals_in_words, percent
+    from izoo.evaluation.show import figure_table, intervals_in_words, stacked
 
     console = Console()
     for group in merged["groups"]:
         protocol = group["protocol"]
         title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
-        table = Table(title=title, title_justify="left")
-        for column in ("rank", "policy", *(label for label, _, _ in FIGURES), "approaches", "training seeds"):
-            table.add_column(column, justify="left" if column == "policy" else "right")
+        table = figure_table(title, "rank, policy", [label for label, _, _ in FIGURES])
         lines = [*group["ranked"], *group["marked"]]
         for line in lines:
             n = line["n"]
-            table.add_row(
-                str(line.get("rank", "-")),
-                line["policy"]["name"],
-                *(percent(line["aggregates"]["all"].get(part, {}).get(name, NOTHING)) for _, part, name in FIGURES),
-                str(n["approaches"]),
-                str(n["train_seeds"]),
-            )
+            about = f"{n['approaches']} approaches, training seeds: {n['train_seeds']}"
+            figures = (line["aggregates"]["all"].get(part, {}).get(name) for _, part, name in FIGURES)
+            table.add_row(f"{line.get('rank', '-')} {line['policy']['name']}\n{about}", *map(stacked, figures))
         console.print(table)
         trained = [line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"]
         console.print(intervals_in_words([line["n"]["intersections"] for line in lines], trained), highlight=False)

@@ -26,7 +26,7 @@ THRESHOLDS = tuple(round(-1.0 + 0.01 * k, 2) for k in range(201))
 def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
     """Return a row per approach: :func:`izoo.metrics.benefit.benefits` over ``baseline``, sorted by context.
 
-    Where the table has rows of the uncommanded CV and the policy is another, their columns
+    Where the table has rows of the uncommanded CV, and neither policy nor baseline is that one, the columns
     ``benefit_over_uncommanded`` and ``benefit_region_over_uncommanded`` say what it saved of its emission.
 
     Args:
@@ -35,8 +35,8 @@ def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.D
     """
     chosen = table[table["policy"] == policy]
     rows = benefits(chosen, _matching(table, baseline, chosen))
-    if policy != UNCOMMANDED and (table["policy"] == UNCOMMANDED).any():
-        over = rows if baseline == UNCOMMANDED else benefits(chosen, _matching(table, UNCOMMANDED, chosen))
+    if UNCOMMANDED not in (policy, baseline) and (table["policy"] == UNCOMMANDED).any():
+        over = benefits(chosen, _matching(table, UNCOMMANDED, chosen))
         names = {f"benefit_{form}ungated": OVER_UNCOMMANDED.format(form=form) for form in FORMS}
         rows = rows.merge(over[[*TASK, *names]].rename(columns=names), on=TASK)
     return rows.sort_values(["context", "approach"], kind="stable").reset_index(drop=True)

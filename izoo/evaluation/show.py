@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -127,6 +128,20 @@ def percent(estimate: dict[str, Any]) -> str:
     if estimate["low"] is None:
         return value
     return f"{value} [{_rounded(estimate['low']):.1f}, {_rounded(estimate['high']):.1f}]"
+
+
+def stacked(estimate: dict[str, Any] | None) -> str:
+    """An estimate as per cent with its interval below it, for narrow columns."""
+    return "-" if estimate is None else percent(estimate).replace(" [", "\n[")
+
+
+def figure_table(title: str, rows: str, columns: Sequence[str]) -> Table:
+    """Return an empty table of :func:`stacked` figures, of which only the names of the rows may be broken."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(rows, overflow="fold")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
 
 
 def _rounded(share: float) -> float:

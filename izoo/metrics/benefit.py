@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, DEMAND
 from izoo.metrics.scores import require_columns
-from izoo.metrics.statistics import student_t_below
+from izoo.metrics.student import student_t_below
 
 PAIR = ("context_hash", "seed", "approach")
 """What a policy row and its baseline row agree on."""

@@ -18,7 +18,7 @@ from matplotlib import image
 from rich.console import Console
 
 from izoo.benchmarks import campaign, generalization
-from izoo.benchmarks.outcome import outcome_table
+from izoo.benchmarks.outcome import outcome_tables
 from izoo.evaluation.table import read_csv
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
@@ -115,9 +115,10 @@ def test_a_second_start_does_nothing(done: tuple[Path, Path], capsys: pytest.Cap
 def test_every_line_of_the_table_says_what_it_is_over_uncommanded(done: tuple[Path, Path]) -> None:
     results = read_results(done[0])
     text = io.StringIO()
-    Console(file=text, width=250).print(outcome_table(results))
-    for words in ("ppo_untrained", "constant_2.0", "over uncommanded", "whole region", "demand served", "fewer than 6"):
+    Console(file=text, width=80).print(outcome_tables(results))
+    for words in ("ppo_untrained", "constant_2.0", "uncommanded", "whole region", "demand served", "fewer than 6"):
         assert words in text.getvalue()
+    assert "…" not in text.getvalue(), "a terminal of 80 columns is too narrow"
     for name, content in results.aggregates["entries"].items():
         assert ("over_uncommanded" in content["all"]) == (name != "uncommanded")
         assert 0.0 < content["all"]["served"]["policy"]["value"] <= 1.0

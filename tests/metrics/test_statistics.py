@@ -23,9 +23,8 @@ from izoo.metrics.statistics import (
     performance_profile,
     probability_of_improvement,
     share_positive,
-    student_t_below,
-    student_t_quantile,
 )
+from izoo.metrics.student import student_t_below, student_t_quantile
 
 GENERATOR = np.random.default_rng(0)
 X = np.round(GENERATOR.normal(size=(4, 11)), 3)
