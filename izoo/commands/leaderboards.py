@@ -9,6 +9,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
+from izoo.console import plain
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
 
@@ -68,15 +69,16 @@ def _submissions(paths: Sequence[Path]) -> list[Path]:
 
 
 def _print_checked(item: Any) -> None:
-    print(f"{item.source}: " + ("marked" if item.marks else "in order"))
+    print(f"{plain(item.source)}: " + ("marked" if item.marks else "in order"))
     for word, texts in (("mark", item.marks), ("note", item.notes)):
         for text in texts:
-            print(f"  {word}: {text}")
+            print(f"  {word}: {plain(text)}")
 
 
 def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from izoo.evaluation.show import percent
     from izoo.reporting.submissions import headline
@@ -85,14 +87,14 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
     for group in merged["groups"]:
         protocol = group["protocol"]
         title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
-        table = Table(title=title, title_justify="left")
+        table = Table(title=Text(plain(title)), title_justify="left")
         for column in ("rank", "policy", "mean benefit, exact gate", "approaches", "training seeds"):
             table.add_column(column, justify="left" if column == "policy" else "right")
         for line in [*group["ranked"], *group["marked"]]:
             n = line["n"]
             table.add_row(
                 str(line.get("rank", "-")),
-                line["policy"]["name"],
+                Text(plain(line["policy"]["name"])),
                 percent(headline(line)),
                 str(n["approaches"]),
                 str(n["train_seeds"]),
@@ -100,7 +102,8 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
         console.print(table)
         for line in [*group["ranked"], *group["marked"]]:
             for text in [*line["marks"], *line["notes"]]:
-                console.print(f"  {line['policy']['name']} ({line['source']}): {text}", highlight=False, soft_wrap=True)
+                note = plain(f"  {line['policy']['name']} ({line['source']}): {text}")
+                console.print(note, highlight=False, markup=False, soft_wrap=True)
 
 
 LEADERBOARD = SubcommandCommand(

@@ -229,7 +229,7 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
         ),
         (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
         (drivers.silent, 0, IzooError, "action"),
-        pytest.param(drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL", marks=pytest.mark.slow),
+        pytest.param(drivers.deadly, 1, EpisodeFailed, "lost 2 times.*SIGKILL", marks=pytest.mark.slow),
     ],
 )
 def test_a_failing_episode_names_its_context(
