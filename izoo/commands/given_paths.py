@@ -31,8 +31,8 @@ def check_train(config: TrainConfig) -> None:
 
 
 def check_evaluate(config: EvaluateConfig) -> None:
-    """Refuse a run without the checkpoint, a module that is not installed, contexts in a missing folder, or results in a
-    folder of other things.
+    """Refuse a run without the checkpoint, a module that is not installed, contexts in a missing folder, or an occupied
+    folder for the results.
     """
     if config.out is not None:
         _check_results(Path(config.out))

@@ -79,7 +79,7 @@ def benefit_table(
     """One policy against one baseline; what SUMO drove because the commands were NaN is not the policy's benefit."""
     mark = " (headline)" if main else ""
     if nan_share:
-        mark += f": NOT THE POLICY'S OWN, {100.0 * nan_share:.3g} % of its commands were NaN and SUMO drove"
+        mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
 
 
