@@ -43,7 +43,7 @@ class AlgoConfig:
             IzooError: there is no such algorithm.
         """
         name = values.get("name")
-        if name not in ALGORITHMS:
+        if not isinstance(name, str) or name not in ALGORITHMS:
             raise unknown_choice("algo.name", name, ALGORITHMS)
         return _imported(ALGORITHMS[name].config)
 

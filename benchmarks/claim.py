@@ -20,7 +20,7 @@ from izoo.evaluation.provenance import code_digest
 from izoo.files import write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
-from izoo.training.loop import CHANGEABLE
+from izoo.training.runs import CHANGEABLE
 
 MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles")
 """Options that change no number, so that a benchmark may go on with others."""

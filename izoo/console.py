@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+import unicodedata
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 EXIT_UNFINISHED = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+_CONTROL = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Kinds of characters in Unicode: control, format (such as those that turn the writing direction), line separators."""
 LINE_EVERY_S = 10.0
 """How often a line reports progress where there is no terminal for a bar."""
 SPEED_OVER = 20
@@ -235,6 +238,13 @@ def time_left(seen: Sequence[tuple[float, int]], total: int) -> str:
     if last <= first:
         return "time left unknown"
     return f"{duration((now_s - start_s) * (total - last) / (last - first))} left"
+
+
+def plain(text: object) -> str:
+    """Return a text that comes from a file or a user without what a terminal would obey: control characters show as
+    escapes. Rich must be told not to read markup in it (``markup=False``, or ``rich.text.Text``).
+    """
+    return "".join(c if unicodedata.category(c) not in _CONTROL else ascii(c)[1:-1] for c in str(text))
 
 
 def duration(seconds: float) -> str:

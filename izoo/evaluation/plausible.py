@@ -56,6 +56,8 @@ def check_cells(table: pd.DataFrame, where: Path, text: Sequence[str], whole: Se
     for column, (low, high) in RANGES.items():
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(float, na_value=np.nan)
         bad = ~((values >= low) & (values <= high))
+        if table[column].dtype == object:  # which counts True as 1
+            bad |= table[column].map(lambda value: isinstance(value, bool)).to_numpy(bool)
         if bad.any():
             span = "a number" if (low, high) == _ANY else f"a number from {low:g}"
             raise refuse(int(bad.argmax()), column, span if high >= _FINITE else f"{span} to {high:g}")

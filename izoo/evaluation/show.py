@@ -8,7 +8,9 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from izoo.console import plain
 from izoo.evaluation.policies import HUMAN
 from izoo.metrics.scores import SCORES
 from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_INTERSECTIONS, MIN_TRAIN_SEEDS
@@ -56,15 +58,18 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
     console.print(score_table(summary))
     for name, policy in summary["policies"].items():
         for baseline, comparison in policy["against"].items():
-            console.print(benefit_table(name, baseline, comparison, main=baseline == policy["headline"]))
+            main, share = baseline == policy["headline"], summary["scores"][name]["nan_share"]
+            console.print(benefit_table(name, baseline, comparison, main=main, nan_share=share))
             for what, entries in (("saturated", comparison["saturated"]), ("left out", comparison["left_out"])):
                 if entries:
                     more = ", ..." if len(entries) > 3 else ""
-                    console.print(f"  {what}: {len(entries)} ({', '.join(entries[:3])}{more})", highlight=False)
+                    listed = plain(f"{len(entries)} ({', '.join(entries[:3])}{more})")
+                    console.print(f"  {what}: {listed}", highlight=False, markup=False)
     for name, scores in summary["scores"].items():
         if scores["nan_share"]:
             share = f"{100.0 * scores['nan_share']:.3g} %"
-            console.print(f"{name}: {share} of its commands were NaN; SUMO drove those vehicles.", highlight=False)
+            text = f"{plain(name)}: {share} of its commands were NaN; SUMO drove those vehicles."
+            console.print(text, highlight=False, markup=False)
     console.print(
         f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
         f"{n['episodes']} episodes. {intervals_in_words([n['intersections']])}",
@@ -79,9 +84,13 @@ def score_table(summary: dict[str, Any]) -> Table:
     return _rich("Scores (all vehicles that crossed)", *score_rows(summary))
 
 
-def benefit_table(name: str, baseline: str, comparison: dict[str, Any], main: bool) -> Table:
-    """One policy against one baseline."""
+def benefit_table(
+    name: str, baseline: str, comparison: dict[str, Any], main: bool, nan_share: float | None = None
+) -> Table:
+    """One policy against one baseline; what SUMO drove because the commands were NaN is not the policy's benefit."""
     mark = " (headline)" if main else ""
+    if nan_share:
+        mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
 
 
@@ -112,11 +121,11 @@ def comparison_rows(comparison: dict[str, Any]) -> tuple[list[str], list[list[st
 
 
 def _rich(title: str, header: list[str], lines: list[list[str]]) -> Table:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(plain(title)), title_justify="left")
     for column, word in enumerate(header):
-        table.add_column(word, justify="right" if column else "left")
+        table.add_column(Text(plain(word)), justify="right" if column else "left")
     for line in lines:
-        table.add_row(*line)
+        table.add_row(*(Text(plain(cell)) for cell in line))
     return table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -50,7 +51,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
         with replacing(path) as partial:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
     except RuntimeError as error:  # torch's word for a write that failed underneath it
-        raise OSError(str(error).splitlines()[0]) from error
+        raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
     there = listed(run_dir)
     until = there.index(path) + 1
     # Later ones belong to what was given up when the run was resumed further back.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -25,14 +26,25 @@ class _Training(EcoDrivingBase):
 
     Args:
         pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+
+    Attributes:
+        steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
     """
 
     leaves = (TOTALS,)
+    steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step as the environment does, and count it."""
+        stepped = super().step_and_maybe_reset(tensordict)
+        if self.steps_taken is not None:
+            self.steps_taken += 1
+        return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         pasts, self._pasts = self._pasts, ()

@@ -67,7 +67,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
 
 @contextlib.contextmanager
 def _room(run_dir: Path) -> Iterator[None]:
-    """Say in words that the folder of a run has gone, or that nothing more can be written there.
+    """Say in words that the folder of a run has gone, that nothing more can be written there, or that memory is short.
 
     Raises:
         UnfinishedError: so it is.
@@ -80,6 +80,12 @@ def _room(run_dir: Path) -> Iterator[None]:
         if error.errno not in NO_ROOM and not str(error.filename).startswith(str(run_dir)):
             raise
         raise UnfinishedError(f"cannot write to {run_dir}: {error.strerror}. {_last_good(run_dir)}") from error
+    except (MemoryError, RuntimeError) as error:
+        text = (str(error).splitlines() or ["out of memory"])[0]
+        if isinstance(error, RuntimeError) and "allocate" not in text:  # what torch raises is of many names
+            raise
+        remedy = "give fewer rows, smaller networks or fewer agents"
+        raise UnfinishedError(f"the memory does not suffice ({text}); {remedy}.") from error
 
 
 def _last_good(run_dir: Path) -> str:

@@ -98,8 +98,10 @@ def _read_rows(path: Path) -> list[dict[str, str]]:
     try:
         text = read_text(path)
         # The last row was written whole if its line ends.
-        lines = text[: text.rfind("\n") + 1].splitlines()
-        whole = [row for row in csv.DictReader(lines, strict=True) if None not in row and None not in row.values()]
+        reader = csv.DictReader(text[: text.rfind("\n") + 1].splitlines(), strict=True)
+        if "\0" in text or "frames" not in (reader.fieldnames or ("frames",)):
+            raise ValueError("it is no table of a run")
+        whole = [row for row in reader if None not in row and None not in row.values()]
         for row in whole:
             int(row["frames"])
             for value in filter(None, row.values()):

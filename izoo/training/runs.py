@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
-from yaml import AliasEvent, SafeLoader, YAMLError
+from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
 
 from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
@@ -41,7 +41,7 @@ CHANGEABLE = (
     "resume",
 )
 """Options that may differ when a run is resumed; the others are part of what the run is."""
-MOST_CONFIG_BYTES = 1_000_000
+MOST_CONFIG_BYTES, MOST_CONFIG_LEVELS = 1_000_000, 16
 _RESTORE = "restore the file, or train again"
 
 
@@ -102,7 +102,10 @@ def read_config(run_dir: Path) -> TrainConfig:
     if not path.is_file():
         raise IzooError(f"{run_dir} has no {CONFIG_FILE}; give the folder of a training run.")
     try:
-        values = _plain_yaml(read_text(path, MOST_CONFIG_BYTES))
+        text = read_text(path, MOST_CONFIG_BYTES)
+        if not text.endswith("\n"):
+            raise ValueError("it is cut short")
+        values = _plain_yaml(text)
     except (OSError, ValueError, YAMLError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
         raise IzooError(f"cannot read {path}: {reason}.") from error
@@ -120,9 +123,15 @@ def read_config(run_dir: Path) -> TrainConfig:
 
 def _plain_yaml(text: str) -> Any:
     """Return what YAML says, without its aliases: a few lines of them stand for more than fits into the memory."""
-    if any(isinstance(event, AliasEvent) for event in yaml.parse(text, SafeLoader)):
-        raise ValueError("it holds YAML aliases, which izoo does not write")
-    return yaml.load(text, SafeLoader)
+    loader = getattr(yaml, "CSafeLoader", SafeLoader)  # the fast one may not have been built
+    depth = 0
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if isinstance(event, AliasEvent):
+            raise ValueError("it holds YAML aliases, which izoo does not write")
+        if depth > MOST_CONFIG_LEVELS:
+            raise ValueError(f"it is nested more than {MOST_CONFIG_LEVELS} levels deep")
+    return yaml.load(text, loader)
 
 
 def _missing(whole: Any, values: Any, prefix: str = "") -> list[str]:

@@ -191,3 +191,18 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert command.main(["validate", str(tmp_path / "nothing.json")]) == 2
     assert command.main(["merge", str(out), "--out", str(out)]) == 2
     assert "no leaderboard submission" in capsys.readouterr().err
+
+
+HOSTILE = "[red]ppo[/red] [/nonsense] \x1b[2J\x1b]0;mine\x07\u202eoppo [link=http://x]"
+
+
+def test_names_and_titles_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither Rich nor the terminal obeys what somebody wrote into a submission."""
+    content = submission(name=HOSTILE)
+    content["protocol"]["title"] = HOSTILE
+    write_submission(tmp_path / "hostile.json", sealed(content))
+    assert command.main(["validate", str(tmp_path)]) in (0, 1)
+    assert command.main(["merge", str(tmp_path), "--out", str(tmp_path / "leaderboard")]) == 0
+    shown = capsys.readouterr()
+    assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
+    assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out

@@ -194,6 +194,10 @@ def test_a_foreign_file_is_not_overwritten_but_a_report_is(evaluation: Path, tmp
     assert main([str(evaluation), f"out={thesis}", "replay=false"]) == 2
     assert "thesis.html exists and is no report" in capsys.readouterr().err
     assert "four years of work" in thesis.read_text()
+    results = Path(shutil.copytree(evaluation, tmp_path / "results"))
+    shutil.copyfile(thesis, results / "report.html")  # where it would go by itself
+    assert main([str(results), "replay=false"]) == 2
+    assert "four years of work" in (results / "report.html").read_text()
     for title in ("one", "two"):
         assert main([str(evaluation), f"out={page}", f"title={title}", "replay=false"]) == 0
     assert "<title>two" in page.read_text()
