@@ -48,12 +48,11 @@ from izoo.envs.twin.nearby import HALTING_MPS
 
 EPS = 0.001
 _POSITION_EPS_M = 0.1
-_MARGIN_M = 1.0
 OVERTAKING_MPS = 10.0 / 3.6
 """Speed difference with which somebody who lets others in expects to be overtaken."""
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
 _DAWDLING_MPS2 = 1.0
-_CONGESTED_MPS, _TOWN_LIMIT_MPS = 60.0 / 3.6, 70.1 / 3.6
+_CONGESTED_MPS = 60.0 / 3.6
 
 
 @compiled
@@ -95,7 +94,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
     best, advised = wish, False
     blocker = state.floats[v, BLOCKER_LENGTH]
     if blocker != 0.0:
-        space = state.floats[v, LEFT_SPACE] - blocker - _MARGIN_M - driver[MIN_GAP]
+        space = state.floats[v, LEFT_SPACE] - blocker - _POSITION_EPS_M
         if space > 0.0:
             # Leave room for the one who must cross over.
             limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
@@ -126,9 +125,9 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
 
 
 @compiled
-def is_congested(net, state, v):  # type: ignore[no-untyped-def]
-    """Whether rules of motorways do not bind ``v``: in town, and in slow traffic."""
-    return state.floats[v, SPEED] < _CONGESTED_MPS or net.lane_floats[state.ints[v, LANE], LANE_LIMIT] < _TOWN_LIMIT_MPS
+def is_congested(state, v):  # type: ignore[no-untyped-def]
+    """Whether ``v`` is too slow for the rules of motorways."""
+    return state.floats[v, SPEED] < _CONGESTED_MPS
 
 
 @compiled
@@ -194,7 +193,7 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     state.ints[leader, CHANGE_STATE] |= flag | BLOCKS_LEADER
     if not (
         faster < EPS
-        or (leftward and not is_congested(net, state, v))
+        or (leftward and not is_congested(state, v))
         or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < way
         or faster * remaining_s < way
     ):
@@ -241,7 +240,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
         add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
     elif faster > 0.0 and faster * (remaining_s - 1.0) > secure - opened + _POSITION_EPS_M:
         add_advice(state, follower, braked)
-    elif not leftward and not is_congested(net, state, follower):
+    elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))
     else:
         # Slow enough that later ones can help, still fast enough to pass.

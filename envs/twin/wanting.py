@@ -181,7 +181,7 @@ def want(  # type: ignore[no-untyped-def]
     if to_best and offset == own_offset and usable / abs(offset) < needed:
         flags |= toward | STRATEGIC | URGENT
     else:
-        if beside >= 0 and not right and not is_congested(net, state, v):
+        if beside >= 0 and not right and not is_congested(state, v):
             avoiding, cap = _fall_behind(traffic, state, v, beside, beside_gap, limit, step_s)
         if (not to_best and other_left / (abs(offset) + 2) < needed) or (
             offset == 0
