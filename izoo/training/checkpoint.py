@@ -11,7 +11,7 @@ from typing import Any
 from izoo.errors import IzooError
 from izoo.files import replacing
 
-FORMAT = "izoo-checkpoint-2"
+FORMAT = "izoo-checkpoint-3"
 _NAME = re.compile(r"step-(\d+)\.pt")
 _CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
 BEST = "best.pt"
