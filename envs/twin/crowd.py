@@ -100,14 +100,13 @@ def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # 
         world = world_at(addresses[k, WORLD_AT], like)
         net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
         guests = open_guests(addresses[k, GUESTS_AT])
-        _pass_on_orders(world, state)
-        if lane_change:
-            _pass_on_lane_changes(world, state)
+        _pass_on_orders(world, state, lane_change)
         step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
         _see_off(world, state, guests)
         _welcome(world, state, guests)
-        settle(world, read(world, net, state, guests))
-        changed[k] = _count_changed(world)
+        n = _read(world.tables, net, state, guests)
+        settle(world, (guests.lane[:n], guests.position[:n], guests.speed[:n], guests.signals[:n]))
+        changed[k] = _count_changed(world.tables)
 
 
 @compiled(nogil=True)
@@ -135,61 +134,81 @@ def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _pass_on_orders(world, state):  # type: ignore[no-untyped-def]
-    """Command speeds; a vehicle keeps a command until the next one."""
-    tables = world.tables
+def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
     commands, releases = give_orders(world)
+    _command(world.tables, state, commands, releases)
+    if lane_change:
+        frame = world.frame
+        _command_lanes(world.tables, state, frame.action, frame.defer, frame.lane_change)
+
+
+@compiled(borrows=True)
+def _command(tables, state, commands, releases):  # type: ignore[no-untyped-def]
+    """Command speeds; a vehicle keeps a command until the next one."""
     for j in range(releases):
         state.floats[tables.ints[tables.release[j], NUMBER], COMMAND] = np.nan
     for j in range(commands):
         state.floats[tables.ints[tables.command[j], NUMBER], COMMAND] = tables.target_mps[j]
 
 
-@compiled
-def _pass_on_lane_changes(world, state):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[no-untyped-def]
     """Command lane changes; a CV that asks to be left to its driver changes lanes as that one does."""
-    tables, frame = world.tables, world.frame
     for a in range(tables.agent_row.shape[0]):
         row = tables.agent_row[a]
         if row < 0:
             continue
         v = tables.ints[row, NUMBER]
-        asks = frame.defer[a] != 0 or np.isnan(frame.action[a]) or tables.acting[a] < 0
+        asks = defer[a] != 0 or np.isnan(action[a]) or tables.acting[a] < 0
         state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
-        change = frame.lane_change[a]
-        if change != KEEP_LANE and not tables.flags[row, DEFERRED]:
-            state.ints[v, CHANGE_COMMAND] = change - KEEP_LANE
+        if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
+            state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE
 
 
 @compiled
 def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
     """Take those who are no longer on the road out of the members."""
-    tables, j = world.tables, 0
-    while j < tables.cursor[MEMBERS]:
-        row = tables.members[j]
-        v = tables.ints[row, NUMBER]
-        if state.ints[v, STATUS] == DRIVING:
-            j += 1
-        else:
-            leave(world, row)
-            guests.row_of[v] = -1
+    j = _gone(world.tables, state, 0)
+    while j >= 0:
+        row = world.tables.members[j]
+        guests.row_of[world.tables.ints[row, NUMBER]] = -1
+        leave(world, row)
+        j = _gone(world.tables, state, j)
+
+
+@compiled(borrows=True)
+def _gone(tables, state, first):  # type: ignore[no-untyped-def]
+    """Return the place of the first member from ``first`` on who is no longer on the road, -1 for none."""
+    for j in range(first, tables.cursor[MEMBERS]):
+        if state.ints[tables.ints[tables.members[j], NUMBER], STATUS] != DRIVING:
+            return j
+    return -1
 
 
 @compiled
 def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
     """Give everybody who has come to the region a row."""
+    v = _newcomer(state, guests)
+    while v >= 0:
+        guests.row_of[v] = enter(world, v, state.floats[v, TWIN_ACCEL], True)
+        v = _newcomer(state, guests)
+
+
+@compiled(borrows=True)
+def _newcomer(state, guests):  # type: ignore[no-untyped-def]
+    """Return the first vehicle in the region without a row, -1 for none."""
     for k in range(guests.entry_lanes.shape[0]):
         v = state.lanes[guests.entry_lanes[k], LANE_BACK]
         while v >= 0:
             if guests.row_of[v] < 0:
-                guests.row_of[v] = enter(world, v, state.floats[v, TWIN_ACCEL], True)
+                return v
             v = state.ints[v, AHEAD]
+    return -1
 
 
-@compiled
-def read(world, net, state, guests):  # type: ignore[no-untyped-def]
-    """Return where the members are: region lane, lane position, speed and signal bits, ``[n]`` each."""
-    tables = world.tables
+@compiled(borrows=True)
+def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
+    """Note where the members are: region lane, lane position, speed and signal bits; return how many there are."""
     count = tables.cursor[MEMBERS]
     for j in range(count):
         v = tables.ints[tables.members[j], NUMBER]
@@ -197,18 +216,18 @@ def read(world, net, state, guests):  # type: ignore[no-untyped-def]
         guests.position[j] = state.floats[v, POSITION]
         guests.speed[j] = state.floats[v, TWIN_SPEED]
         guests.signals[j] = state.ints[v, SIGNALS]
-    return guests.lane[:count], guests.position[:count], guests.speed[:count], guests.signals[:count]
+    return count
 
 
-@compiled
+@compiled(borrows=True)
 def _burns_anew(tables, row):  # type: ignore[no-untyped-def]
     """Whether a vehicle emits something else than in the step before."""
     return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
 
 
-@compiled
-def _count_changed(world):  # type: ignore[no-untyped-def]
-    tables, count = world.tables, 0
+@compiled(borrows=True)
+def _count_changed(tables):  # type: ignore[no-untyped-def]
+    count = 0
     for j in range(tables.cursor[MEMBERS]):
         count += _burns_anew(tables, tables.members[j])
     return count
@@ -227,17 +246,22 @@ def gather_all(addresses, like, motion, weather, classes):  # type: ignore[no-un
     at = 0
     for k in range(addresses.shape[0]):
         world = world_at(addresses[k, WORLD_AT], like)
-        tables, rules = world.tables, world.rules
-        for j in range(tables.cursor[MEMBERS]):
-            row = tables.members[j]
-            if _burns_anew(tables, row):
-                motion[0, at] = tables.floats[row, SPEED]
-                motion[1, at] = tables.floats[row, ACCEL]
-                motion[2, at] = tables.floats[row, GRADE]
-                weather[0, at] = rules.temperature_c
-                weather[1, at] = rules.humidity_pct
-                classes[at] = tables.ints[row, MOVES_CLASS]
-                at += 1
+        begun, at = at, _gather(world.tables, motion, classes, at)
+        weather[0, begun:at] = world.rules.temperature_c
+        weather[1, begun:at] = world.rules.humidity_pct
+
+
+@compiled(borrows=True)
+def _gather(tables, motion, classes, at):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if _burns_anew(tables, row):
+            motion[0, at] = tables.floats[row, SPEED]
+            motion[1, at] = tables.floats[row, ACCEL]
+            motion[2, at] = tables.floats[row, GRADE]
+            classes[at] = tables.ints[row, MOVES_CLASS]
+            at += 1
+    return at
 
 
 @compiled(nogil=True)
@@ -246,26 +270,31 @@ def scatter_all(addresses, like, rates_gps):  # type: ignore[no-untyped-def]
     at = 0
     for k in range(addresses.shape[0]):
         world = world_at(addresses[k, WORLD_AT], like)
-        tables = world.tables
-        for j in range(tables.cursor[MEMBERS]):
-            row = tables.members[j]
-            if _burns_anew(tables, row):
-                tables.floats[row, EMISSION] = rates_gps[at] * world.rules.step_s
-                at += 1
+        at = _scatter(world.tables, rates_gps, world.rules.step_s, at)
+
+
+@compiled(borrows=True)
+def _scatter(tables, rates_gps, step_s, at):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if _burns_anew(tables, row):
+            tables.floats[row, EMISSION] = rates_gps[at] * step_s
+            at += 1
+    return at
 
 
 @compiled
 def _conclude(world, addresses):  # type: ignore[no-untyped-def]
     guests = open_guests(addresses[GUESTS_AT])
     steps = world.tables.episode[_STEPS] + 1.0
-    conclude(world, guests.begun_s[0] + steps * world.rules.step_s, True)
-    _give_way(world, open_state(addresses[STATE_AT]))
+    step_s = world.rules.step_s
+    conclude(world, guests.begun_s[0] + steps * step_s, True)
+    _give_way(world.tables, open_state(addresses[STATE_AT]), step_s)
 
 
-@compiled
-def _give_way(world, state):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def _give_way(tables, state, step_s):  # type: ignore[no-untyped-def]
     """Mark the agents that their drivers slow for a lane change; they are left to them in the next step."""
-    tables, step_s = world.tables, world.rules.step_s
     for j in range(tables.cursor[MEMBERS]):
         tables.flags[tables.members[j], YIELDING] = 0
     for j in range(tables.cursor[SUSPECTS]):

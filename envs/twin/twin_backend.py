@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ class TwinBackend:
         if config.gui:
             raise IzooError("env.gui shows SUMO, and the twin has no window; use simulator=sumo with one environment.")
         self.config, self.num_envs, self.surrogate = config, num_envs, surrogate
-        self.threads = min(threads, num_envs)
+        self.wanted_threads, self.threads = threads, min(threads, num_envs)
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
         self._addresses = np.zeros((num_envs, 5), np.int64)
@@ -82,6 +82,10 @@ class TwinBackend:
             known[1].cancel()
         self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play()))
 
+    def await_prepared(self) -> None:
+        """Wait until the episodes that are prepared ahead are ready."""
+        wait([future for _, future in self._ahead.values()])
+
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, and write their first frames."""
         if not self._finalizer.alive:
@@ -92,6 +96,22 @@ class TwinBackend:
                 run = TwinRun(self.config, row_of(self.frames, index), self._weights, self._take(index, play))
                 self._runs[index] = run
                 self._addresses[index], self._left[index] = run.addresses, self.config.control_steps
+
+    def pack(self) -> list[np.ndarray]:
+        """Return the state of every environment as compressed bytes, uint8."""
+        return list(self._pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
+
+    def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
+        """Go on from the states of all environments, which play ``plays``."""
+        self.begin(plays)
+        for index, state in enumerate(packed):
+            run = self._run(index)
+            run.unpack(state)
+            self._left[index] = self.config.control_steps - run.episode.steps
+
+    def numbers(self) -> list[int]:
+        """Return the number of every environment's episode in the schedule."""
+        return [self._run(index).play.number for index in range(self.num_envs)]
 
     def _take(self, index: int, play: Play) -> Prepared:
         """Return an episode ready to be played: the one that was prepared ahead, if it is that."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play, entry_edges
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.frame import frame_fields
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.twin.arrays import (
     ACCEL,
@@ -104,6 +106,7 @@ class TwinRun:
             begun_s=np.zeros(1),
         )
         self._directory = directory(self._guests, GUESTS)
+        self._early = np.zeros(len(traffic), np.uint8)
         self.addresses = (address_of(self.episode.world), *driving.addresses, self._directory.ctypes.data)
         self._enter_all(names, road)
 
@@ -115,7 +118,7 @@ class TwinRun:
             while v >= 0:
                 row_of[v] = self.episode.enter(v, float(state.floats[v, ACCEL]), counted=False)
                 v = int(state.ints[v, AHEAD])
-        self._early = np.flatnonzero((row_of >= 0) | (state.ints[:, STATUS] == ARRIVED))
+        self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
         self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
         self.episode.begin(self._reading(), float(self._guests.begun_s[0]))
 
@@ -133,7 +136,46 @@ class TwinRun:
         due = np.arange(state.clock[NEXT_DEPARTURE])
         outside = np.flatnonzero((status == DRIVING) & (self._guests.row_of < 0))
         dropped, waiting = np.flatnonzero(status == DROPPED), np.flatnonzero(status == WAITING)
-        self.episode.finish(Ending(due, dropped, waiting, outside, self._early))
+        self.episode.finish(Ending(due, dropped, waiting, outside, np.flatnonzero(self._early)))
+
+    def _changing(self) -> list[np.ndarray]:
+        """Return every array that changes in the course of the episode."""
+        episode, guests, frame = self.episode, self._guests, self.episode.frame
+        clock = episode.clock
+        return [
+            *self.driving.state,
+            *episode.tables,
+            *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
+            *(guests.row_of, guests.begun_s, self._early),
+            *(frame[field.name] for field in frame_fields(self.config)),
+        ]
+
+    def pack(self) -> np.ndarray:
+        """Return the state of the episode as compressed bytes, uint8."""
+        whole = b"".join(array.tobytes() for array in self._changing())
+        return np.frombuffer(zlib.compress(whole, 1), np.uint8)
+
+    def unpack(self, packed: np.ndarray) -> None:
+        """Go on from a state of the same episode.
+
+        Raises:
+            IzooError: it is the state of another one, or of another version.
+        """
+        arrays = self._changing()
+        try:
+            whole = zlib.decompress(packed.tobytes())
+        except zlib.error:
+            whole = b""
+        if len(whole) != sum(array.nbytes for array in arrays):
+            raise IzooError(
+                f"the saved state does not fit episode {self.play.number} of the schedule: other contexts, another "
+                "configuration or another version of izoo saved it."
+            )
+        at = 0
+        for array in arrays:
+            array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
+            at += array.nbytes
+        self.episode.started_s = float(self._guests.begun_s[0])
 
 
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:

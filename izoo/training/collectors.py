@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import gc
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -100,7 +100,8 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        pasts: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`).
+        pasts: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
+        twin: where those of a run on the twin stood (:meth:`environments`).
     """
 
     def __init__(
@@ -109,11 +110,16 @@ class BatchSource:
         policy: TensorDictModuleBase,
         schedule: Schedule,
         pasts: Sequence[EpisodePast] = (),
+        twin: Mapping[str, Any] | None = None,
     ) -> None:
         frames = frames_per_batch(config)
+        self._twin: TrainingTwinEnv | None = None
         with workers_ignore_interrupts():
-            name = "twin" if config.simulator == "twin" else config.collector.name
-            self._collector = _BUILDERS[name](config, policy, schedule, pasts, frames)
+            if config.simulator == "twin":
+                self._twin = _on_twin(config, schedule, twin)
+                self._collector: BaseCollector = _collector(self._twin, policy, frames)
+            else:
+                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -125,6 +131,15 @@ class BatchSource:
         """Hand changed parameters to collectors that run the policy in other processes."""
         if not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
+
+    @property
+    def twin(self) -> TrainingTwinEnv | None:
+        """The environments, where they are on the twin."""
+        return self._twin
+
+    def environments(self) -> dict[str, Any] | None:
+        """Return where the environments stand after the last batch, where they are on the twin."""
+        return None if self._twin is None else self._twin.state_dict()
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
@@ -175,23 +190,16 @@ def _parallel(
     return _collector(env, policy, frames)
 
 
-def _on_twin(
-    config: TrainConfig,
-    policy: TensorDictModuleBase,
-    schedule: Schedule,
-    pasts: Sequence[EpisodePast],
-    frames: int,
-) -> Collector:
-    env = TrainingTwinEnv(
+def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any] | None) -> TrainingTwinEnv:
+    return TrainingTwinEnv(
         num_envs(config),
         contexts=schedule,
         config=config.env,
         seed=config.seed,
         threads=config.twin.threads,
         surrogate=config.twin.surrogate,
-        pasts=pasts,
+        state=state,
     )
-    return _collector(env, policy, frames)
 
 
 def _multisync(
@@ -286,7 +294,6 @@ _Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[Episo
 _BUILDERS: dict[str, _Builder] = {
     "single": _single,
     "parallel": _parallel,
-    "twin": _on_twin,
     "multisync": _multisync,
     "ray": _ray,
 }

