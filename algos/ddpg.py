@@ -16,15 +16,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
-from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
+from torchrl.objectives import SoftUpdate
 
 from izoo.algos import acting, base
 from izoo.algos.action import Rest
 from izoo.algos.buffer import ERROR, Replay, transitions
 from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.losses import MaskedDDPGLoss
 from izoo.errors import check_range
-
-ACTION_VALUE = ("agents", "state_action_value")
 
 
 class Squash(nn.Module):
@@ -137,20 +136,6 @@ class ExploringPolicy(TensorDictModuleBase):
         return torch.addcmul(action, self.noise, self.noise_factor).clamp_(self.low, self.high)
 
 
-def make_loss(actor: TensorDictModule, critic: ValueOperator, config: DDPGConfig) -> DDPGLoss:
-    """Return TorchRL's loss for flat transitions: TD(0) targets from target copies of both networks."""
-    loss = DDPGLoss(actor, critic, loss_function=config.value_loss, delay_actor=True, delay_value=True)
-    loss.set_keys(
-        state_action_value=ACTION_VALUE,
-        reward=base.REWARD,
-        done=base.DONE,
-        terminated=base.TERMINATED,
-        priority=ERROR,
-    )
-    loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
-    return loss
-
-
 class DDPG:
     """The algorithm: actor, critic, replay, optimiser and update.
 
@@ -174,11 +159,16 @@ class DDPG:
         self.config = config
         self.actor = make_actor(features, low, high, config, rest).to(device)
         self.critic = ValueOperator(
-            ActionValue(features, low, high, config), in_keys=[base.OBSERVATION, base.ACTION], out_keys=[ACTION_VALUE]
+            ActionValue(features, low, high, config),
+            in_keys=[base.OBSERVATION, base.ACTION],
+            out_keys=[base.ACTION_VALUE],
         ).to(device)
         self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
         self.untrained_output = self.actor.module[0][-1].bias.item()
-        self.loss = make_loss(self.actor, self.critic, config).to(device)
+        self.loss = MaskedDDPGLoss(self.actor, self.critic, loss_function=config.value_loss, gamma=config.gamma).to(
+            device
+        )
+        self.loss.set_keys(priority=ERROR)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
         self.parameters = {
             "actor": list(self.loss.actor_network_params.values(True, True)),

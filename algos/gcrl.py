@@ -29,8 +29,10 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from izoo.algos import base
 from izoo.algos.action import Rest
 from izoo.algos.gaussian import SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.losses import MaskedGraphPPOLoss
 from izoo.algos.ppo_config import GCRLConfig
-from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets, places
+from izoo.algos.set_ppo import SetPPO
+from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, Sets, places
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
@@ -224,6 +226,10 @@ class GCRL(SetPPO):
         """Return the value function on flat rows of whole frames."""
         critic = RowView(GraphNetwork(features, 1, self.config, last_gain=1.0))
         return ValueOperator(critic, in_keys=ROW, out_keys=[base.VALUE])
+
+    def make_loss(self) -> MaskedGraphPPOLoss:
+        """Return the loss of ``actor`` and ``critic``."""
+        return MaskedGraphPPOLoss(self.actor, self.critic, **self.loss_options())
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> TensorDict:

@@ -20,7 +20,7 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
-from izoo.envs.config import RewardConfig
+from izoo.envs import RewardConfig
 from izoo.errors import IzooError
 from izoo.reporting.results import read_results
 

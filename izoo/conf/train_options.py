@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range
 
 TWIN_ENVS = 64
@@ -185,8 +187,22 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
+        if getattr(self.algo, "credit", "agent") == "team":
+            self._credit_the_team()
         for name in ("run_dir", "resume"):
             _make_absolute(self, name)
+
+    def _credit_the_team(self) -> None:
+        """Refuse a reward that is not the team's, and let the environment emit the team's."""
+        if self.env.reward.eta != 1.0:
+            raise IzooError(
+                f"algo.credit=team estimates one advantage for the whole team, but env.reward.eta is "
+                f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
+                "or algo.credit=agent."
+            )
+        if TEAM_REWARD not in self.env.emit:
+            emit = (*self.env.emit, TEAM_REWARD)
+            object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
 
 
 @dataclass(frozen=True)
