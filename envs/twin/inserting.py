@@ -44,6 +44,7 @@ from izoo.envs.twin.planning import POSITION_EPS
 ENTER, WAIT, DROP = range(3)
 MINOR, EQUAL, STOP, ALLWAY_STOP, MAJOR_GREEN = ord("m"), ord("="), ord("s"), ord("w"), ord("G")
 
+
 @compiled
 def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Insert whoever is due and finds room, per lane in the order of departure."""

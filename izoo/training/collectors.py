@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -110,7 +111,7 @@ class BatchSource:
         policy: TensorDictModuleBase,
         schedule: Schedule,
         pasts: Sequence[EpisodePast] = (),
-        twin: Mapping[str, Any] | None = None,
+        twin: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         frames = frames_per_batch(config)
         self._twin: TrainingTwinEnv | None = None
@@ -137,9 +138,9 @@ class BatchSource:
         """The environments, where they are on the twin."""
         return self._twin
 
-    def environments(self) -> dict[str, Any] | None:
-        """Return where the environments stand after the last batch, where they are on the twin."""
-        return None if self._twin is None else self._twin.state_dict()
+    def environments(self) -> dict[str, Any]:
+        """Return where the environments stand after the last batch; nothing where they are not on the twin."""
+        return {} if self._twin is None else self._twin.state_dict()
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
@@ -190,7 +191,7 @@ def _parallel(
     return _collector(env, policy, frames)
 
 
-def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any] | None) -> TrainingTwinEnv:
+def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) -> TrainingTwinEnv:
     return TrainingTwinEnv(
         num_envs(config),
         contexts=schedule,

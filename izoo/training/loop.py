@@ -154,7 +154,7 @@ class Session:
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
         self._batches: BatchSource | None = None
-        self._environments: dict[str, Any] | None = None
+        self._environments: dict[str, Any] = {}
         self._saved_at = -1
         self._plotted_s = 0.0
         self._threads = torch.get_num_threads()
@@ -174,11 +174,13 @@ class Session:
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
-        if environments is not None:
-            if len(environments["episodes"]) == num_envs(self.config):
+        if environments:
+            with runs.fitting(path):
+                episodes, later = environments["episodes"], max(environments["next_episodes"])
+            if len(episodes) == num_envs(self.config):
                 self._environments = environments
             else:
-                self.first_episode += max(environments["next_episodes"])
+                self.first_episode += later
         elif len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
         else:
