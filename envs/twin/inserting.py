@@ -42,6 +42,8 @@ from izoo.envs.twin.order import back_on, last_on, place, tail_on
 from izoo.envs.twin.planning import POSITION_EPS
 
 ENTER, WAIT, DROP = range(3)
+ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
+"""What SUMO keeps free at the end of a lane for vehicles that must change by two lanes or more."""
 MINOR, EQUAL, STOP, ALLWAY_STOP, MAJOR_GREEN = ord("m"), ord("="), ord("s"), ord("w"), ord("G")
 
 
@@ -91,7 +93,7 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
     """
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
-    speed = driver[DEPART_SPEED]
+    start, speed = lane, driver[DEPART_SPEED]
     wish = net.lane_floats[lane, LANE_LIMIT]
     position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     seen = -position
@@ -125,7 +127,22 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
             verdict = DROP
             break
         leader = last_on(net, traffic, state, lane, v)
+    if verdict == ENTER and _changes_too_late(net, traffic, state, v, start, position, step_s):
+        verdict = DROP
     return verdict
+
+
+@compiled
+def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end."""
+    variant = find_variant(net, state, traffic.ints[v, ROUTE])
+    offset = net.best_offset[variant, lane]
+    if -2 < offset < 2:
+        return False
+    driver = traffic.floats[v]
+    left = net.best_length[variant, lane] - position - (ROOM_RIGHT_M if offset < 0 else ROOM_LEFT_M)
+    limit = net.lane_floats[lane, LANE_LIMIT]
+    return stop_speed(driver, left, driver[DEPART_SPEED], limit, driver[DECEL], step_s) < driver[DEPART_SPEED]
 
 
 @compiled
