@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from izoo.compiling import compiled
+from izoo.compiling import compiled, line_writer
 from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig, RewardTerm
 
 NUM_TERMS, NUM_SHARED = len(INDIVIDUAL), len(SHARED)
@@ -27,15 +26,12 @@ def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray
     return numbers, np.array(individual, np.float64), np.array(shared, np.float64)
 
 
-def _evaluator(terms: Sequence[RewardTerm]) -> Any:
-    """Compile terms into one function that writes their values for a vehicle, a statement for each of them."""
-    names = {f"value_{k}": njit(term.value, inline="always") for k, term in enumerate(terms)}
-    lines = [f"    out[{k}] = value_{k}(r, floats, numbers)" for k in range(len(terms))]
-    exec("\n".join(["def evaluate(r, floats, numbers, out):", *lines, "    return"]), names)
-    return njit(names["evaluate"])
+def _evaluator(terms: Iterable[RewardTerm]) -> Any:
+    values = [term.value for term in terms]
+    return line_writer(values, [1.0] * len(values), "r, floats, numbers")
 
 
-_evaluate, _evaluate_shared = _evaluator([*INDIVIDUAL.values()]), _evaluator([*SHARED.values()])
+_evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.values())
 
 
 @compiled
@@ -67,7 +63,7 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
             fleet[c] /= n
 
 
-@compiled
+@compiled(borrows=True)
 def pay(acting_row, terms, fleet, shared, numbers, weights, shared_weights, reward, vector, empty):  # type: ignore[no-untyped-def]
     """Write ``reward [A]`` and ``vector [A, R]`` for every slot that acted; slots that did not (row -1) get 0.
 

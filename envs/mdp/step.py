@@ -128,7 +128,7 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         world.road,
         clock,
         rules.features,
-        rules.neighbours,
+        rules.columns,
         rules.sensor_range_m,
         out.observation,
     )
@@ -146,7 +146,7 @@ def make_frame(world, reading, time_s, measured):  # type: ignore[no-untyped-def
     conclude(world, time_s, measured)
 
 
-@compiled
+@compiled(borrows=True)
 def _find_suspects(rows, tables):  # type: ignore[no-untyped-def]
     """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
     count = 0
@@ -175,7 +175,7 @@ def _emit(world):  # type: ignore[no-untyped-def]
         _copy_into(out.approach_metrics, tables.sums)
 
 
-@compiled
+@compiled(borrows=True)
 def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type: ignore[no-untyped-def]
     """Copy the emitted columns of the first ``V`` rows; rows without a vehicle are zero."""
     for v in range(floats_out.shape[0]):
@@ -192,7 +192,7 @@ def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type
             flags_out[v, :] = 0
 
 
-@compiled
+@compiled(borrows=True)
 def _copy_into(target, source):  # type: ignore[no-untyped-def]
     """Copy a table to the upper left corner of one that is no smaller.
 

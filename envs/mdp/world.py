@@ -11,7 +11,7 @@ from numba.experimental import structref
 from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.observation import NEIGHBOURS, observed_table
+from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
@@ -120,7 +120,7 @@ class Rules(NamedTuple):
     weights: np.ndarray
     shared_weights: np.ndarray
     sensor_range_m: float
-    neighbours: np.ndarray
+    columns: np.ndarray
     features: np.ndarray
     num_vehicles: int
     emit_vehicles: bool
@@ -140,7 +140,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet) -> Rules:
         weights=weights,
         shared_weights=shared_weights,
         sensor_range_m=np.inf if config.sensor_range_m is None else float(config.sensor_range_m),
-        neighbours=np.array([NEIGHBOURS.index(name) for name in config.neighbours], np.int64),
+        columns=neighbour_columns(config.neighbours),
         features=observed_table(context, road, config.observed),
         num_vehicles=config.num_vehicles,
         emit_vehicles="vehicles" in config.emit,
