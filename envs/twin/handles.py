@@ -13,8 +13,7 @@ from numba.extending import intrinsic
 from izoo.compiling import compiled
 
 
-@intrinsic
-def _address(typing_context, world):  # type: ignore[no-untyped-def]
+def _typed_address(typing_context, world):  # type: ignore[no-untyped-def]
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         box = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=args[0])
         return builder.ptrtoint(box.meminfo, ir.IntType(64))
@@ -22,9 +21,7 @@ def _address(typing_context, world):  # type: ignore[no-untyped-def]
     return types.int64(world), lower
 
 
-@intrinsic
-def world_at(typing_context, address, like):  # type: ignore[no-untyped-def]
-    """Return the :class:`~izoo.envs.mdp.world.World` at an address, of the same type as ``like``."""
+def _typed_world(typing_context, address, like):  # type: ignore[no-untyped-def]
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         box = cgutils.create_struct_proxy(signature.return_type)(context, builder)
@@ -32,6 +29,11 @@ def world_at(typing_context, address, like):  # type: ignore[no-untyped-def]
         return impl_ret_borrowed(context, builder, signature.return_type, box._getvalue())
 
     return like(types.int64, like), lower
+
+
+_address: Any = intrinsic(_typed_address)
+world_at: Any = intrinsic(_typed_world)
+"""``world_at(address, like)``: the :class:`~izoo.envs.mdp.world.World` at an address, of the same type as ``like``."""
 
 
 @compiled

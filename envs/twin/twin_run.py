@@ -133,10 +133,10 @@ class TwinRun:
         """Complete the metrics and the frame of the last step."""
         state = self.driving.state
         status = state.ints[:, STATUS]
-        due = np.arange(state.clock[NEXT_DEPARTURE])
-        outside = np.flatnonzero((status == DRIVING) & (self._guests.row_of < 0))
-        dropped, waiting = np.flatnonzero(status == DROPPED), np.flatnonzero(status == WAITING)
-        self.episode.finish(Ending(due, dropped, waiting, outside, np.flatnonzero(self._early)))
+        outside = (status == DRIVING) & (self._guests.row_of < 0)
+        masks = (status == DROPPED, status == WAITING, outside, self._early)
+        gone = (np.flatnonzero(mask).tolist() for mask in masks)
+        self.episode.finish(Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone))
 
     def _changing(self) -> list[np.ndarray]:
         """Return every array that changes in the course of the episode."""
