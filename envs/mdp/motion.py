@@ -62,7 +62,7 @@ def road_arrays(road: RoadNet) -> RoadArrays:
     return RoadArrays(*(np.ascontiguousarray(getattr(road, name)) for name in RoadArrays._fields))
 
 
-@compiled
+@compiled(borrows=True)
 def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_s):  # type: ignore[no-untyped-def]
     """Write what the simulator reported for ``rows`` into the tables.
 
@@ -106,7 +106,7 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
         flags[r, WRONG_LANE] = location == APPROACHING and road.next_lane[new_lane, ints[r, EXIT]] < 0
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def grade_under(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
     """Grade in percent under a vehicle, positive uphill: the mean over its length, as SUMO takes it from back to front.
 

@@ -17,7 +17,7 @@ _LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
 _JUNCTION_DEFERRED = METRIC["junction_deferred"]
 
 
-@compiled
+@compiled(borrows=True)
 def plan_commands(agent_row, acting, action, defer, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
     """Sort the agents into those whose speed is commanded and those left to the simulator's own driver.
 

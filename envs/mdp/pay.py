@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from izoo.compiling import compiled
+from izoo.compiling import compiled, line_writer
 from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig, RewardTerm
 
 NUM_TERMS, NUM_SHARED = len(INDIVIDUAL), len(SHARED)
@@ -27,15 +26,12 @@ def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray
     return numbers, np.array(individual, np.float64), np.array(shared, np.float64)
 
 
-def _evaluator(terms: Sequence[RewardTerm]) -> Any:
-    """Compile terms into one function that writes their values for a vehicle, a statement for each of them."""
-    names = {f"value_{k}": njit(term.value, inline="always") for k, term in enumerate(terms)}
-    lines = [f"    out[{k}] = value_{k}(r, floats, numbers)" for k in range(len(terms))]
-    exec("\n".join(["def evaluate(r, floats, numbers, out):", *lines, "    return"]), names)
-    return njit(names["evaluate"])
+def _evaluator(terms: Iterable[RewardTerm]) -> Any:
+    values = [term.value for term in terms]
+    return line_writer(values, [1.0] * len(values), "r, floats, numbers")
 
 
-evaluate, _evaluate_shared = _evaluator([*INDIVIDUAL.values()]), _evaluator([*SHARED.values()])
+evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.values())
 """``evaluate(r, floats, numbers, out)`` writes the individual terms of the vehicle in row ``r``."""
 
 
@@ -68,7 +64,7 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
             fleet[c] /= n
 
 
-@compiled
+@compiled(borrows=True)
 def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, reward, vector, empty, begins):  # type: ignore[no-untyped-def]
     """Write what each slot gets for the step, and add it to its decision's; slots that did not act (row -1) get 0.
 
@@ -101,7 +97,7 @@ def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, 
         reward[a] += paid[a]
 
 
-@compiled
+@compiled(borrows=True)
 def team_pay(fleet, shared, numbers, weights, shared_weights):  # type: ignore[no-untyped-def]
     """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid."""
     total = 0.0

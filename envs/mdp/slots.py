@@ -74,7 +74,7 @@ def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     return row
 
 
-@compiled
+@compiled(borrows=True)
 def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
@@ -99,7 +99,7 @@ def leave(world, row):  # type: ignore[no-untyped-def]
     tables.cursor[LEAVERS] += 1
 
 
-@compiled
+@compiled(borrows=True)
 def release(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
     """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done.
 

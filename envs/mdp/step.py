@@ -157,7 +157,7 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         world.road,
         clock,
         rules.features,
-        rules.neighbours,
+        rules.columns,
         rules.sensor_range_m,
         out.observation,
     )
@@ -176,7 +176,7 @@ def make_frame(world, reading, time_s, measured):  # type: ignore[no-untyped-def
     conclude(world, time_s, measured)
 
 
-@compiled
+@compiled(borrows=True)
 def _find_suspects(rows, tables):  # type: ignore[no-untyped-def]
     """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
     count = 0
@@ -205,7 +205,7 @@ def _emit(world):  # type: ignore[no-untyped-def]
         _copy_into(out.approach_metrics, tables.sums)
 
 
-@compiled
+@compiled(borrows=True)
 def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type: ignore[no-untyped-def]
     """Copy the emitted columns of the first ``V`` rows; rows without a vehicle are zero."""
     for v in range(floats_out.shape[0]):
@@ -222,7 +222,7 @@ def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type
             flags_out[v, :] = 0
 
 
-@compiled
+@compiled(borrows=True)
 def _copy_into(target, source):  # type: ignore[no-untyped-def]
     """Copy a table to the upper left corner of one that is no smaller.
 

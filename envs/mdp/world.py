@@ -12,7 +12,7 @@ from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.observation import NEIGHBOURS, observed_table
+from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
 from izoo.envs.mdp.units import Units, due_times, units_of
@@ -151,7 +151,7 @@ class Rules(NamedTuple):
     idle_gps: np.ndarray
     fleet_g_per_step: float
     sensor_range_m: float
-    neighbours: np.ndarray
+    columns: np.ndarray
     features: np.ndarray
     num_vehicles: int
     emit_vehicles: bool
@@ -178,7 +178,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
         idle_gps=units.idle_gps,
         fleet_g_per_step=units.fleet_g_per_step,
         sensor_range_m=np.inf if config.sensor_range_m is None else float(config.sensor_range_m),
-        neighbours=np.array([NEIGHBOURS.index(name) for name in config.neighbours], np.int64),
+        columns=neighbour_columns(config.neighbours),
         features=observed_table(context, road, config.observed),
         num_vehicles=config.num_vehicles,
         emit_vehicles="vehicles" in config.emit,
