@@ -9,6 +9,7 @@ whole band, and the gradient of a policy does not depend on which of the equival
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -63,9 +64,9 @@ class RestingNormal(Distribution):
         acts = (raw > 0) | self.guided
         return torch.where(acts, self.bound * torch.tanh(excess) * raw.sign(), torch.zeros_like(raw))
 
-    def sample(self, sample_shape: torch.Size = torch.Size()) -> Tensor:  # noqa: B008
+    def sample(self, sample_shape: torch.Size | Sequence[int] = ()) -> Tensor:
         """Draw advice ``[*sample_shape, *M, 1]``."""
-        return self.advice(self.base_dist.sample(sample_shape))
+        return self.advice(self.base_dist.sample(torch.Size(sample_shape)))
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Return the log-density of advice ``[*, *M, 1]``, or the log-probability of doing nothing where it is 0."""

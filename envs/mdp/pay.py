@@ -97,7 +97,7 @@ def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, 
         reward[a] += paid[a]
 
 
-@compiled
+@compiled(borrows=True)
 def team_pay(fleet, shared, numbers, weights, shared_weights):  # type: ignore[no-untyped-def]
     """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid."""
     total = 0.0

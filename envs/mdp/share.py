@@ -85,13 +85,13 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
         fleet[c] /= rules.fleet_g_per_step
 
 
-@compiled
+@compiled(borrows=True)
 def _counts(r, floats, ints, step_s):  # type: ignore[no-untyped-def]
     """Whether a vehicle had not crossed the stop line when the step began."""
     return ints[r, LOCATION] == APPROACHING or floats[r, PATH_POSITION] < floats[r, SPEED] * step_s
 
 
-@compiled
+@compiled(borrows=True)
 def owner(r, ints, most):  # type: ignore[no-untyped-def]
     """Return the slot of the nearest CV at or ahead of row ``r``, -1 if there is none before the junction's end."""
     for _ in range(most):

@@ -124,11 +124,14 @@ class Demand(NamedTuple):
 
 def demand_arrays(traffic: Traffic, road: RoadNet) -> Demand:
     """Pick the arrays out of an episode's traffic."""
-    known = ("is_cv", "approach", "exit", "length_m", "moves_class")
     due_s = due_times(road, traffic)
     order = np.argsort(due_s, kind="stable")
     return Demand(
-        *(np.ascontiguousarray(getattr(traffic, name)) for name in known),
+        is_cv=np.ascontiguousarray(traffic.is_cv),
+        approach=np.ascontiguousarray(traffic.approach),
+        exit=np.ascontiguousarray(traffic.exit),
+        length_m=np.ascontiguousarray(traffic.length_m),
+        moves_class=np.ascontiguousarray(traffic.moves_class),
         due_s=due_s[order],
         due_number=order,
         fate=np.zeros(len(traffic), np.int64),
