@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import gc
 import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
@@ -81,6 +82,32 @@ class ProcessesCollector(MultiSyncCollector):
                     ) from error
             raise
 
+    def hand_over(self, policy: TensorDictModuleBase) -> None:
+        """Hand changed parameters to the processes; TorchRL would wait forever for one that does not take them.
+
+        Raises:
+            UnfinishedError: one does not; all are ended.
+        """
+        failures: list[Exception] = []
+
+        def update() -> None:
+            try:
+                self.update_policy_weights_(policy)
+            except Exception as error:
+                failures.append(error)
+
+        thread = threading.Thread(target=update, daemon=True)
+        thread.start()
+        thread.join(self.watch.patience_s)
+        if thread.is_alive():
+            for process in self.procs:
+                process.kill()
+            raise UnfinishedError(
+                "a process that collects took no new weights for env.watchdog_s; go on with resume=RUN_DIR."
+            )
+        if failures:
+            raise failures[0]
+
     def shutdown(self, timeout: float | None = None, *args: Any, **options: Any) -> None:
         """End the processes."""
         self.watch.close()
@@ -130,7 +157,9 @@ class BatchSource:
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if not isinstance(self._collector, Collector):
+        if isinstance(self._collector, ProcessesCollector):
+            self._collector.hand_over(policy)
+        elif not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     @property

@@ -107,7 +107,7 @@ class TrainingTwinEnv(_Training, TwinEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         state, self._left_at = self._left_at, None
-        if state is None:
+        if not state:
             return super()._reset(tensordict, **options)
         self.load_state_dict(state)
         return self.present()

@@ -43,13 +43,13 @@ class Watch:
         os.close(descriptor)
         self.path, self.hung = Path(name), list[int]()
         self._counts = open_counts(self.path, size)
-        self._steps, self._patience_s = steps, patience_s
+        self._steps, self.patience_s = steps, patience_s
         self._batches = 0
 
     def over(self, pids: Sequence[int]) -> _Waiting:
         """Return a context in which a batch of these processes is waited for."""
         self._batches += 1
-        patience_s = self._patience_s if self._batches > 1 else max(self._patience_s, STARTUP_S)
+        patience_s = self.patience_s if self._batches > 1 else max(self.patience_s, STARTUP_S)
         return _Waiting(self, pids, self._batches * self._steps, patience_s)
 
     def close(self) -> None:
@@ -76,10 +76,10 @@ class _Waiting:
         counts = self._watch._counts
         before, since_s = counts.copy(), np.full(len(counts), time.monotonic())
         patience_s = np.full(len(counts), self._patience_s)
-        while not self._over.wait(self._watch._patience_s / 4.0):
+        while not self._over.wait(self._watch.patience_s / 4.0):
             now_s = time.monotonic()
             moved = counts != before
-            since_s[moved], patience_s[moved] = now_s, self._watch._patience_s
+            since_s[moved], patience_s[moved] = now_s, self._watch.patience_s
             before = counts.copy()
             for number in np.flatnonzero((before < self._owed) & (now_s - since_s > patience_s)).tolist():
                 if number not in self._watch.hung:
