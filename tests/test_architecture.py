@@ -20,6 +20,7 @@ ALLOWED = {
     "contexts": BASICS,
     "networks": BASICS | {"contexts"},
     "traffic": BASICS | {"contexts"},
+    "drivers": BASICS | {"contexts", "traffic"},
     "envs": BASICS | {"contexts", "networks", "traffic"},
     "algos": BASICS | {"contexts", "networks", "traffic", "envs"},
 }
