@@ -13,6 +13,7 @@ from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 from izoo.contexts.population import IDM_PARAMETERS
 from izoo.drivers.chains import Draws, SamplerConfig, sample
 from izoo.drivers.following import Following
+from izoo.drivers.hierarchy import total_noise
 from izoo.drivers.pilot import fit_pilot
 from izoo.drivers.predictive import Predictions, predict
 from izoo.drivers.tables import CLASSES
@@ -108,7 +109,7 @@ def _population(draws: Draws) -> dict[str, np.ndarray]:
         for column in range(row):
             name = f"correlation {IDM_PARAMETERS[column]} {IDM_PARAMETERS[row]}"
             found[name] = correlation[..., row, column]
-    found["median noise_mps2"] = np.exp(draws.values["noise_mean"])
+    found["median noise_mps2"] = np.asarray(total_noise(draws.values["noise_mean"]))
     found["spread noise_mps2"] = draws.values["noise_sd"]
     return found
 

@@ -21,8 +21,8 @@ TYPICAL = (15.0, 2.0, 1.2, 1.2, 1.6)
 FIRST_SPREAD = 0.4
 FIRST_NOISE_MPS2 = 0.3
 NOISE_FLOOR_MPS2 = 0.05
-"""Added to every driver's noise, in squares. Trajectories are not more exact; simulated ones, which are, would otherwise
-bind the sampler to the kinks of the IDM."""
+"""Added to every driver's noise, in squares. Recorded trajectories are not more exact; simulated ones, which are, would
+otherwise bind the sampler to the kinks of the IDM."""
 ROUNDS, FITS_PER_ROUND = 12, 4
 
 Arrays = tuple[Array, ...]
