@@ -34,8 +34,8 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--default-length-m", type=float, help="of all vehicles, where the file does not say it")
     parser.add_argument("--heavy-from-m", type=float, default=6.5, help="longer vehicles are heavy; default: 6.5")
     parser.add_argument("--max-drivers", type=int, default=200, help="of each class, drawn from more; default: 200")
-    parser.add_argument("--warmup", type=int, default=300, help="iterations per chain before it counts; default: 300")
-    parser.add_argument("--draws", type=int, default=700, help="iterations per chain that count; default: 700")
+    parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
+    parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
     parser.add_argument("--chains", type=int, default=4, help="default: 4")
     parser.add_argument("--seed", type=int, default=0, help="of the chains and of --max-drivers; default: 0")
 

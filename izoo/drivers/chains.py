@@ -37,8 +37,8 @@ class SamplerConfig:
         seed: of the chains.
     """
 
-    warmup: int = 300
-    draws: int = 700
+    warmup: int = 200
+    draws: int = 400
     chains: int = 4
     seed: int = 0
 

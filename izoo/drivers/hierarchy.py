@@ -35,7 +35,7 @@ NOISE_MPS2, NOISE_SPREAD, NOISE_SD_SCALE = 0.2, 1.5, 0.5
 
 def model(data: Following, pilot: Pilot) -> None:
     """Declare the model of one class of drivers."""
-    mean = numpyro.sample("log_mean", dist.Normal(jnp.log(jnp.array(TYPICAL)), MEAN_SPREAD).to_event(1))
+    mean = _mean(pilot)
     sd = _positive("log_sd", dist.HalfNormal(SD_SCALE), jnp.sqrt(jnp.diag(pilot.log_cov)))
     factor = numpyro.sample("corr_factor", dist.LKJCholesky(SIZE, LKJ_CONCENTRATION))
     nu = numpyro.sample("noise_mean", dist.Normal(jnp.log(NOISE_MPS2), NOISE_SPREAD))
@@ -64,6 +64,14 @@ def model(data: Following, pilot: Pilot) -> None:
 def total_noise(log_noise: Array) -> Array:
     """Return the standard deviation of the acceleration's noise, m/s^2, the floor included."""
     return jnp.sqrt(jnp.exp(2.0 * log_noise) + NOISE_FLOOR_MPS2**2)
+
+
+def _mean(pilot: Pilot) -> Array:
+    """Sample the mean in coordinates in which the first fit makes its posterior round."""
+    raw = numpyro.sample("log_mean_raw", dist.ImproperUniform(dist.constraints.real, (), (SIZE,)))
+    mean = numpyro.deterministic("log_mean", pilot.log_mean + pilot.mean_root @ raw)
+    numpyro.factor("log_mean_prior", dist.Normal(jnp.log(jnp.array(TYPICAL)), MEAN_SPREAD).log_prob(mean).sum())
+    return mean
 
 
 def _positive(name: str, prior: dist.Distribution, scale: Array) -> Array:
@@ -111,7 +119,7 @@ def start(pilot: Pilot) -> dict[str, Array]:
     one = jnp.log(jnp.expm1(1.0))
     return {
         "corr_factor": jnp.zeros(SIZE * (SIZE - 1) // 2),
-        "log_mean": pilot.log_mean,
+        "log_mean_raw": jnp.zeros(SIZE),
         "log_sd_raw": jnp.full(SIZE, one),
         "noise_mean": jnp.mean(pilot.log_noise),
         "noise_sd_raw": one,
@@ -132,7 +140,7 @@ def scales(pilot: Pilot) -> dict[str, Array]:
     noise_vague = 1.0 / (NOISE_SD_SCALE**-2 + jnp.mean(pilot.noise_information)) / spread
     return {
         "corr_factor": 1.0 / count + 0.15 * jnp.maximum(pilot.vague[row], pilot.vague[column]),
-        "log_mean": jnp.diag(pilot.log_cov) / count,
+        "log_mean_raw": jnp.ones(SIZE),
         "log_sd_raw": 2.0 / count + pilot.vague,
         "noise_mean": spread / count,
         "noise_sd_raw": 2.0 / count + noise_vague,

@@ -39,6 +39,7 @@ class Pilot(NamedTuple):
         noise_information: ``[D]`` curvature of the log-likelihood along ``log_noise``.
         steps: ``[D]`` how many steps each driver has.
         log_mean, log_cov: ``[5]`` and ``[5, 5]`` of a rough population.
+        mean_root: ``[5, 5]`` lower triangular root of the posterior covariance of ``log_mean``, were ``log_cov`` known.
         vague: ``[5]`` share of that variance which is not knowing the drivers; 1: the data do not tell them apart.
     """
 
@@ -49,6 +50,7 @@ class Pilot(NamedTuple):
     steps: Array
     log_mean: Array
     log_cov: Array
+    mean_root: Array
     vague: Array
 
 
@@ -82,12 +84,17 @@ def _fit(arrays: Arrays, step_s: float) -> Pilot:
     (theta, noise, mean, covariance), _ = jax.lax.scan(one_round, first, None, length=ROUNDS)
     information, gradient, _ = _curvature(theta, noise, arrays, step_s)
     pull = gradient + jnp.einsum("dij,dj->di", information, theta)
-    unknown = jnp.linalg.inv(information + jnp.linalg.inv(covariance)).mean(axis=0)
+    precision = jnp.linalg.inv(covariance)
+    of_drivers = jnp.linalg.inv(information + precision)
+    # What a driver says of the mean is worth (log_cov + information^-1)^-1, written without inverting the information.
+    worth = jnp.sum(precision - precision @ of_drivers @ precision, axis=0)
+    mean_root = jnp.linalg.cholesky(jnp.linalg.inv(worth + jnp.eye(size)))
+    unknown = of_drivers.mean(axis=0)
     vague = jnp.clip(jnp.diag(unknown) / jnp.diag(covariance), 0.0, 1.0)
     above = jnp.maximum(noise**2 - NOISE_FLOOR_MPS2**2, 0.05 * NOISE_FLOOR_MPS2**2)
     # The log of a standard deviation is known with information 2 n; here, of the part that is not the floor.
     noise_information = 2.0 * steps * (above / noise**2) ** 2
-    return Pilot(information, pull, 0.5 * jnp.log(above), noise_information, steps, mean, covariance, vague)
+    return Pilot(information, pull, 0.5 * jnp.log(above), noise_information, steps, mean, covariance, mean_root, vague)
 
 
 def _curvature(theta: Array, noise: Array, arrays: Arrays, step_s: float) -> tuple[Array, Array, Array]:
