@@ -47,17 +47,15 @@ def _parameter(axes: Axes, estimate: Estimate, k: int, label: str) -> None:
     low = min(np.log(drivers).min(), middle - 3.0 * spread)
     high = max(np.log(drivers).max(), middle + 3.0 * spread)
     grid = np.exp(np.linspace(low, high, 200))
-    axes.hist(
-        drivers, bins=np.linspace(grid[0], grid[-1], BINS), density=True, color=MODEL, alpha=0.35, label="drivers"
-    )
     step = max(1, len(mean) // 200)
     wide = np.maximum(sd[::step], 0.002)[:, None]
     density = np.exp(-0.5 * ((np.log(grid) - mean[::step, None]) / wide) ** 2) / (grid * wide * np.sqrt(2.0 * np.pi))
     lower, upper = np.quantile(density, [0.05, 0.95], axis=0)
     axes.fill_between(grid, lower, upper, color=FIRM, alpha=0.25, linewidth=0, label="population, 90 %")
     axes.plot(grid, np.median(density, axis=0), color=FIRM, linewidth=1.2)
-    # A population without spread would be a needle that hides everything else.
-    axes.set_ylim(0.0, 1.3 * float(np.quantile(np.median(density, axis=0), 0.98)) + 1e-9)
+    top = 1.1 * float(np.quantile(upper, 0.98))
+    axes.plot(drivers, np.full(len(drivers), 0.03 * top), "|", color=MODEL, markersize=9, label="drivers")
+    axes.set_ylim(0.0, top)
     axes.set(xlabel=label, yticks=[])
     if k == 0:
         axes.legend(fontsize="small")
