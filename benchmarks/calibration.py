@@ -1,8 +1,8 @@
 """Whether calibration finds what it should: ``python -m izoo.benchmarks.calibration --out FOLDER [--sets 20]``.
 
 Per data set a population is drawn, the environment simulates its drivers at a signal, ``write_trajectories`` writes
-what it saw, measurement noise is added, and the calibration is asked for the population. Sets that are in the folder
-are not run again, so the benchmark can be stopped and continued; sets are the same on any machine.
+what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that are
+in the folder are not run again, so the benchmark can be stopped and continued; sets are the same on any machine.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
 MEDIAN_RANGES = {"s0_m": (1.5, 3.0), "T_s": (0.6, 1.6), "alpha_mps2": (0.8, 1.8), "beta_mps2": (1.2, 2.5)}
 SPREAD_RANGE = (0.1, 0.25)
-SPEED_NOISE_MPS, POSITION_NOISE_M = 0.05, 0.1
 KINDS = ("median", "spread", "correlation")
 
 
@@ -56,8 +55,8 @@ def truth(population: DriverPopulation) -> dict[str, float]:
     return found
 
 
-def simulate(population: DriverPopulation, number: int, path: Path) -> None:
-    """Write the trajectories of human drivers of a population, as a camera would see them."""
+def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_mps: float) -> None:
+    """Write the trajectories of human drivers of a population; to every speed, white noise is added."""
     import pandas as pd
 
     from izoo.contexts.procedural import procedural_context
@@ -74,13 +73,12 @@ def simulate(population: DriverPopulation, number: int, path: Path) -> None:
         env.close()
     table = pd.read_csv(write_trajectories(rollout, path))
     generator = np.random.default_rng([number, 1])
-    seen = table["speed_mps"] + SPEED_NOISE_MPS * generator.standard_normal(len(table))
+    seen = table["speed_mps"] + speed_noise_mps * generator.standard_normal(len(table))
     table["speed_mps"] = seen.clip(lower=0.0)
-    table["lane_position_m"] += POSITION_NOISE_M * generator.standard_normal(len(table))
     table.to_csv(path, index=False)
 
 
-def recover(number: int, drivers: int, chains: Any) -> dict[str, Any]:
+def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
     """Simulate and calibrate one data set; return what is true and what was found."""
     from izoo.drivers.estimate import estimate
     from izoo.drivers.following import ReadConfig, read_following
@@ -88,7 +86,7 @@ def recover(number: int, drivers: int, chains: Any) -> dict[str, Any]:
     population = true_population(number)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "trajectories.csv")
-        simulate(population, number, path)
+        simulate(population, number, path, speed_noise_mps)
         classes, _ = read_following([path], ReadConfig(max_drivers=drivers, seed=number))
     data = classes["light"]
     began, worked = time.monotonic(), time.process_time()
@@ -101,6 +99,7 @@ def recover(number: int, drivers: int, chains: Any) -> dict[str, Any]:
         "seconds": time.monotonic() - began,
         "processor_seconds": time.process_time() - worked,
         "converged": result.converged,
+        "autocorrelation": result.predictions.autocorrelation,
         "worst_r_hat": max(quantity.r_hat for quantity in result.quantities),
         "least_ess": min(quantity.ess for quantity in result.quantities),
         "quantities": {
@@ -166,6 +165,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the sets that the folder lacks, and summarise all of it."""
     check_range("--sets", options.sets, 1, 1000)
     check_range("--drivers", options.drivers, 5, 200)
+    check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
     from izoo.drivers.chains import SamplerConfig
     from izoo.evaluation.table import write_text
 
@@ -175,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
     for number in range(options.sets):
         path = options.out / f"set-{number:03d}.json"
         if not path.is_file():
-            write_text(path, json.dumps(recover(number, options.drivers, chains), indent=1) + "\n")
+            write_text(path, json.dumps(recover(number, options.drivers, chains, options.speed_noise), indent=1) + "\n")
         results.append(json.loads(path.read_text()))
         last = results[-1]
         print(
@@ -194,6 +194,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder of the results; existing ones are kept")
     parser.add_argument("--sets", type=int, default=20, help="data sets; default: 20")
     parser.add_argument("--drivers", type=int, default=50, help="light drivers of each; default: 50")
+    parser.add_argument("--speed-noise", type=float, default=0.0, help="m/s, added to every speed; default: 0")
     parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
     parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
     options = parser.parse_args(argv)

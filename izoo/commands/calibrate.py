@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 EXIT_NOT_CONVERGED = 1
 LINE_EVERY_S = 20.0
 PACKAGES = ("jax", "numpyro")
+NOISY, MEMORY = -0.2, 0.3
+"""Correlations of consecutive residuals: white noise in the speeds makes -0.5."""
 
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,13 +119,14 @@ def describe(name: str, result: Estimate) -> str:
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
         numbers = f"{quantity.mean:8.4g}  {interval:>19}  {quantity.r_hat:6.3f} {quantity.ess:6.0f}"
         lines.append(f"  {quantity.name:34} {numbers}{mark}")
+    correlation = result.predictions.autocorrelation
     draws = result.draws.diverging.size
     lines.append(f"  worst R-hat of a driver {result.driver_r_hat:.3f}; {result.diverging} of {draws} draws diverged")
     held = ", ".join(f"{share:.0%}: {value:.1%}" for share, value in result.predictions.coverage.items())
     lines += [
         "  posterior predictive checks",
         f"    next speeds inside their interval: {held}",
-        f"    correlation of consecutive residuals: {result.predictions.autocorrelation:+.2f} (the model says 0)",
+        f"    correlation of consecutive residuals: {correlation:+.2f} (the model says 0){_remark(correlation)}",
         f"    {'driving on behind the leader':36} {'data':>8} {'model':>8}  share of replicas above the data",
     ]
     for check in result.predictions.checks:
@@ -131,6 +134,13 @@ def describe(name: str, result: Estimate) -> str:
         numbers = f"{check.observed:8.3g} {check.replicas.mean():8.3g}  {check.share_above:.2f}"
         lines.append(f"    {check.name:36} {numbers}{mark}")
     return "\n".join(lines)
+
+
+def _remark(correlation: float) -> str:
+    """Say what a correlation of consecutive residuals means, where it is far from 0."""
+    if correlation < NOISY:
+        return "; SPEEDS ARE NOISY: smooth them over a second before, or alpha comes out too large"
+    return "; drivers have memory, and intervals are too narrow" if correlation > MEMORY else ""
 
 
 class Progress:

@@ -105,3 +105,11 @@ def test_the_command_says_something_at_once(tmp_path: Path) -> None:
         waited = time.monotonic() - began
         assert process.wait(60) == 2
     assert waited < 5.0  # a second on a free machine
+
+
+@pytest.mark.parametrize(
+    ("correlation", "words"), [(-0.4, "SPEEDS ARE NOISY: smooth"), (0.0, ""), (0.6, "drivers have memory")]
+)
+def test_residuals_that_hang_together_are_remarked_on(correlation: float, words: str) -> None:
+    remark = calibrate._remark(correlation)
+    assert words in remark and bool(words) == bool(remark)
