@@ -10,15 +10,17 @@ PYTHON ?= $(shell for name in python3.11 python3.12 python3.10 python3 python; d
 ARGS ?=
 # Processes that run tests side by side; some tests start two or more of their own.
 TEST_WORKERS ?= 2
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help install train test lint typecheck docs check clean
+.PHONY: help install train test test-all lint typecheck docs check clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make train      install into .venv if need be and train PPO for a few minutes (ARGS='seed=1 ...' adds options)"
-	@echo "make test       install and run the tests (ARGS='-k name' adds pytest options)"
+	@echo "make test       install and run the quick tests, under five minutes (ARGS='-k name' adds pytest options)"
+	@echo "make test-all   the same, then the slow tests: some fifteen minutes"
 	@echo "make docs       build the documentation site into build/site (Python 3.11 or newer)"
-	@echo "make check      tests, lint, type check and documentation: what CI runs"
+	@echo "make check      all tests, lint, type check and documentation: what CI runs"
 	@echo "make install | lint | typecheck | clean"
 
 install: $(STAMP)
@@ -35,7 +37,10 @@ train: $(STAMP)
 	$(BIN)/python -m izoo.train $(ARGS)
 
 test: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(PYTEST) -m 'not slow' $(ARGS)
+
+test-all: test
+	$(PYTEST) -m slow $(ARGS)
 
 lint: $(STAMP)
 	$(BIN)/python -m ruff check .
@@ -53,7 +58,7 @@ docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "Documentation: build/site/index.html"
 
-check: test lint typecheck docs
+check: test-all lint typecheck docs
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

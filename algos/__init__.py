@@ -1,5 +1,6 @@
 """Algorithms and policies as TorchRL modules; they know TensorDict keys, not simulators.
 
+- :mod:`~izoo.algos.registry`: algorithms and drivers by name.
 - :mod:`~izoo.algos.base`: keys, the face of an algorithm, network parts.
 - :mod:`~izoo.algos.gaussian`: parts of stochastic policies.
 - :mod:`~izoo.algos.ppo`: PPO with shared parameters.
@@ -9,6 +10,3 @@
 - :mod:`~izoo.algos.ppo_config`, :mod:`~izoo.algos.ddpg_config`: hyper-parameters.
 - :mod:`~izoo.algos.scripted`: drivers that do not learn.
 """
-
-DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
-"""Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`), for those who need their names before PyTorch is loaded."""

@@ -1,27 +1,22 @@
 """Fully connected policies compiled for one step: a few dozen agents per call, on one core.
 
-Computes what the torch modules do, which at this size spend most of their time on their way to the arithmetic. Each
-agent is computed alone, so what one of them does depends on no other's presence, to the last bit.
+It computes what the torch modules compute; at this size those spend most of their time on overhead. Each agent is
+computed alone, so its action is the same to the last bit, whoever else is there.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor, nn
 
 from izoo.algos.base import ACTIVATIONS
-from izoo.emissions import kernel
+from izoo.compiling import compiled
 from izoo.emissions.kernel import fast_tanh
-from izoo.envs.kernel_cache import forget_stale_kernels
-
-forget_stale_kernels([Path(__file__), Path(kernel.__file__)])
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
@@ -43,11 +38,11 @@ class Arrays:
         self._places: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        # Where the parameters of a copy lie, in this process or another, other things may have lain before.
+        # A copy's parameters may lie at addresses that held others before, so a copy begins without the arrays.
         return {**self.__dict__, "_layers": ((), ()), "_places": []}
 
     def layers(self) -> Layers:
-        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, wherever they now lie."""
+        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, even if they have moved in memory."""
         parameters = [layer._parameters for layer in self.linears]
         weights, biases = ([own[name] for own in parameters] for name in ("weight", "bias"))
         places = [parameter.data_ptr() for parameter in (*weights, *biases)]  # type: ignore[union-attr]
@@ -66,9 +61,9 @@ def compilable(observation: Tensor) -> bool:
     return not torch.is_grad_enabled() and observation.device.type == "cpu" and observation.dtype == torch.float32
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def linear(x, weight, bias):  # type: ignore[no-untyped-def]
-    """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums run in an order that ``n`` does not change.
+    """Return ``x [n, I] @ weight.T [I, O] + bias [O]``; an agent's sums are added in the same order for any ``n``.
 
     Sums run along the inputs, eight or more at a time, so one agent alone is as fast per agent as many; four outputs at
     a time share what is read of the agent.
@@ -100,7 +95,7 @@ def linear(x, weight, bias):  # type: ignore[no-untyped-def]
     return y
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def activate(values, activation):  # type: ignore[no-untyped-def]
     """Apply the activation at this place of :data:`izoo.algos.base.ACTIVATIONS` to ``values [m]`` in place."""
     if activation == 0:
@@ -114,12 +109,12 @@ def activate(values, activation):  # type: ignore[no-untyped-def]
             values[k] = values[k] / (_ONE + np.exp(-values[k]))
 
 
-@njit(cache=True)
+@compiled
 def _softplus(x):  # type: ignore[no-untyped-def]
     return x + math.log1p(math.exp(-x)) if x > 0.0 else math.log1p(math.exp(x))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
     """Return ``[n, O]``: a fully connected network on ``x [n, I]``, with activations between its layers."""
     for layer in range(len(weights)):
@@ -129,7 +124,7 @@ def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
     """Draw for the agents ``rows [r]``; empty slots get median 0, spread 1, action 0 and log-probability 0.
 
@@ -158,7 +153,7 @@ def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-unt
         out[3, r] = constant - 0.5 * noise[r] * noise[r] - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def act(observation, mask, weights, biases, activation, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
 
@@ -173,7 +168,7 @@ def act(observation, mask, weights, biases, activation, spread, bounds, noise, o
     sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, noise, out)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def act_squashed(observation, mask, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
     """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0.
 

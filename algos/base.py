@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeGuard, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, Protocol
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -21,8 +20,6 @@ LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
-Leaves = Mapping[tuple[str, ...], np.ndarray]
-"""Arrays by the key of the leaf whose memory they are."""
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
 
 
@@ -50,33 +47,6 @@ class Algorithm(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned."""
         ...
-
-
-@runtime_checkable
-class InPlace(Protocol):
-    """A policy that can act on arrays: what it does in a step costs only its arithmetic."""
-
-    out_keys: list[Any]
-
-    def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
-        """Return what acts in a step of a batch, to the same effect as calling the policy.
-
-        Args:
-            frame: ``[*B, ...]``: always the state to act on, in the same memory; take views of it, not copies.
-            told: ``[T, *B, ...]``: where the outputs of each step go; the keys are those of ``out_keys``.
-        """
-        ...
-
-
-def acts_in_place(policy: Any) -> TypeGuard[InPlace]:
-    """Return whether a policy can act on arrays: its class does not override ``forward`` below ``in_place``."""
-    if not isinstance(policy, InPlace):
-        return False
-    origins = [
-        next(depth for depth, kind in enumerate(type(policy).__mro__) if name in vars(kind))
-        for name in ("in_place", "forward")
-    ]
-    return origins[0] <= origins[1]
 
 
 def explores() -> bool:

@@ -1,7 +1,7 @@
 """Deep deterministic policy gradient for interchangeable agents: one actor and one critic, shared by every CV.
 
 Each agent transition is an independent sample: the critic sees one agent's observation and acceleration. Valid
-transitions are stored flat (:mod:`izoo.algos.replay`), and TorchRL's own loss works on them, so that losses and logs
+transitions are stored flat (:mod:`izoo.algos.buffer`), and TorchRL's own loss works on them, so that losses and logs
 see no padding.
 """
 
@@ -19,8 +19,8 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
 from izoo.algos import acting, base
+from izoo.algos.buffer import ERROR, Replay, transitions
 from izoo.algos.ddpg_config import DDPGConfig
-from izoo.algos.replay import ERROR, Replay, transitions
 from izoo.errors import check_range
 
 ACTION_VALUE = ("agents", "state_action_value")

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from izoo.algos.ppo_config import ACTIVATIONS
+from izoo.algos.registry import AlgoConfig
 from izoo.errors import IzooError, check_choice, check_range
 
 
 @dataclass(frozen=True)
-class DDPGConfig:
+class DDPGConfig(AlgoConfig):
     """Hyper-parameters of DDPG; the defaults are the preset ``tuned``.
 
     Sources: "RLlib" is the default of RLlib's DDPG, which the paper used with Ray 2.11 (since Ray 2.8 in

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import final
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -98,10 +97,7 @@ class SamplingPolicy(TensorDictModuleBase):
 
 
 class CompiledPolicy(SamplingPolicy):
-    """:class:`SamplingPolicy`, compiled where it acts on the CPU without gradients; here, a fully connected network.
-
-    Other networks override :meth:`act`, which both calls and collection in place come to.
-    """
+    """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
 
     def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
         super().__init__(actor, low, high)
@@ -110,42 +106,22 @@ class CompiledPolicy(SamplingPolicy):
         mapping = extract.scale_mapping
         self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
 
-    @final
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
         if not acting.compilable(observation):
             return super().sample(observation, mask, noise)
-        out = np.empty((4, mask.numel()), np.float32)
-        self.act(
+        out, own = np.empty((4, mask.numel()), np.float32), self.arrays
+        acting.act(
             observation.reshape(-1, observation.shape[-1]).numpy(),
             mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
+            *own.layers(),
+            own.activation,
+            self.spread,
+            self.bounds,
             noise.reshape(-1).numpy(),
             out,
         )
         return torch.from_numpy(out).view(4, *mask.shape)
-
-    def in_place(self, frame: base.Leaves, told: base.Leaves) -> Callable[[int], None]:
-        """Return what acts in a step of a batch; see :class:`izoo.algos.base.InPlace`."""
-        observation, mask = frame[base.OBSERVATION], frame[base.MASK]
-        rows, present = observation.reshape(-1, observation.shape[-1]), mask.reshape(-1, mask.shape[-1]).view(np.uint8)
-        out, explores = np.empty((4, mask.size), np.float32), base.explores()
-        noise = torch.zeros(mask.shape)
-        targets = [told[base.LOC], told[base.SCALE], told[base.ACTION], told[base.LOG_PROB]]
-        outputs = [(target, part.reshape(target.shape[1:])) for target, part in zip(targets, out, strict=True)]
-
-        def act(step: int) -> None:
-            if explores:
-                torch.randn(noise.shape, out=noise)
-            self.act(rows, present, noise.numpy().reshape(-1), out)
-            for target, part in outputs:
-                target[step] = part
-
-        return act
-
-    def act(self, observation: np.ndarray, mask: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
-        """Fill ``out [4, M * A]`` for ``observation [M * A, F]``, ``mask [M, A]`` and ``noise [M * A]``."""
-        own = self.arrays
-        acting.act(observation, mask, *own.layers(), own.activation, self.spread, self.bounds, noise, out)
 
 
 def squashed_sample(loc: Tensor, scale: Tensor, noise: Tensor, low: float, high: float) -> Tensor:

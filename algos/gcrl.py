@@ -21,17 +21,16 @@ from __future__ import annotations
 import math
 from typing import cast
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from izoo.algos import base, graph_acting
-from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos import base
+from izoo.algos.gaussian import SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.ppo_config import GCRLConfig
 from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets, places
-from izoo.envs.layout import DISTANCE_SCALE_M, EGO_FEATURES
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""
@@ -39,10 +38,8 @@ REACH = ("agents", "reach_m")
 """Key of how far away a row's neighbours may be, m."""
 ROW = [base.OBSERVATION, FRAME, COLUMN, REACH]
 BIN_ROWS = 16
-"""Least rows of a set that attention works on, where there are as many; larger sets pad more, smaller ones cost more
+"""Fewest rows of a set that attention works on, where there are that many; larger sets pad more, smaller ones cost more
 calls."""
-NO_LIMIT = 2**31
-"""For the compiled policy: more neighbours than a frame can hold."""
 
 
 def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: float | None) -> Tensor:
@@ -195,36 +192,16 @@ class GraphActor(SetNetwork):
         return self.extract(self.graph.rows(observation, frame, column, reach))
 
 
-class GraphPolicy(CompiledPolicy):
+class GraphPolicy(SamplingPolicy):
     """The policy for collection; it acts on whole frames, so it needs the mask."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float, config: GCRLConfig) -> None:
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
         super().__init__(actor, low, high)
         self.in_keys = [base.OBSERVATION, base.MASK]
-        self.shape = len(config.hidden), config.layers, config.heads
-        count = NO_LIMIT if config.neighbours is None else config.neighbours
-        range_m = math.inf if config.range_m is None else config.range_m
-        self.graph = STOP_LINE_DISTANCE, DISTANCE_SCALE_M, count, float(range_m)
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return median and spread before the tanh, ``[n, 1]`` each, of the ``n`` agents of ``[*B, A, F]``."""
         return self.network(observation[mask], *places(mask))
-
-    def act(self, observation: np.ndarray, mask: np.ndarray, noise: np.ndarray, out: np.ndarray) -> None:
-        """Fill ``out [4, M * A]`` for ``observation [M * A, F]``, ``mask [M, A]`` and ``noise [M * A]``."""
-        own = self.arrays
-        graph_acting.act(
-            observation,
-            mask,
-            *own.layers(),
-            self.shape,
-            own.activation,
-            self.graph,
-            self.spread,
-            self.bounds,
-            noise,
-            out,
-        )
 
 
 class GCRL(SetPPO):
@@ -238,7 +215,7 @@ class GCRL(SetPPO):
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high, self.config)
+        return GraphPolicy(self.actor, low, high)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""

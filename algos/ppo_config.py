@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from izoo.algos.registry import AlgoConfig
 from izoo.errors import IzooError, check_choice, check_range
 
 ACTIVATIONS = ("tanh", "relu", "silu")
@@ -15,7 +16,7 @@ ACTIVATIONS = ("tanh", "relu", "silu")
 
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(AlgoConfig):
     """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
 
     Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which

@@ -18,7 +18,8 @@ from izoo.algos import base
 from izoo.algos.scripted import DEFER, Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS
 
 RESIDUAL = ("agents", "residual")
 

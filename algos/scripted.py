@@ -18,7 +18,8 @@ from torch import Tensor
 from izoo.algos.base import ACTION, MASK, OBSERVATION
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError, check_range, unknown_choice
 
 DEFER, LANE_CHANGE = ("agents", "defer"), ("agents", "lane_change")
@@ -239,7 +240,7 @@ class Glide(ScriptedDriver):
         red = observation[..., self.columns["signal_red"]] > 0.5
         left = self._column(observation, "signal_time_left", TIME_SCALE_S)
         certain = red & (left > 2.0 * ahead / speed.clamp_min(0.5))
-        # What brakes harder than this, or is about to stand, is the simulator's.
+        # Harder braking, and the last moment before standing, are left to the simulator.
         possible = (decel >= s.stop_decel_mps2) & (decel < 4.0) & (ahead > 5.0) & (speed > 3.0)
         return decel, certain & possible & (s.stop_decel_mps2 > 0.0)
 

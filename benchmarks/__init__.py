@@ -1,1 +1,1 @@
-"""Room: benchmarks."""
+"""Protocols that compare algorithms, and measurements of speed."""

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from izoo import cli
+from izoo.console import exit_code
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.errors import check_range
+from izoo.files import write_json
 
 LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
@@ -167,7 +168,6 @@ def run(options: argparse.Namespace) -> int:
     check_range("--drivers", options.drivers, 5, 200)
     check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
     from izoo.drivers.chains import SamplerConfig
-    from izoo.evaluation.table import write_text
 
     chains = SamplerConfig(options.warmup, options.draws)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -175,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
     for number in range(options.sets):
         path = options.out / f"set-{number:03d}.json"
         if not path.is_file():
-            write_text(path, json.dumps(recover(number, options.drivers, chains, options.speed_noise), indent=1) + "\n")
+            write_json(path, recover(number, options.drivers, chains, options.speed_noise))
         results.append(json.loads(path.read_text()))
         last = results[-1]
         print(
@@ -199,7 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
     options = parser.parse_args(argv)
     print("izoo benchmarks.calibration", flush=True)
-    return cli.exit_code("benchmarks.calibration", lambda: run(options))
+    return exit_code("benchmarks.calibration", lambda: run(options))
 
 
 if __name__ == "__main__":

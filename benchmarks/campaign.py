@@ -14,18 +14,20 @@ from typing import Any, Literal
 import pandas as pd
 
 from izoo.algos.scripted import Glide, GlideConfig
-from izoo.benchmarks.claim import check_run, check_settings, versions
-from izoo.benchmarks.options import Entry, GeneralizationConfig
+from izoo.benchmarks.claim import check_run, check_settings
+from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
-from izoo.benchmarks.pace import Pace, duration
+from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
+from izoo.console import duration
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
-from izoo.evaluation.folder import claimed
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.evaluation.provenance import versions
 from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
+from izoo.files import claimed
 from izoo.reporting.results import (
     EVALUATION_FOLDER,
     TRAIN_FOLDER,
@@ -37,7 +39,7 @@ from izoo.reporting.results import (
     write_results,
 )
 from izoo.training import checkpoint, runs
-from izoo.training.session import train
+from izoo.training.loop import train
 
 
 @dataclass(frozen=True)
@@ -118,13 +120,12 @@ class Campaign:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
         if todo and self.results.aggregates:
-            self._set_aggregates(
-                {}
-            )  # those of a smaller benchmark must not outlive a start that ends before the summing up
+            self._set_aggregates({})  # a smaller benchmark's must not remain if this start is stopped before the end
         for number, job in enumerate(todo):
             left = self.pace.left([(self._pace_key(other), self._work(other)) for other in todo[number:]])
             done = len(jobs) - len(todo) + number
-            print(f"\n[{done + 1}/{len(jobs)}] {job}; {duration(left)} left", flush=True)
+            wait = "time left unknown" if left is None else f"about {duration(left)} left"
+            print(f"\n[{done + 1}/{len(jobs)}] {job}; {wait}", flush=True)
             begin = time.monotonic()
             work = self._work(job)
             if job.kind == "train":

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,31 +11,23 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-import izoo
-from izoo.benchmarks.options import SWEPT
+from izoo.benchmarks.generalization_options import SWEPT
 from izoo.conf.mapping import to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from izoo.evaluation.cache import code_digest
 from izoo.evaluation.folder import differences
-from izoo.evaluation.table import write_text
+from izoo.evaluation.provenance import code_digest
+from izoo.files import write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
-from izoo.training.session import CHANGEABLE
+from izoo.training.loop import CHANGEABLE
 
 MAY_DIFFER = ("out", "num_workers", "cache")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
-"""Options that may be given more of than before; what is there stays."""
+"""Options that may get more values than before; what is there stays."""
 NOT_THE_RUN = (*CHANGEABLE, "run_dir")
 """Options of a training run in which a run that is there may differ from the one that is wanted."""
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that decide the numbers; ``code`` is a digest of the simulator's own files."""
-    packages = {"sumo": "libsumo", "torch": "torch", "torchrl": "torchrl", "neuralmoves": "neuralmoves"}
-    found = {name: importlib.metadata.version(package) for name, package in packages.items()}
-    return {"izoo": izoo.__version__, "python": platform.python_version(), **found, "code": code_digest()}
 
 
 def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, str]) -> None:
@@ -78,7 +68,7 @@ def _kept(values: Mapping[str, Any], without: tuple[str, ...]) -> dict[str, Any]
 
 
 def _grew(name: str, old: Any, new: Any) -> bool:
-    """Whether a list or a number contains the one before; the first value of a weight gives all points new names."""
+    """Whether a list or a number contains the one before; the first value of a weight would rename all points."""
     if isinstance(new, list):
         return isinstance(old, list) and set(old) <= set(new) and (bool(old) or name not in SWEPT)
     return isinstance(old, int) and isinstance(new, int) and old <= new

@@ -1,4 +1,4 @@
-"""How fast CO2 is computed: ``python -m izoo.benchmarks.emissions [--batch N]``.
+"""How fast CO2 is computed: ``python -m izoo.benchmarks.emissions batch=4096``.
 
 The batched module, the compiled kernel of the simulator workers, a loop over vehicle classes, and the API of the
 package ``neuralmoves``, on the same random vehicles of all classes, on one core, in one run.
@@ -6,20 +6,35 @@ package ``neuralmoves``, on the same random vehicles of all classes, on one core
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from izoo import cli
+from izoo.commands.option_command import OptionCommand
+from izoo.errors import check_range
 
 ROUNDS = 5
 API_CALLS = 200
 """The package's own API loads a network per call, so few calls say enough."""
+
+
+@dataclass(frozen=True)
+class EmissionsConfig:
+    """Options of the benchmark of emission rates.
+
+    Attributes:
+        batch: vehicles per call.
+    """
+
+    batch: int = 4096
+
+    def __post_init__(self) -> None:
+        check_range("batch", self.batch, API_CALLS, 10**8)
 
 
 def random_states(batch: int, seed: int = 0) -> dict[str, np.ndarray]:
@@ -118,27 +133,30 @@ def measure(call: Callable[[], Any], vehicles: int) -> float:
     return statistics.median(rates)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the benchmark; returns the exit code."""
-    parser = argparse.ArgumentParser("python -m izoo.benchmarks.emissions", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--batch", type=int, default=4096, help="vehicles per call (default 4096)")
-    options = parser.parse_args(argv)
-    if options.batch < API_CALLS:
-        parser.error(f"--batch is {options.batch}; it must be {API_CALLS} or more")
-    print("izoo emissions: loading torch and the surrogates", file=sys.stderr, flush=True)
+def run(config: EmissionsConfig, given: frozenset[str] = frozenset()) -> None:
+    """Measure every variant and print the table."""
+    print("Loading torch and the surrogates.", flush=True)
     import torch
     from rich.console import Console
     from rich.table import Table
 
     torch.set_num_threads(1)
-    table = Table(title=f"batch of {options.batch}, one core, medians")
+    table = Table(title=f"batch of {config.batch}, one core, medians")
     table.add_column("variant")
     table.add_column("vehicles per second", justify="right")
-    for name, (call, vehicles) in variants(random_states(options.batch)).items():
+    for name, (call, vehicles) in variants(random_states(config.batch)).items():
         table.add_row(name, f"{measure(call, vehicles):,.0f}")
     Console().print(table)
-    return 0
 
+
+COMMAND = OptionCommand(
+    name="benchmarks.emissions",
+    summary="Measure how fast CO2 is computed: batched, compiled, by class, and through the package's own API.",
+    examples=("izoo.benchmarks.emissions", "izoo.benchmarks.emissions batch=1024"),
+    config="izoo.benchmarks.emissions:EmissionsConfig",
+    work="izoo.benchmarks.emissions:run",
+)
+main = COMMAND.main
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.emissions", main))
+    sys.exit(main())

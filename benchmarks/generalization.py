@@ -7,14 +7,13 @@ leaves one folder (:mod:`izoo.reporting.results`). An interrupted benchmark goes
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo import cli
+from izoo.commands.option_command import OptionCommand
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.options import GeneralizationConfig
+    from izoo.benchmarks.generalization_options import GeneralizationConfig
 
 
 def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -37,13 +36,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
     return folder
 
 
-def _config() -> type:
-    from izoo.benchmarks.options import GeneralizationConfig
-
-    return GeneralizationConfig
-
-
-COMMAND = cli.Command(
+COMMAND = OptionCommand(
     name="benchmarks.generalization",
     summary="Train and test algorithms as the paper's protocols say, and collect the results in one folder.",
     examples=(
@@ -52,15 +45,13 @@ COMMAND = cli.Command(
         "izoo.benchmarks.generalization protocol=systematicity algos=[ppo,ppo_residual,glide] episodes=200",
         "izoo.benchmarks.generalization train=DATASET scale=small out=results/measured",
     ),
-    config=_config,
-    work=lambda: run,
+    config="izoo.benchmarks.generalization_options:GeneralizationConfig",
+    work="izoo.benchmarks.generalization:run",
+    check="izoo.commands.given_paths:check_benchmark",
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    return cli.run(COMMAND, argv)
-
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

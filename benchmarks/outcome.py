@@ -8,15 +8,15 @@ from typing import Any
 import pandas as pd
 from rich.table import Table
 
-from izoo.benchmarks.options import is_folder
+from izoo.benchmarks.generalization_options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
 from izoo.envs.config import EnvConfig
 from izoo.evaluation.across import aggregate, compare_entries, run_rows
-from izoo.evaluation.cache import settings
 from izoo.evaluation.folder import differences
+from izoo.evaluation.provenance import settings
 from izoo.evaluation.show import percent
-from izoo.reporting.leaderboard import make_submission, write_submission
 from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of
+from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
 from izoo.training.records import MetricsTable
 from izoo.training.runs import METRICS_FILE

@@ -36,14 +36,3 @@ class Pace:
         known = [self._measured[key]] if key in self._measured else []
         known = known or [value for other, value in self._measured.items() if other[0] == key[0]]
         return max((seconds / work for work, seconds in known), default=None)
-
-
-def duration(seconds: float | None) -> str:
-    """Seconds in words: ``about 3 min``."""
-    if seconds is None:
-        return "an unknown time"
-    if seconds < 90:
-        return f"about {seconds:.0f} s"
-    if seconds < 5400:
-        return f"about {seconds / 60:.0f} min"
-    return f"about {seconds / 3600:.1f} h"

@@ -11,8 +11,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from izoo.benchmarks.options import FLOOR_INFIX
+from izoo.benchmarks.generalization_options import FLOOR_INFIX
 from izoo.evaluation.policies import HUMAN
+from izoo.files import replacing
 from izoo.metrics.scores import pool
 from izoo.reporting.results import Results, evaluation_of
 
@@ -101,9 +102,8 @@ def plot(table: pd.DataFrame, path: Path, title: str) -> None:
     axes.set(xlabel="CO2 per vehicle (g)", ylabel="travel time to the stop line (s)", title=title)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
-    partial = path.with_name(f".{path.name}")
-    figure.savefig(partial, dpi=150, format="png")
-    partial.replace(path)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150, format="png")
 
 
 def table(points: pd.DataFrame) -> Table:

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
-from izoo.benchmarks.options import Entry, GeneralizationConfig, is_folder
+from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig, is_folder
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.compose import compose_config
-from izoo.conf.contexts import ContextsConfig, PcgContexts
+from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts import protocols
-from izoo.contexts.cities.rebuilt import CITIES, city_name
+from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.context import Context
-from izoo.contexts.source import episode_seed
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
+from izoo.evaluation.selection import episode_seeds
 
 EVALUATION_SEED = 241015221
 """Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
@@ -83,36 +83,18 @@ def place_name(place: str) -> str:
 
 def evaluation_seeds(count: int) -> list[int]:
     """Return the episode seeds of the evaluation: published, so that everyone's episodes pair up."""
-    return [episode_seed(EVALUATION_SEED, number) for number in range(count)]
-
-
-def published_test_set(protocol: Mapping[str, Any]) -> set[str] | None:
-    """Return the content hashes of a protocol's whole test set, or ``None`` where it lies in a folder of the user's.
-
-    Args:
-        protocol: the options of :class:`GeneralizationConfig` that decide it, places by name.
-    """
-    names = ("protocol", "train", "test", "form", "weather", "test_set")
-    places = [protocol[name] for name in ("train", "test") if protocol[name] is not None]
-    if any(place not in CITIES for place in places):
-        return None
-    config = GeneralizationConfig(**{name: protocol[name] for name in names}, scale="paper").resolved()
-    return {context.content_hash for context in make_plan(config).test}
+    return episode_seeds(EVALUATION_SEED, count)
 
 
 def place_contexts(place: str, split: Split, config: GeneralizationConfig) -> CityContexts | DatasetContexts:
-    """Return the contexts of a built-in city or a dataset folder, one approach at a time (spec 11)."""
+    """Return the contexts of a built-in city or a dataset folder, one approach at a time."""
     if is_folder(place):
         if not Path(place).is_dir():
             raise IzooError(f"{place} is no folder; give a city or a folder of the published dataset.")
         return DatasetContexts(path=place, split=split, weather=config.weather or "published")
     city = city_name(place)
     published = config.weather or ("published" if city in WEATHER_PUBLISHED else "county")
-    return CityContexts(city=city, split=split, weather=published, **_city_common())
-
-
-def _city_common() -> dict[str, Any]:
-    return dict(protocols.COMMON)
+    return CityContexts(city=city, split=split, weather=published, **dict(protocols.COMMON))
 
 
 def limit_contexts(contexts: Sequence[Context], limit: int) -> list[Context]:

@@ -1,27 +1,45 @@
 """How an environment's step grows with traffic, where its time goes, and what a reset costs.
 
-``python -m izoo.benchmarks.scaling [--json]`` steps one environment on procedural intersections from a handful to some
+``python -m izoo.benchmarks.scaling`` steps one environment on procedural intersections from a handful to some
 hundreds of vehicles in the controlled region, beside bare libsumo, and times each part of a step and a reset to a
 cached net, warm-up included.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from izoo import cli
-from izoo.benchmarks.timing import seconds_per_step
+from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.commands.option_command import OptionCommand
+from izoo.errors import check_range
+from izoo.files import write_json
 
 SETTLE_STEPS = 400
 RESETS = 7
+
+
+@dataclass(frozen=True)
+class ScalingConfig:
+    """Options of the scaling benchmark.
+
+    Attributes:
+        steps: timed steps per world.
+        out: also write the rows as JSON to this file.
+    """
+
+    steps: int = 800
+    out: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range("steps", self.steps, 1, 10**9)
 
 
 def worlds() -> list[Any]:
@@ -53,7 +71,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
     env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=256, num_vehicles=1024))
     try:
         env.reset()
-        simulator = env.simulator
+        simulator: Any = env.backend
         resets = []
         for _ in range(RESETS):
             begin = time.perf_counter()
@@ -68,7 +86,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             nonlocal state
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
-            vehicles.append(len(simulator.roster.rows))
+            vehicles.append(len(simulator.names.members))
 
         parts = _Parts(simulator)
         whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, parts.begin)
@@ -111,15 +129,9 @@ class _Parts:
         return {f"{name}_us": 1e6 * seconds / steps for name, seconds in self.seconds.items()}
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the benchmark; returns the exit code."""
-    parser = argparse.ArgumentParser("python -m izoo.benchmarks.scaling", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.add_argument("--steps", type=int, default=800, help="timed steps per world (default 800)")
-    options = parser.parse_args(argv)
-    if options.steps < 1:
-        parser.error(f"--steps is {options.steps}; one or more are needed")
-    print("izoo scaling: loading torch and SUMO", file=sys.stderr, flush=True)
+def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
+    """Measure every world, print the table, and write the rows where they are wanted."""
+    print("Loading torch and SUMO.", flush=True)
     import torch
     from rich.console import Console
     from rich.table import Table
@@ -128,11 +140,10 @@ def main(argv: list[str] | None = None) -> int:
     contexts, rows = worlds(), []
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
-        rows.append(measure(context, options.steps))
+        rows.append(measure(context, config.steps))
     slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row["environment_us"] for row in rows], 1)
-    if options.json:
-        print(json.dumps({"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed}, indent=1))
-        return 0
+    if config.out is not None:
+        write_json(Path(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
     table = Table(title="one environment: microseconds per step")
     for heading in (
         "vehicles",
@@ -152,8 +163,16 @@ def main(argv: list[str] | None = None) -> int:
         table.add_row(f"{row['vehicles']:.0f}", *(f"{cell:.0f}" for cell in cells), f"{row['reset_ms']:.0f}")
     Console().print(table)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
-    return 0
 
+
+COMMAND = OptionCommand(
+    name="benchmarks.scaling",
+    summary="Measure how an environment's step grows with traffic, where its time goes, and what a reset costs.",
+    examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling steps=400 out=scaling.json"),
+    config="izoo.benchmarks.scaling:ScalingConfig",
+    work="izoo.benchmarks.scaling:run",
+)
+main = COMMAND.main
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.scaling", main))
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """How fast environments run, beside bare libsumo on the same network, demand and machine.
 
-``python -m izoo.benchmarks.throughput [--json] [--workers N] [--scenarios light,medium,heavy] [--steps N]``
+``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400 out=FILE``
 
 Every row plays the same episodes, as many as there are workers: same nets, same arrivals; one after the other where
 there is one environment, side by side where there are several. Bare libsumo is also run in several processes at once,
@@ -15,24 +15,49 @@ medians are reported.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import statistics
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
-from izoo import cli
-from izoo.benchmarks.timing import CHUNK
+from izoo.benchmarks.stopwatch import CHUNK
+from izoo.commands.option_command import OptionCommand
+from izoo.console import Progress
+from izoo.errors import IzooError, check_range
+from izoo.files import write_json
 
 if TYPE_CHECKING:
     from izoo.benchmarks.variants import Sample
 
 ROUNDS = 3
-SCENARIOS = ("light", "medium", "heavy")
+Scenario = Literal["light", "medium", "heavy"]
+
+
+@dataclass(frozen=True)
+class ThroughputConfig:
+    """Options of the throughput benchmark.
+
+    Attributes:
+        scenarios: of ``light``, ``medium`` and ``heavy`` traffic.
+        workers: processes of the variants that have several.
+        steps: timed steps per environment, variant and round; a multiple of 200, as collectors are timed in such
+            batches.
+        out: also write the rows as JSON to this file.
+    """
+
+    scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
+    workers: int = 2
+    steps: int = 400
+    out: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range("workers", self.workers, 1, 1024)
+        if self.steps < CHUNK or self.steps % CHUNK:
+            raise IzooError(f"steps is {self.steps}; it must be a multiple of {CHUNK}, a batch of the collectors.")
 
 
 @dataclass(frozen=True)
@@ -52,13 +77,11 @@ def measure(names: Sequence[str], workers: int, steps: int) -> list[Row]:
     """Measure all variants of the named scenarios, a bar on the error stream meanwhile.
 
     Args:
-        names: scenarios, of :data:`SCENARIOS`.
+        names: of ``light``, ``medium`` and ``heavy``.
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round.
     """
     import torch
-    from rich.console import Console
-    from rich.progress import Progress
 
     from izoo.benchmarks.variants import Plan, make_variants, scenarios
 
@@ -69,17 +92,15 @@ def measure(names: Sequence[str], workers: int, steps: int) -> list[Row]:
         variants = make_variants(plan)
         for variant in variants.values():
             stack.callback(variant.close)
-        bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-        task = bar.add_task("", total=len(names) * ROUNDS * len(variants))
+        played = 0
+        bar = stack.enter_context(Progress(len(names) * ROUNDS * len(variants), unit="plays", file=sys.stderr))
         for number, name in enumerate(names):
             samples: dict[str, list[Sample]] = {label: [] for label in variants}
-            for turn in range(1, ROUNDS + 1):
-                if not bar.console.is_terminal:
-                    print(f"{name}: round {turn} of {ROUNDS}", file=sys.stderr, flush=True)
+            for _ in range(ROUNDS):
                 for label, variant in variants.items():
-                    bar.update(task, description=f"{name}: {label}")
                     samples[label].append(variant.play(number))
-                    bar.advance(task)
+                    played += 1
+                    bar.update(played, f"{name}: {label}")
             rows += _rows(name, samples)
     return rows
 
@@ -116,32 +137,24 @@ def print_tables(rows: Sequence[Row]) -> None:
         console.print(table)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the benchmark; returns the exit code."""
-    parser = argparse.ArgumentParser("python -m izoo.benchmarks.throughput", description=__doc__.split("\n")[0])
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.add_argument("--workers", type=int, default=2, help="worker processes (default 2)")
-    parser.add_argument("--steps", type=int, default=400, help="timed steps per row and round (default 400)")
-    parser.add_argument("--scenarios", default="light,medium,heavy", help="comma-separated (default all three)")
-    options = parser.parse_args(argv)
-    chosen = options.scenarios.split(",")
-    for name in chosen:
-        if name not in SCENARIOS:
-            parser.error(f"unknown scenario {name!r}; choose from: {', '.join(SCENARIOS)}")
-    if options.workers < 1:
-        parser.error(f"--workers is {options.workers}; one or more are needed")
-    if options.steps < CHUNK or options.steps % CHUNK:
-        parser.error(
-            f"--steps is {options.steps}; it must be a multiple of {CHUNK}: collectors are timed in such batches"
-        )
-    print("izoo throughput: loading torch and SUMO", file=sys.stderr, flush=True)
-    rows = measure(chosen, options.workers, options.steps)
-    if options.json:
-        print(json.dumps({"workers": options.workers, "rows": [asdict(row) for row in rows]}, indent=1))
-    else:
-        print_tables(rows)
-    return 0
+def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
+    """Measure, print the tables, and write the rows where they are wanted."""
+    print("Loading torch and SUMO.", flush=True)
+    rows = measure(config.scenarios, config.workers, config.steps)
+    print_tables(rows)
+    if config.out is not None:
+        write_json(Path(config.out), {"workers": config.workers, "rows": [asdict(row) for row in rows]})
+    return rows
 
+
+COMMAND = OptionCommand(
+    name="benchmarks.throughput",
+    summary="Measure how fast environments run, beside bare libsumo on the same network, demand and machine.",
+    examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4 out=rates.json"),
+    config="izoo.benchmarks.throughput:ThroughputConfig",
+    work="izoo.benchmarks.throughput:run",
+)
+main = COMMAND.main
 
 if __name__ == "__main__":
-    sys.exit(cli.exit_code("benchmarks.throughput", main))
+    sys.exit(main())

@@ -8,16 +8,15 @@ with the Pareto front) in a results folder that is otherwise that of the general
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo import cli
+from izoo.commands.option_command import OptionCommand
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.sweep import TradeoffsConfig
+    from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 
-CSV_FILE, PLOT_FILE = "tradeoffs.csv", "tradeoffs.png"
+PLOT_FILE = "tradeoffs.png"
 
 
 def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -26,7 +25,8 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import pareto
     from izoo.benchmarks.campaign import Campaign
-    from izoo.evaluation.table import write_text
+    from izoo.files import write_text
+    from izoo.reporting.material import TRADEOFFS_FILE
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"tradeoffs-{config.scale}"
@@ -36,20 +36,14 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     with campaign.open():
         results = campaign.run(submit=False)
         points = pareto.points(folder, results, config.weights())
-        write_text(folder / CSV_FILE, points.to_csv(index=False))
+        write_text(folder / TRADEOFFS_FILE, points.to_csv(index=False))
         pareto.plot(points, folder / PLOT_FILE, results.title)
     Console().print(pareto.table(points))
-    print(f"Results: {folder / CSV_FILE} and {PLOT_FILE}", flush=True)
+    print(f"Results: {folder / TRADEOFFS_FILE} and {PLOT_FILE}", flush=True)
     return folder
 
 
-def _config() -> type:
-    from izoo.benchmarks.sweep import TradeoffsConfig
-
-    return TradeoffsConfig
-
-
-COMMAND = cli.Command(
+COMMAND = OptionCommand(
     name="benchmarks.tradeoffs",
     summary="Sweep over the weights of the reward, and plot emission against travel time.",
     examples=(
@@ -57,15 +51,13 @@ COMMAND = cli.Command(
         "izoo.benchmarks.tradeoffs eta=[0,0.5,1] beta=[-1,-3,-10] scale=small seeds=4",
         "izoo.benchmarks.tradeoffs learner=ddpg comfort=[0,1] protocol=systematicity floors_mps=[1,3,5,8]",
     ),
-    config=_config,
-    work=lambda: run,
+    config="izoo.benchmarks.tradeoffs_options:TradeoffsConfig",
+    work="izoo.benchmarks.tradeoffs:run",
+    check="izoo.commands.given_paths:check_benchmark",
 )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    return cli.run(COMMAND, argv)
-
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -20,20 +20,20 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.base import ACTION, MASK, Leaves
+from izoo.algos.base import ACTION, MASK
 from izoo.algos.ppo_config import PPOConfig
-from izoo.benchmarks.timing import CHUNK, seconds_per_step
-from izoo.conf.options import CollectorConfig, TrainConfig
+from izoo.algos.registry import make_algorithm
+from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
+from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
-from izoo.envs.layout import TOTALS, observation_names
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
-from izoo.training.interrupt import workers_ignore_interrupts
-from izoo.training.runs import make_algorithm
 
 WARMUP_S = 350.0
 """Time in which the region fills, with nobody commanding."""
@@ -192,7 +192,7 @@ class Single:
 
 
 class FullAcceleration(TensorDictModuleBase):
-    """No policy: what every CV is told costs next to nothing to find out."""
+    """No policy: every CV gets the same command, which costs next to nothing."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -201,10 +201,6 @@ class FullAcceleration(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the highest acceleration, ``[*B, A, 1]``."""
         return tensordict.set(ACTION, torch.full((*tensordict.get(MASK).shape, 1), ACTION_HIGH_MPS2))
-
-    def in_place(self, frame: Leaves, told: Leaves) -> Callable[[int], None]:
-        """Return what does so in a batch; see :class:`izoo.algos.base.InPlace`."""
-        return lambda step: told[ACTION][step].fill(ACTION_HIGH_MPS2)
 
 
 @dataclass
@@ -256,7 +252,7 @@ class Collected:
             num_workers=self.plan.workers,
         )
         torch.manual_seed(0)
-        policy = self.policy or make_algorithm(options, len(observation_names(options.env))).policy
+        policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
         return BatchSource(options, policy, schedule)
 
     def close(self) -> None:
@@ -269,7 +265,7 @@ def _simulation(plan: Plan, context: Context, worker: int) -> Iterator[Any]:
     """A simulator of this process, after its warm-up."""
     with contextlib.closing(EcoDrivingEnv(context, config=plan.env(emit=()))) as env:
         env.reset(context=context, seed=episode_seed(0, worker))
-        yield env.simulator
+        yield env.backend
 
 
 def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
@@ -280,7 +276,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
         for step in range(CHUNK + plan.steps):
             simulator.step()
             if step >= CHUNK:
-                vehicles += len(simulator.roster.rows)
+                vehicles += len(simulator.names.members)
                 agents += int(simulator.frame["mask"].sum())
     return vehicles / plan.steps, agents / plan.steps
 

@@ -3,7 +3,8 @@
 - :class:`EcoDrivingEnv`: one intersection, in this process.
 - :class:`SumoParallelEnv`: several, each in a worker process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
-- :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo/EcoDriving-v0")`` and ``"izoo/EcoDrivingEgo-v0"``.
+- :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` and
+  ``"izoo.envs:izoo/EcoDrivingEgo-v0"``.
 - :mod:`izoo.envs.views.pettingzoo`: the parallel API of PettingZoo.
 
 Names are loaded when first used, so that worker processes do not pay for torch.
@@ -18,14 +19,13 @@ from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
-    from izoo.envs.env import EcoDrivingEnv
-    from izoo.envs.sumo.parallel import SumoParallelEnv
+    from izoo.envs.env import EcoDrivingEnv, SumoParallelEnv
 
 _HOME = {
     "EcoDrivingEnv": "env",
     "EnvConfig": "config",
     "RewardConfig": "config",
-    "SumoParallelEnv": "parallel",
+    "SumoParallelEnv": "env",
 }
 __all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv"]
 

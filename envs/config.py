@@ -5,49 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from izoo.contexts.features import OBSERVED, check_observed
+from izoo.envs.mdp.observation import NEIGHBOURS
+from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, check_choice, check_range
 
+__all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
-NEIGHBOURS = ("leader", "follower", "left_leader", "left_follower", "right_leader", "right_follower")
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
-
-
-@dataclass(frozen=True)
-class RewardConfig:
-    """Weights of the reward.
-
-    ``r_i = (eta * fleet mean of x_j + (1 - eta) * x_i + safety * min TTC) / scale`` with
-    ``x = v + alpha * stopped + beta * e - comfort * |a_t| - realism * |a_t - a_{t-1}|``, where ``v`` is in m/s, ``e``
-    in g of CO2 per step, and ``stopped`` is 1 below ``tau_mps`` (or ``(tau - v) / tau`` there with ``soft_stop``).
-
-    Attributes:
-        eta: share of the fleet mean; 1 pays every CV the same.
-        alpha: weight of stopping.
-        beta: weight of emission.
-        tau_mps: below this speed a vehicle counts as stopped.
-        scale: the sum is divided by it.
-        soft_stop: the released code's softened stop term instead of the paper's indicator.
-        comfort: weight of the comfort term.
-        realism: weight of the kinematic-realism term.
-        safety: weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.
-    """
-
-    eta: float = 1.0
-    alpha: float = -35.0
-    beta: float = -3.0
-    tau_mps: float = 1.0
-    scale: float = 15.0
-    soft_stop: bool = False
-    comfort: float = 0.0
-    realism: float = 0.0
-    safety: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_range("reward.eta", self.eta, 0.0, 1.0)
-        check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
-        check_range("reward.scale", self.scale, 1e-6, 1e9)
 
 
 @dataclass(frozen=True)

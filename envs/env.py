@@ -1,8 +1,8 @@
-"""The environment: one intersection on libsumo, in this process, as a TorchRL environment."""
+"""TorchRL's face of the environments: one intersection, or several, on whichever simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,25 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs import specs
+from izoo.envs.backend import Backend, Play
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import frame_bytes, map_frames, observation_names
+from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.mdp.scene import Scene
+from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
-from izoo.envs.recorder import BatchRecorder
-from izoo.envs.sumo.simulator import Simulator
+from izoo.envs.sumo.simulator import SumoSimulator
+from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError
+from izoo.networks.road import RoadNet
 
 Contexts = Context | Sequence[Context] | ContextSource | Schedule
 
 
 class EcoDrivingBase(EnvBase):
-    """Specs and frames, shared by the single and the parallel environment.
+    """An environment over a :class:`~izoo.envs.backend.Backend`: specs, the schedule of episodes, TensorDicts.
+
+    Environment ``k`` plays the episodes ``first + k``, ``first + k + stride``, ... of the schedule, so any number of
+    environments play the same episodes.
 
     Args:
         contexts: what is played: a context, a sequence or a source to draw from, or a schedule; the default draws from
@@ -34,7 +41,9 @@ class EcoDrivingBase(EnvBase):
         config: settings of the environment.
         seed: base seed; with an episode's number it determines the episode's context and seed.
         batch_size: ``[]`` or ``[N]``.
-        buffer: memory for the frames.
+        frames: the arrays ``[N, ...]`` that the backend writes (``N`` of 1 for ``[]``).
+        backend: simulates.
+        first, stride: numbers of the episodes.
     """
 
     batch_locked = True
@@ -42,14 +51,23 @@ class EcoDrivingBase(EnvBase):
     """Arrays of a frame that are emitted at the root, besides the groups of ``config.emit``."""
 
     def __init__(
-        self, contexts: Contexts | None, config: EnvConfig | None, seed: int, batch_size: list[int], buffer: Any
+        self,
+        contexts: Contexts | None,
+        config: EnvConfig,
+        seed: int,
+        batch_size: list[int],
+        frames: dict[str, np.ndarray],
+        backend: Backend,
+        first: int = 0,
+        stride: int = 1,
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(batch_size))
         self.is_closed = False  # TorchRL closes only what says that it is open
-        self.config = config = config or EnvConfig()
+        self.config, self.frames, self.backend = config, frames, backend
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
-        self.frames = map_frames(buffer, config, *(batch_size or [1]))
-        views = self.frames if batch_size else {name: array[0] for name, array in self.frames.items()}
+        self._first, self._stride = first, stride
+        self._restart_episodes()
+        views = frames if batch_size else row_of(frames, 0)
         self.reader = FrameReader(config, views, self.batch_size, self.leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
@@ -65,33 +83,60 @@ class EcoDrivingBase(EnvBase):
             self.schedule = reseed(self.schedule, seed)
             self._restart_episodes()
 
-    @property
-    def started(self) -> bool:
-        """Whether the episodes are running."""
-        raise NotImplementedError
-
     def _restart_episodes(self) -> None:
         """Number episodes from the first again."""
-        raise NotImplementedError
+        self._next_episode = self._first + np.arange(self.batch_size.numel())
 
-    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
-        """Bring the frames, which hold the commands, to what follows.
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        if options:
+            raise IzooError(
+                f"reset() of this environment does not take {', '.join(options)}; give contexts= to the constructor, "
+                "or ('context', 'episode') per environment in the tensordict."
+            )
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        count = self.batch_size.numel()
+        chosen = range(count) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()
+        numbers = {index: self._take_number(tensordict, index) for index in chosen}
+        self.backend.begin({index: Play(*self.schedule(number), number) for index, number in numbers.items()})
+        return self._frame()
 
-        Args:
-            state: returns what was acted on.
-        """
-        raise NotImplementedError
+    def _take_number(self, tensordict: TensorDictBase | None, index: int) -> int:
+        """Return the number of the episode to begin: the one that is asked for, or the next one."""
+        requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
+        if requested is not None:
+            return int(requested.view(-1)[index])
+        number = int(self._next_episode[index])
+        self._next_episode[index] += self._stride
+        return number
+
+    def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
+        """Report a lost step: the state before it, truncated, without reward; nothing was measured (0 steps)."""
+        row = row_of(self.frames, index)
+        agents = tensordict.get("agents")[index]
+        row["observation"][:] = agents.get("observation").numpy()
+        row["mask"][:] = agents.get("mask").numpy()
+        row["agent_vehicle"][:] = agents.get("vehicle").numpy()
+        row["agent_truncated"][:] = row["mask"]
+        row["agent_done"][:] = row["mask"]
+        row["agent_terminated"][:] = 0
+        row["reward"][:] = 0.0
+        row["reward_vector"][:] = 0.0
+        row["totals"][:] = 0.0
+        row["terminated"][:] = 0
+        row["truncated"][:] = 1
+        row["done"][:] = 1
 
     def _simulate(self, tensordict: TensorDictBase) -> None:
-        """Take the actions and bring the frames to what follows."""
+        """Take the actions and simulate one step."""
         self.require_started()
         self.reader.write_action(tensordict)
-        self._advance(lambda: tensordict)
+        for index in self.backend.step(self.reader.prepare):
+            self._truncate(index, tensordict)
 
-    def require_started(self) -> None:
-        """Raise :class:`IzooError` unless the episodes are running."""
-        if not self.started:
-            raise IzooError("step() came before reset(); call reset() first, it starts the episodes.")
+    def require_started(self, call: str = "step") -> None:
+        """Raise :class:`IzooError`, which names the call that came too early, unless the episodes are running."""
+        if not self.backend.started:
+            raise IzooError(f"{call}() came before reset(); call reset() first, it starts the episodes.")
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)
@@ -117,16 +162,11 @@ class EcoDrivingBase(EnvBase):
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun
 
-    def step_recorded(self, recorder: BatchRecorder, step: int) -> None:
-        """Take the commands of a step from a recorder's batch, and write what follows into it.
-
-        Does what :meth:`step_and_maybe_reset` does, without TensorDicts.
-        """
-        self.reader.write_commands(recorder.commands, step)
-        self._advance(lambda: recorder.state(step))
-        recorder.write_following(step)
-        self._begin_where_ended()
-        recorder.write_state(step + 1)
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """End all simulations."""
+        self.backend.close()
+        if not self.is_closed:
+            super().close(raise_if_closed=raise_if_closed)
 
     def _begin_where_ended(self) -> TensorDictBase | None:
         """Begin new episodes where one has ended; return the state to act on if there was any."""
@@ -144,11 +184,10 @@ def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
 
 
 class EcoDrivingEnv(EcoDrivingBase):
-    """One intersection; SUMO starts at the first reset.
+    """One intersection on SUMO, in this process, which can hold no other; SUMO starts at the first reset.
 
-    Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule, so any number of environments play
-    the same episodes. ``reset(TensorDict({("context", "episode"): ...}))`` plays a given episode again; ``reset(
-    context=..., seed=...)`` plays any context.
+    Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule. ``reset(TensorDict({("context",
+    "episode"): ...}))`` plays a given episode again; ``reset(context=..., seed=...)`` plays any context.
 
     Emits (``A`` agent slots, ``V`` vehicle slots; masks say which slots hold something):
 
@@ -173,21 +212,9 @@ class EcoDrivingEnv(EcoDrivingBase):
         num_workers: int = 1,
     ) -> None:
         config = config or EnvConfig()
-        super().__init__(contexts, config, seed, [], bytearray(frame_bytes(config, 1)))
-        self._first, self._stride = worker, num_workers
-        self._restart_episodes()
-        self._simulator: Simulator | None = None
-
-    def _restart_episodes(self) -> None:
-        self._episode = self._first
-
-    @property
-    def simulator(self) -> Simulator:
-        """The simulator behind this environment (created when first needed)."""
-        if self._simulator is None:
-            frame = {name: array[0] for name, array in self.frames.items()}
-            self._simulator = Simulator(self.config, frame, load_weights())
-        return self._simulator
+        frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
+        simulator = SumoSimulator(config, row_of(frames, 0), load_weights())
+        super().__init__(contexts, config, seed, [], frames, simulator, worker, num_workers)
 
     def _reset(
         self,
@@ -195,44 +222,65 @@ class EcoDrivingEnv(EcoDrivingBase):
         *,
         context: Context | None = None,
         seed: int | None = None,
-        **_: Any,
+        **options: Any,
     ) -> TensorDictBase:
-        requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
-        if requested is not None:
-            episode = int(requested)
-        else:
-            episode = self._episode
-            self._episode += self._stride
-        planned, planned_seed = self.schedule(episode) if context is None else (context, 0)
-        self.simulator.reset(planned, planned_seed if seed is None else seed, episode)
+        if context is None and seed is None:
+            return super()._reset(tensordict, **options)
+        number = self._take_number(tensordict, 0)
+        planned, planned_seed = self.schedule(number) if context is None else (context, 0)
+        self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
         return self._frame()
 
-    @property
-    def started(self) -> bool:
-        """Whether an episode is running."""
-        return self._simulator is not None and self._simulator.started
+    def scene(self) -> Scene:
+        """Return the present state, whether or not it is emitted: context, road, vehicles, signals, metrics.
 
-    def _advance(self, state: Callable[[], TensorDictBase]) -> None:
-        self.simulator.step()
+        Raises:
+            IzooError: no episode has begun.
+        """
+        return self.backend.scene()
+
+    @property
+    def road(self) -> RoadNet:
+        """The road net of the present episode."""
+        return self.scene().road
 
     def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
         """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.
 
         TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
         """
-        if self._simulator is None or not self._simulator.started:
-            raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
-        from izoo.envs.views.render import draw
+        self.require_started("render")
+        return draw(self.scene(), span_m=span_m, size_px=size_px)
 
-        simulator = self._simulator
-        title = f"{simulator.context.name}   t = {simulator.time_s:.1f} s"
-        colour = simulator.clock.now
-        return draw(simulator.road, simulator.vehicles(), colour, title=title, span_m=span_m, size_px=size_px)
 
-    def close(self, *, raise_if_closed: bool = True) -> None:
-        """End SUMO; the process can then open another environment."""
-        if self._simulator is not None:
-            self._simulator.close()
-            self._simulator = None
-        if not self.is_closed:
-            super().close(raise_if_closed=raise_if_closed)
+class SumoParallelEnv(EcoDrivingBase):
+    """``N`` intersections on SUMO, each simulated by a process of its own; batch size ``[N]``.
+
+    It does what TorchRL's ``ParallelEnv`` does, by other means: workers write their frames into shared arrays, and a
+    worker that dies or hangs is replaced alone: its step is reported as truncated, with the observation it last had,
+    and the others do not notice. Workers start at the first reset.
+
+    Args:
+        num_workers: ``N``.
+        contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` workers share the schedule.
+    """
+
+    def __init__(
+        self,
+        num_workers: int = 2,
+        contexts: Contexts | None = None,
+        *,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        config = config or EnvConfig()
+        if config.gui:
+            raise IzooError("env.gui works with one environment only; use EcoDrivingEnv (collector=single).")
+        workers = SumoWorkers(config, num_workers)
+        super().__init__(contexts, config, seed, [num_workers], workers.frames, workers, 0, num_workers)
+        self.num_workers = num_workers
+
+    @property
+    def restarts(self) -> int:
+        """How many workers were replaced because they were lost."""
+        return self.backend.restarts  # type: ignore[attr-defined]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -10,13 +10,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import (
-    CONTEXT_VALUES,
-    VEHICLE_FLAGS,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-)
-from izoo.envs.specs import CONTEXT_IDS, DONE
+from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.specs import DONE
 from izoo.errors import IzooError
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
@@ -26,8 +22,6 @@ _AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent
 """Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
-Own = Callable[[Tensor], Tensor]
-"""Returns a block of the frames, or a copy of it."""
 
 
 class FrameReader:
@@ -35,7 +29,7 @@ class FrameReader:
 
     Args:
         config: the environment's settings.
-        arrays: frames as made by :func:`izoo.envs.layout.map_frames`; for ``batch`` of ``[]`` their single row.
+        arrays: frames as made by :func:`izoo.envs.mdp.frame.map_frames`; for ``batch`` of ``[]`` their single row.
         batch: batch size of the environment.
         leaves: arrays that are emitted at the root under their own names.
     """
@@ -45,7 +39,6 @@ class FrameReader:
     ) -> None:
         self.config, self.batch = config, batch
         self.agents_batch = torch.Size((*batch, config.num_agents))
-        self._commanded, self._lane_change = arrays["action"], arrays["lane_change"]
         self._defer = arrays["defer"].view(bool)
         self._deferring = True
         self.tensors: dict[str, Tensor] = {}
@@ -62,26 +55,26 @@ class FrameReader:
         self._action = self.tensors["action"].unsqueeze(-1)
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
 
-    def check_action(self, tensordict: TensorDictBase) -> None:
+    def _check_action(self, tensordict: TensorDictBase) -> None:
         """Check the action keys.
 
         Raises:
             IzooError: an action is missing, is of another shape or type than its spec, or is no lane change.
         """
-        agents = tensordict._get_str("agents", None)
-        action = None if agents is None else agents._get_str("action", None)
+        agents = tensordict.get("agents", None)
+        action = None if agents is None else agents.get("action", None)
         if action is None or action.shape != self.action_shape or not action.is_floating_point():
             got = "missing" if action is None else f"{action.dtype} of shape {list(action.shape)}"
             raise IzooError(
                 f"('agents', 'action') is {got}; give accelerations in m/s^2 as a float tensor of shape "
                 f"{list(self.action_shape)}."
             )
-        defer = agents._get_str("defer", None)
+        defer = agents.get("defer", None)
         if defer is not None and defer.numel() != self.agents_batch.numel():
             shape = list(self.agents_batch)
             raise IzooError(f"('agents', 'defer') is of shape {list(defer.shape)}; give flags of shape {shape}.")
         if self.config.lane_change:
-            self._check_lane_change(agents._get_str("lane_change", None))
+            self._check_lane_change(agents.get("lane_change", None))
 
     def _check_lane_change(self, lanes: Tensor | None) -> None:
         legal = self.tensors["lane_change"].shape
@@ -96,27 +89,14 @@ class FrameReader:
             )
 
     def write_action(self, tensordict: TensorDictBase) -> None:
-        """Copy the action keys into the frames, checked: see :meth:`check_action`."""
-        self.check_action(tensordict)
-        agents = tensordict._get_str("agents", None)
-        self._action.copy_(agents._get_str("action", None))
-        defer = agents._get_str("defer", None)
+        """Copy the action keys into the frames, checked: see :meth:`_check_action`."""
+        self._check_action(tensordict)
+        agents = tensordict.get("agents", None)
+        self._action.copy_(agents.get("action", None))
+        defer = agents.get("defer", None)
         self._write_defer(None if defer is None else defer.reshape(self.agents_batch).numpy())
         if self.config.lane_change:
-            self.tensors["lane_change"].copy_(agents._get_str("lane_change", None))
-
-    def write_commands(self, commands: Mapping[str, np.ndarray], step: int) -> None:
-        """Copy the commands of a step into the frames.
-
-        Args:
-            commands: ``[T, *B, A]``, by the names of :data:`COMMANDS`; their keys have passed :meth:`check_action`.
-            step: which of them.
-        """
-        self._commanded[:] = commands["action"][step]
-        defer = commands.get("defer")
-        self._write_defer(None if defer is None else defer[step])
-        if self.config.lane_change:
-            self._lane_change[:] = commands["lane_change"][step]
+            self.tensors["lane_change"].copy_(agents.get("lane_change", None))
 
     def _write_defer(self, defer: np.ndarray | None) -> None:
         if defer is not None:
@@ -144,14 +124,8 @@ class FrameReader:
             for blank, source in zip(blanks, self._sources, strict=True):
                 np.copyto(blank, source)
         if self.config.emit:
-            self._add_groups(following, state, torch.clone)
+            self._add_groups(following, state)
         return following, state
-
-    def views(self) -> TensorDict:
-        """Return what :meth:`read` returns first, but in the memory of the frames: the next step changes it."""
-        following, state = self._assemble([torch.from_numpy(source) for source in self._sources])
-        self._add_groups(following, state, lambda block: block)
-        return following
 
     def _assemble(self, leaves: Sequence[Tensor]) -> tuple[TensorDict, TensorDict]:
         """Return the two TensorDicts of a step, without the groups of ``config.emit``, from copies of the sources."""
@@ -163,44 +137,44 @@ class FrameReader:
         root["agents"] = _new(agents, self.agents_batch)
         return following, _new(root, self.batch)
 
-    def _add_groups(self, following: TensorDict, state: TensorDict, own: Own) -> None:
-        """Add the groups of ``config.emit``, of blocks of the frames as ``own`` returns them."""
+    def _add_groups(self, following: TensorDict, state: TensorDict) -> None:
+        """Add the groups of ``config.emit``, from copies of the blocks of the frames."""
         t, emit = self.tensors, self.config.emit
         groups: dict[str, TensorDict] = {}
         if "reward_vector" in emit:
-            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = own(t["reward_vector"])
+            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = t["reward_vector"].clone()
         if "vehicles" in emit:
-            groups["vehicles"] = self._vehicles(own)
+            groups["vehicles"] = self._vehicles()
         if "signal" in emit:
-            signal = {"colour": own(t["signal_colour"]), "time_left_s": own(t["signal_time_left_s"])}
+            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
             groups["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
         if "context" in emit:
-            groups["context"] = self.context(own)
+            groups["context"] = self.context()
         if "metrics" in emit:
-            groups["metrics"] = self.metrics(own)
+            groups["metrics"] = self.metrics()
         for name, group in groups.items():
             for tensordict in (following, state):
                 tensordict._set_str(name, group, validated=True, inplace=False, non_blocking=False)
 
-    def context(self, own: Own = torch.clone) -> TensorDict:
+    def context(self) -> TensorDict:
         """Read the context group."""
-        values, ids = own(self.tensors["context_values"]), own(self.tensors["context_ids"])
+        values, ids = self.tensors["context_values"].clone(), self.tensors["context_ids"].clone()
         columns = dict(zip(CONTEXT_VALUES, values.split(1, -1), strict=True))
         columns |= dict(zip(CONTEXT_IDS, ids.split(1, -1), strict=True))
         return _new(columns, self.batch)
 
-    def _vehicles(self, own: Own) -> TensorDict:
+    def _vehicles(self) -> TensorDict:
         t = self.tensors
-        columns = dict(zip(VEHICLE_FLOATS, own(t["vehicle_floats"]).unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_INTS, own(t["vehicle_ints"]).unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_FLAGS, own(t["vehicle_flags"]).unbind(-1), strict=True))
+        columns = dict(zip(VEHICLE_FLOATS, t["vehicle_floats"].clone().unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_INTS, t["vehicle_ints"].clone().unbind(-1), strict=True))
+        columns |= dict(zip(VEHICLE_FLAGS, t["vehicle_flags"].clone().unbind(-1), strict=True))
         return _new(columns, torch.Size((*self.batch, self.config.num_vehicles)))
 
-    def metrics(self, own: Own = torch.clone) -> TensorDict:
+    def metrics(self) -> TensorDict:
         """Read the metrics group: sums of the episode so far."""
-        approach = dict(zip(APPROACH_METRICS, own(self.tensors["approach_metrics"]).unbind(-1), strict=True))
-        approach["mask"] = own(self.tensors["approach_mask"])
-        episode = dict(zip(EPISODE_METRICS, own(self.tensors["episode_metrics"]).split(1, -1), strict=True))
+        approach = dict(zip(APPROACH_METRICS, self.tensors["approach_metrics"].clone().unbind(-1), strict=True))
+        approach["mask"] = self.tensors["approach_mask"].clone()
+        episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
         p = torch.Size((*self.batch, self.config.num_approaches))
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
 

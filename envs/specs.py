@@ -10,22 +10,16 @@ import torch
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.layout import (
-    CONTEXT_VALUES,
-    REWARD_VECTOR,
-    VEHICLE_FLAGS,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-    observation_names,
-)
+from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, observation_names
+from izoo.envs.mdp.reward import REWARD_VECTOR
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
-CONTEXT_IDS = ("episode", "context_id", "seed")
 DONE = ("terminated", "truncated", "done")
 
 
 def observation_spec(config: EnvConfig, batch: torch.Size) -> Composite:
-    """Spec of everything emitted at reset and step, but reward and done."""
+    """Spec of everything emitted at reset and step, except reward and done."""
     a, f = config.num_agents, len(observation_names(config))
     root = Composite(agents=_agents(config, batch, a, f), shape=batch)
     if "vehicles" in config.emit:

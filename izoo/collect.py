@@ -5,15 +5,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo import cli
+from izoo.commands.entries import COLLECT as COMMAND
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.data import TensorDictReplayBuffer
+
+main = COMMAND.main
 
 
 def load(folder: Path | str) -> TensorDictBase:
@@ -23,9 +24,9 @@ def load(folder: Path | str) -> TensorDictBase:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
+        steps ``[frames]``, memory-mapped; see :func:`izoo.training.offline.load`.
     """
-    from izoo.training.dataset import load as load_dataset
+    from izoo.training.offline import load as load_dataset
 
     return load_dataset(folder)
 
@@ -40,38 +41,9 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     Returns:
         A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
     """
-    from izoo.training.dataset import replay_buffer as open_buffer
+    from izoo.training.offline import replay_buffer as open_buffer
 
     return open_buffer(folder, **options)
-
-
-def _config() -> type:
-    from izoo.conf.options import CollectConfig
-
-    return CollectConfig
-
-
-def _work() -> cli.Work:
-    from izoo.training.dataset import collect
-
-    return collect
-
-
-COMMAND = cli.Command(
-    name="collect",
-    summary="Store what a policy experiences as a memory-mapped TensorDict, for offline learning.",
-    examples=(
-        "izoo.collect policy=random frames=20000 out=DIR",
-        "izoo.collect policy=runs/RUN frames=100000 out=DIR contexts=dataset contexts.path=DATASET",
-    ),
-    config=_config,
-    work=_work,
-)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    return cli.run(COMMAND, argv)
 
 
 if __name__ == "__main__":

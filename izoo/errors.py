@@ -7,9 +7,7 @@ and keeps its traceback.
 from __future__ import annotations
 
 import difflib
-import errno
 from collections.abc import Iterable
-from pathlib import Path
 
 
 class IzooError(ValueError):
@@ -42,19 +40,3 @@ def check_range(what: str, value: float, low: float, high: float, unit: str = ""
     if not low <= value <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
-
-
-def os_reason(error: OSError) -> str:
-    """Return why a file or folder could not be made or written, where the system's "File exists" would mislead."""
-    if error.errno == errno.ENOTDIR:
-        return "a folder of its path is a file"
-    if error.errno == errno.EEXIST and error.filename is not None and not Path(error.filename).is_dir():
-        what = "a link that leads nowhere" if Path(error.filename).is_symlink() else "a file"
-        return f"{error.filename} is {what}"
-    return error.strerror or str(error)
-
-
-def check_folder(folder: Path, remedy: str) -> None:
-    """Raise :class:`IzooError`, which ends with what to give instead, unless ``folder`` is one."""
-    if not folder.is_dir():
-        raise IzooError(f"{folder} is {'a file' if folder.exists() else 'no folder'}; {remedy}.")

@@ -1,107 +1,10 @@
 """``python -m izoo.leaderboard``: check leaderboard files and merge them into one."""
 
-from __future__ import annotations
-
-import argparse
-import json
 import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
-from izoo import __version__
-from izoo.cli import exit_code
-from izoo.errors import IzooError, os_reason
+from izoo.commands.leaderboards import LEADERBOARD
 
-EXIT_MARKED = 1
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, 1 where ``validate`` found something to mark, 2 for input that cannot be used."""
-    parser = argparse.ArgumentParser(
-        prog="python -m izoo.leaderboard", description="Check and merge leaderboard files."
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, words in (("validate", "say what is wrong with each file"), ("merge", "rank the files, by protocol")):
-        command = commands.add_parser(name, help=words, description=words)
-        command.add_argument("files", type=Path, nargs="+", help="submissions, or folders that hold some (*.json)")
-        if name == "merge":
-            command.add_argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file")
-    arguments = parser.parse_args(argv)
-    print(f"izoo {__version__} leaderboard", flush=True)
-    return exit_code("leaderboard", lambda: _run(arguments))
-
-
-def _run(arguments: argparse.Namespace) -> int:
-    paths = _submissions(arguments.files)
-
-    from izoo.benchmarks.claim import versions
-    from izoo.evaluation.table import write_text
-    from izoo.reporting import leaderboard
-
-    reference = versions()
-    checked = [leaderboard.check(leaderboard.read_submission(path), str(path), reference) for path in paths]
-    if arguments.command == "validate":
-        for item in checked:
-            _print_checked(item)
-        return EXIT_MARKED if any(item.marks for item in checked) else 0
-    merged = leaderboard.merge(checked)
-    try:
-        write_text(arguments.out, json.dumps(merged, indent=1, allow_nan=False) + "\n")
-    except OSError as error:
-        raise IzooError(f"cannot write {arguments.out}: {os_reason(error)}; choose another file with --out.") from error
-    _print_leaderboard(merged)
-    print(f"Leaderboard: {arguments.out}", flush=True)
-    return 0
-
-
-def _submissions(paths: Sequence[Path]) -> list[Path]:
-    found: list[Path] = []
-    for path in paths:
-        inside = sorted(path.glob("*.json")) if path.is_dir() else [path]
-        if not inside:
-            raise IzooError(f"{path} holds no leaderboard file; a benchmark writes them into leaderboard/.")
-        if not inside[0].exists():
-            raise IzooError(f"{path} does not exist; give leaderboard files, or folders that hold some.")
-        found += inside
-    return found
-
-
-def _print_checked(item: Any) -> None:
-    print(f"{item.source}: " + ("marked" if item.marks else "in order"))
-    for word, texts in (("mark", item.marks), ("note", item.notes)):
-        for text in texts:
-            print(f"  {word}: {text}")
-
-
-def _print_leaderboard(merged: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from izoo.evaluation.show import percent
-    from izoo.reporting.leaderboard import headline
-
-    console = Console()
-    for group in merged["groups"]:
-        protocol = group["protocol"]
-        title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
-        table = Table(title=title, title_justify="left")
-        for column in ("rank", "policy", "mean benefit, exact gate", "approaches", "training seeds"):
-            table.add_column(column, justify="left" if column == "policy" else "right")
-        for line in [*group["ranked"], *group["marked"]]:
-            n = line["n"]
-            table.add_row(
-                str(line.get("rank", "-")),
-                line["policy"]["name"],
-                percent(headline(line)),
-                str(n["approaches"]),
-                str(n["train_seeds"]),
-            )
-        console.print(table)
-        for line in [*group["ranked"], *group["marked"]]:
-            for text in [*line["marks"], *line["notes"]]:
-                console.print(f"  {line['policy']['name']} ({line['source']}): {text}", highlight=False, soft_wrap=True)
-
+main = LEADERBOARD.main
 
 if __name__ == "__main__":
     sys.exit(main())

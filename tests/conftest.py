@@ -1,4 +1,4 @@
-"""Fixtures that several rooms share, and the marker for long tests."""
+"""Fixtures that several rooms share, and the order of the tests."""
 
 from __future__ import annotations
 
@@ -10,27 +10,21 @@ import pytest
 
 from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
-from izoo.networks.net.cache import CACHE_ENV
+from izoo.networks.net.net_cache import CACHE_ENV
 
-
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "slow: takes minutes; runs when IZOO_SLOW_TESTS is set")
-
-
-LONGEST = tuple(
-    f"tests/{path}"
-    for path in ("docs/test_blocks.py", "test_train.py", "training/", "test_packaging.py", "evaluation/", "benchmarks/")
+LONGEST = (
+    *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),
+    *("tests/test_packaging.py", "tests/test_train.py", "tests/envs/test_steadiness.py", "tests/training/"),
+    *("tests/test_cli.py", "tests/envs/", "tests/evaluation/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
 )
-"""Of tests that run side by side, these begin first, so that none of them goes on alone at the end."""
+"""Files and folders whose tests begin first, longest first: none of them goes on alone while other workers are idle."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
-    if os.environ.get("IZOO_SLOW_TESTS"):
-        return
-    for item in items:
-        if "slow" in item.keywords:
-            item.add_marker(pytest.mark.skip(reason="takes minutes; set IZOO_SLOW_TESTS=1 to run it"))
+    def place(item: pytest.Item) -> int:
+        return next((k for k, path in enumerate(LONGEST) if item.nodeid.startswith(path)), len(LONGEST))
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +38,13 @@ def dataset() -> ContextList:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep what the tests build out of the user's cache; processes that tests start inherit the setting."""
+    """Keep what the tests build out of the user's cache; processes that tests start inherit the setting.
+
+    Workers of pytest-xdist share one folder: what one has built, the others need not build again.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CACHE_ENV, str(tmp_path_factory.mktemp("cache")))
+        patch.setenv(CACHE_ENV, str(folder))
         yield

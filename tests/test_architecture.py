@@ -1,8 +1,12 @@
-"""The arrows of the design: rooms import only what lies below them, and the simulator has one door."""
+"""The house: every room has a floor and imports only what lies below it, and every file name has one owner.
+
+Imports inside functions count as well. Parts of names that are written as text, as commands name what they run, do not.
+"""
 
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -12,19 +16,33 @@ FOLDERS = {"izoo": ROOT / "izoo", "izoo.envs": ROOT / "envs", "izoo.algos": ROOT
 FOLDERS["izoo.benchmarks"] = ROOT / "benchmarks"
 SIMULATOR = {"libsumo", "traci"}
 
-BASICS = {"errors", "metrics", "emissions"}
-ALLOWED = {
-    "errors": set(),
-    "metrics": {"errors"},
-    "emissions": {"errors"},
-    "contexts": BASICS,
-    "networks": BASICS | {"contexts"},
-    "traffic": BASICS | {"contexts"},
-    "drivers": BASICS | {"contexts", "traffic"},
-    "envs": BASICS | {"contexts", "networks", "traffic"},
-    "algos": BASICS | {"contexts", "networks", "traffic", "envs"},
-}
-"""Per room the rooms it may import; rooms that are not named are commands and what commands share: they may all."""
+FLOORS = (
+    {"errors"},
+    {"files", "console"},
+    {"compiling"},
+    {"metrics", "emissions"},
+    {"contexts"},
+    {"networks"},
+    {"traffic"},
+    {"drivers", "envs"},
+    {"algos"},
+    {"conf"},
+    {"evaluation"},
+    {"training"},
+    {"reporting"},
+    {"commands"},
+    {"benchmarks", "train", "evaluate", "collect", "report", "leaderboard", "zoo"},
+    {"docs"},
+)
+"""Rooms from the ground up; rooms that share a floor do not know each other."""
+ENV_FLOORS = (
+    {"config", "mdp"},
+    {"backend"},
+    {"sumo", "twin"},
+    {"specs", "reader", "picture", "env"},
+    {"views"},
+)
+"""The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""
 
 
 def modules() -> list[tuple[str, Path]]:
@@ -57,46 +75,115 @@ def room(name: str) -> str | None:
     return parts[1] if parts[0] == "izoo" and len(parts) > 1 else None
 
 
+def rooms() -> set[str]:
+    """Every room that there is: folders and files of the package, and what is installed inside it."""
+    inside = {entry.stem for entry in (ROOT / "izoo").iterdir() if entry.suffix == ".py" or entry.is_dir()}
+    return {*inside, "envs", "algos", "benchmarks"} - {"__init__", "__pycache__"}
+
+
+def floor(place: str | None, floors: tuple[set[str], ...] = FLOORS) -> int | None:
+    """The floor of a room, or ``None`` where it has none."""
+    return next((number for number, names in enumerate(floors) if place in names), None)
+
+
 def violations(name: str, path: Path, source: str | None = None) -> list[str]:
-    """Imports of a module that point the wrong way."""
-    here = room(name)
-    # What ``python -m`` runs is a command, whichever room it is named after.
-    if here not in ALLOWED or name.endswith(".__main__"):
+    """Imports of a module that point upwards, or sideways into another room."""
+    # What ``python -m`` runs is an entry, whichever room it is named after.
+    here, level = room(name), len(FLOORS) if name.endswith(".__main__") else floor(room(name))
+    found = []
+    for target in sorted(imports(name, path, source)):
+        there = room(target)
+        if there in (here, None) or there not in rooms():
+            continue
+        other = floor(there)
+        if level is None or other is None or other >= level:
+            found.append(f"{name} imports {target}")
+    return found
+
+
+def env_violations(name: str, path: Path, source: str | None = None) -> list[str]:
+    """The same inside ``envs``, whose table of contents may name everything."""
+    parts = name.split(".")
+    if parts[:2] != ["izoo", "envs"] or len(parts) == 2:
         return []
-    targets = {(room(target), target) for target in imports(name, path, source)}
-    rooms = {entry.stem for entry in (ROOT / "izoo").iterdir()} | {"envs", "algos", "benchmarks"}
-    return [
-        f"{name} imports {target}"
-        for there, target in sorted(targets, key=str)
-        if there in rooms and there != here and there not in ALLOWED[here]
-    ]
+    level, found = floor(parts[2], ENV_FLOORS), []
+    if level is None:
+        return [f"{name} has no floor"]
+    for target in sorted(imports(name, path, source)):
+        there = target.split(".")
+        if there[:2] != ["izoo", "envs"] or len(there) == 2 or there[2] == parts[2]:
+            continue
+        other = floor(there[2], ENV_FLOORS)
+        if other is not None and (other > level or (other == level and {"sumo", "twin"} == {parts[2], there[2]})):
+            found.append(f"{name} imports {target}")
+    return found
+
+
+def shared_names(paths: list[Path]) -> list[str]:
+    """File names that occur more than once."""
+    free = {"__init__.py", "__main__.py", "conftest.py"}
+    return [name for name, count in Counter(path.name for path in paths).items() if count > 1 and name not in free]
 
 
 @pytest.mark.parametrize(("name", "path"), modules(), ids=lambda value: value if isinstance(value, str) else "")
-def test_arrows_point_one_way(name: str, path: Path) -> None:
-    assert violations(name, path) == []
+def test_arrows_point_down(name: str, path: Path) -> None:
+    assert violations(name, path) + env_violations(name, path) == []
+
+
+def test_every_room_has_a_floor() -> None:
+    assert {place for place in rooms() if floor(place) is None} == set()
+    named = Counter(name for names in FLOORS for name in names)
+    assert set(named.values()) == {1}
 
 
 @pytest.mark.parametrize(
     ("name", "source"),
     [
         ("izoo.metrics.scores", "from izoo.contexts.context import Context"),
+        ("izoo.metrics.scores", "import izoo.emissions"),
         ("izoo.contexts.context", "import izoo.networks"),
+        ("izoo.contexts.context", "from izoo.commands import contexts"),
         ("izoo.networks.net.build", "from izoo.traffic import demand"),
         ("izoo.traffic.demand", "from izoo import envs"),
         ("izoo.envs.env", "def late():\n    from izoo.algos.ppo import PPO"),
         ("izoo.algos.ppo", "from izoo.training import runs"),
-        ("izoo.algos.ppo", "from ..conf import options"),
+        ("izoo.algos.ppo", "from ..conf import mapping"),
+        ("izoo.evaluation.runner", "def late():\n    from izoo.training import runs"),
+        ("izoo.reporting.page", "from izoo.benchmarks import plan"),
+        ("izoo.commands.entries", "import izoo.benchmarks.plan"),
+        ("izoo.console", "from izoo.files import write_text"),
+        ("izoo.new_room.thing", "from izoo import errors"),
     ],
 )
 def test_the_arrow_check_can_fail(name: str, source: str) -> None:
     assert violations(name, Path("module.py"), source)
 
 
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("izoo.envs.mdp.reward", "from izoo.envs.sumo.session import Session"),
+        ("izoo.envs.mdp.reward", "def late():\n    from izoo.envs import backend"),
+        ("izoo.envs.backend", "from izoo.envs.twin import state"),
+        ("izoo.envs.twin.state", "from izoo.envs.sumo import session"),
+        ("izoo.envs.sumo.worker", "from izoo.envs.env import EcoDrivingEnv"),
+        ("izoo.envs.env", "import izoo.envs.views.host"),
+        ("izoo.envs.nowhere", "import math"),
+    ],
+)
+def test_the_check_inside_envs_can_fail(name: str, source: str) -> None:
+    assert env_violations(name, Path("module.py"), source)
+
+
 def test_one_module_imports_the_simulator() -> None:
     users = [name for name, path in modules() if {target.split(".")[0] for target in imports(name, path)} & SIMULATOR]
     assert len(users) == 1, f"modules that import the simulator: {users}"
-    assert users[0].startswith("izoo.envs.")
+    assert users[0].startswith("izoo.envs.sumo.")
+
+
+def test_every_file_name_has_one_owner() -> None:
+    assert shared_names([path for _, path in modules()]) == []
+    assert shared_names([Path("a/scores.py"), Path("b/scores.py"), Path("a/__init__.py"), Path("b/__init__.py")])
 
 
 def test_the_top_level_is_what_was_agreed() -> None:

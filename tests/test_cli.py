@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from izoo import cli, collect, train
+from izoo import collect, console, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
 from izoo.conf import compose
-from izoo.conf.contexts import DatasetContexts, PcgContexts
+from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import CollectConfig, TrainConfig
+from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.errors import IzooError
@@ -166,6 +166,7 @@ def test_output_that_nobody_reads_ends_a_command_quietly(reader: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("errors", "collector"), [("", "single"), ("2>&1", "parallel")])
 def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path, errors: str, collector: str) -> None:
     words = f"contexts=pcg_easy total_frames=400 num_workers=1 evaluation.contexts=0 run_dir={tmp_path / 'run'}"
@@ -199,7 +200,7 @@ def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pyte
         raise BrokenPipeError("a worker's socket")
 
     with pytest.raises(BrokenPipeError, match="socket"):
-        cli.exit_code("train", broken)
+        console.exit_code("train", broken)
 
 
 def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:
@@ -231,6 +232,41 @@ def test_commands_answer_before_pytorch_is_loaded(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "unknown option 'nonsense'" in done.stderr
+
+
+MISSING = {
+    "train resume=nowhere": "nowhere does not exist",
+    "train contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "train contexts=dataset": "contexts.path=DIR",
+    "train contexts=osm contexts.path=nowhere": "nowhere does not exist",
+    "train contexts=osm contexts.path=.": "holds no intersections built from OpenStreetMap",
+    "train -m seed=0,1 contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "evaluate run=nowhere": "nowhere does not exist",
+    "evaluate run=.": "holds no checkpoint",
+    "evaluate policy=no_such_package.drivers:calm": "there is no module 'no_such_package'",
+    "evaluate policy=glide contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "collect policy=nowhere out=data": "there is none at that path",
+    "collect policy=random": "out is missing",
+    "collect policy=random out=data contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "report nowhere": "nowhere is no folder",
+    "leaderboard validate nowhere.json": "nowhere.json does not exist",
+    "contexts import nowhere data": "nowhere does not exist",
+    "benchmarks.generalization train=nowhere": "unknown city 'nowhere'",
+    "benchmarks.tradeoffs train=./nowhere": "nowhere is no folder",
+}
+
+
+@pytest.mark.parametrize("words", MISSING)
+def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path: Path) -> None:
+    name, *rest = words.split(" ")
+    module = "contexts.__main__" if name == "contexts" else name
+    program = (
+        f"import sys; from izoo.{module} import main; sys.exit((main({rest}) != 2) + 2 * ('torch' in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert MISSING[words] in done.stderr and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
 
 
 def test_unknown_nested_option_lists_its_siblings() -> None:

@@ -16,9 +16,9 @@ from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 
 from izoo import collect
-from izoo.conf.options import CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
-from izoo.training import dataset
+from izoo.training import offline
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -40,10 +40,10 @@ def test_the_data_load_back_memory_mapped(data: Path) -> None:
     assert float(action.min()) < -3.0 and float(action.max()) > 1.5, "the random driver uses the whole range"
     assert float(steps["next", "agents", "reward"][mask].abs().sum()) > 0
     assert bool(steps["next", "done"].any())
-    manifest = json.loads((data / dataset.MANIFEST).read_text())
+    manifest = json.loads((data / offline.MANIFEST).read_text())
     assert manifest["frames"] == 300
     assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
-    assert sorted(path.name for path in data.iterdir()) == [dataset.MANIFEST, "shard-00000"]
+    assert sorted(path.name for path in data.iterdir()) == [offline.MANIFEST, "shard-00000"]
 
 
 def test_a_replay_buffer_takes_the_data_as_they_are(data: Path) -> None:
@@ -60,14 +60,14 @@ def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture
 def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert collect.main([*TOY, "frames=300", "shard_frames=128", f"out={out}"]) == 0
-    assert [len(shard) for shard in dataset.load_shards(out)] == [128, 128, 44]
+    assert [len(shard) for shard in offline.load_shards(out)] == [128, 128, 44]
     whole, parts = collect.load(data), collect.load(out)
     for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
         assert torch.equal(whole[key], parts[key])
 
 
 def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = dataset.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
+    writer = offline.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = collect.load(data), buffer.storage
@@ -116,13 +116,13 @@ def test_bad_input_leaves_nothing_behind(
 
 
 def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(IzooError, match=dataset.MANIFEST):
+    with pytest.raises(IzooError, match=offline.MANIFEST):
         collect.load(tmp_path)
-    path = tmp_path / dataset.MANIFEST
+    path = tmp_path / offline.MANIFEST
     path.write_text("{")
     with pytest.raises(IzooError, match="damaged"):
         collect.load(tmp_path)
-    manifest = json.loads((data / dataset.MANIFEST).read_text())
+    manifest = json.loads((data / offline.MANIFEST).read_text())
     path.write_text(json.dumps(manifest))
     with pytest.raises(IzooError, match="shard-00000"):
         collect.load(tmp_path)
@@ -148,8 +148,8 @@ def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = dataset.ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
+    writer = offline.ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
     writer.write(collect.load(data)[:50])
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
+    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40]
     writer.finish_shard()
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]
+    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40, 10]

@@ -17,7 +17,7 @@ def test_a_lost_episode_is_not_logged() -> None:
         state, steps = env.reset(), []
         for step in range(config.control_steps):
             if step == 50:
-                env._workers[1].process.kill()  # type: ignore[union-attr]
+                env.backend._workers[1].process.kill()  # type: ignore[union-attr]
             state["agents", "action"] = torch.zeros(2, config.num_agents, 1)
             done, state = env.step_and_maybe_reset(state)
             steps.append(done)

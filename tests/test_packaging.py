@@ -70,6 +70,7 @@ def test_the_wheel_holds_all_modules_and_data(wheel: Path) -> None:
     assert any(name.endswith("LICENSE") for name in names)
 
 
+@pytest.mark.slow
 def test_the_wheel_runs_from_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
     """Installed alone beside the dependencies, from a folder that knows nothing of the source tree."""
     target, work = tmp_path / "site", tmp_path / "work"

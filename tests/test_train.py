@@ -18,12 +18,12 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo import train
+from izoo import files, train
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs
 from izoo.training.collectors import ShiftedSchedule
@@ -61,7 +61,7 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
     assert any(row["return"] for row in table), "episodes of 100 steps end within batches of 100 steps per worker"
     assert (finished / runs.CURVE_FILE).read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in checkpoint.listed(finished)] == ["step-000000000400.pt", "step-000000000600.pt"]
-    assert not list(finished.rglob("*.partial"))
+    assert not [path for path in finished.rglob("*") if files.is_partial(path)]
     assert (finished / "evaluation.csv").is_file()
     assert json.loads((finished / "summary.json").read_text())
 
@@ -89,6 +89,7 @@ def test_the_single_collector(tmp_path: Path) -> None:
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
 
 
+@pytest.mark.slow
 def test_the_multisync_collector(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [*TOY, "collector=multisync", "total_frames=400", f"run_dir={run_dir}"]
@@ -110,7 +111,7 @@ def test_same_seed_same_weights_and_another_seed_others(finished: Path, tmp_path
 
 def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=400", f"run_dir={run_dir}"]) == 0
     assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600, 800]
     assert runs.read_config(run_dir).total_frames == 800
@@ -152,6 +153,7 @@ def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     assert state["frames"] == int(rows(run_dir)[-1]["frames"])
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "izoo.train", "-m", "seed=0,1", *TOY, "total_frames=100000000"]
     process = subprocess.Popen(
@@ -208,22 +210,26 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint.torch, "save", full)
+    monkeypatch.setattr("torch.save", full)
     with pytest.raises(OSError, match="No space left"):
         checkpoint.save(tmp_path, 200, make_state(), keep=1)
     assert checkpoint.listed(tmp_path) == [first]
     assert list(first.parent.iterdir()) == [first]
 
 
-def test_a_full_disk_ends_the_run_with_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_ends_the_run_with_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
-    (run_dir / "metrics.partial").symlink_to("/dev/full")  # every write there meets a full disk
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
+    partial, real = tmp_path / "partial", files.partial_of
+    partial.symlink_to("/dev/full")  # every write there meets a full disk
+    monkeypatch.setattr(files, "partial_of", lambda path: partial if path.name == "metrics.csv" else real(path))
     assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
     error = capsys.readouterr().err
     assert "No space left on device" in error and f"resume={run_dir}" in error and "step-000000000200.pt" in error
     assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 200
-    (run_dir / "metrics.partial").unlink()
+    monkeypatch.undo()
     assert train.main([f"resume={run_dir}", "total_frames=400"]) == 0
 
 
@@ -244,6 +250,7 @@ def test_a_resumed_schedule_plays_the_episodes_that_follow() -> None:
     assert ShiftedSchedule(schedule, 40)(2)[1] == 42
 
 
+@pytest.mark.slow
 def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=200", "logger=wandb", f"run_dir={run_dir}"]
@@ -258,7 +265,7 @@ def test_logger_wandb_is_offline_and_silent(tmp_path: Path) -> None:
 
 def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", "logger=tensorboard", f"run_dir={run_dir}"]) == 0
     assert list((run_dir / "tensorboard").rglob("events.*"))
 
 

@@ -1,7 +1,6 @@
 """The one door to SUMO: starts, loads, steps and reads one libsumo simulation in this process.
 
-Vehicle names stop here in one sense: everything above this module holds them only to hand them back. A vehicle's name
-is its number in the demand, as a decimal string.
+Names of vehicles go no further than this room (:mod:`izoo.envs.sumo.names`).
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from izoo.envs.sumo.overheard import Overheard
 from izoo.errors import IzooError
 
 SUMO_VERSION = "1.28.0"
@@ -92,6 +92,7 @@ class SumoSession:
     def __init__(self, gui: bool = False) -> None:
         self._gui = gui
         self._running = False
+        self._overheard = Overheard()
 
     def load(self, arguments: Sequence[str]) -> None:
         """Begin an episode.
@@ -117,6 +118,7 @@ class SumoSession:
             _owner = None
             raise IzooError(f"SUMO could not load the simulation: {_explain(arguments) or error}") from error
         _owner, self._running, self._api = self, True, api
+        self._overheard.dropped = 0
         self._bind(api)
 
     def _program(self) -> list[str]:
@@ -138,12 +140,22 @@ class SumoSession:
         self._on_edge = api.edge.getLastStepVehicleIDs
         self._count_on_edge = getattr(flat, "edge_getLastStepVehicleNumber", api.edge.getLastStepVehicleNumber)
         self._simulation = api.simulation
+        self._departed = getattr(flat, "simulation_getDepartedIDList", api.simulation.getDepartedIDList)
         self._vehicle = vehicle
         self._advance = api.simulationStep
 
     def advance(self) -> None:
         """Simulate one step."""
         self._advance()
+
+    def advance_departing(self) -> None:
+        """Simulate a step in which vehicles may depart: SUMO prints a line for each that it drops instead."""
+        self._overheard.call(self._advance)
+
+    @property
+    def dropped(self) -> int:
+        """How many vehicles SUMO has dropped in this episode because they could not enter the network safely."""
+        return self._overheard.dropped
 
     @property
     def time_s(self) -> float:
@@ -154,6 +166,14 @@ class SumoSession:
         """Vehicles that reached the end of their route in the last step."""
         return self._simulation.getArrivedIDList()
 
+    def departed(self) -> Sequence[str]:
+        """Vehicles that entered the network in the last step."""
+        return self._departed()
+
+    def driving(self) -> Sequence[str]:
+        """All vehicles in the network."""
+        return self._vehicle.getIDList()
+
     def on_edge(self, edge: str) -> Sequence[str]:
         """Vehicles on an edge."""
         return self._on_edge(edge)
@@ -162,7 +182,9 @@ class SumoSession:
         """Number of vehicles on these edges together."""
         return sum(map(self._count_on_edge, edges))
 
-    def read(self, names: Sequence[str], lane_numbers: dict[str, int]) -> tuple[np.ndarray, ...]:
+    def read(
+        self, names: Sequence[str], lane_numbers: dict[str, int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return region lane, lane position (m), speed (m/s) and signal bits of the named vehicles, each ``[n]``."""
         n = len(names)
         return (
@@ -221,7 +243,7 @@ class SumoSession:
 
 
 def _explain(arguments: Sequence[str]) -> str:
-    """Return what SUMO says against ``arguments``; libsumo prints it past Python, so the program is asked again."""
+    """Return SUMO's complaints about ``arguments``; Python cannot catch what libsumo prints, so ``sumo`` is run."""
     program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
     try:
         run = subprocess.run([str(program), *arguments, "--end", "0"], capture_output=True, text=True, timeout=60)

@@ -1,4 +1,4 @@
-"""The process behind one row of a :class:`~izoo.envs.sumo.parallel.SumoParallelEnv`, and the parent's handle on it.
+"""A process that simulates one environment on SUMO, and the parent's handle on it.
 
 Frames travel through memory that both map; the socket carries one byte per step, and a pickled message at the start and
 at each reset. Only izoo's own values are ever pickled. A worker ends by itself when its parent is gone, because the
@@ -21,16 +21,17 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
+from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import map_frames
+from izoo.envs.mdp.frame import map_frames, row_of
 from izoo.errors import IzooError
 
-STEP, RESET, INIT, CLOSE = b"s", b"r", b"i", b"q"
+STEP, BEGIN, INIT, CLOSE = b"s", b"b", b"i", b"q"
 DONE, FAILED = b"k", b"e"
 _STARTUP_S = 300.0
 AWAKE_S = 1e-3
-"""For so long a process asks again for what it waits for before it sleeps, where it has a core for that: being woken by
-another core takes 5 to 90 us, up to a fifth of a step."""
+"""How long a waiting process polls before it sleeps, where it has a core for that: being woken by another core takes 5
+to 90 us, up to a fifth of a step."""
 _LENGTH = struct.Struct("!Q")
 
 
@@ -84,11 +85,11 @@ class Worker:
         self._send(INIT, setup)
         self._ready = False
 
-    def reset(self, context: Any, seed: int, episode: int) -> None:
+    def begin(self, play: Play) -> None:
         """Ask for a new episode; :meth:`wait` for its first frame."""
         self.episodes += 1
         self.busy = True
-        self._send(RESET, (context, seed, episode))
+        self._send(BEGIN, play)
 
     def step(self) -> None:
         """Ask for a step; :meth:`wait` for its frame."""
@@ -102,7 +103,7 @@ class Worker:
         """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
 
         Args:
-            awake_s: for so long.
+            awake_s: how long to poll before it sleeps.
             meanwhile: called once if there is time: where it stays awake and no answer is there yet.
 
         Raises:
@@ -206,8 +207,8 @@ def _serve(descriptor: int, memory: int) -> None:
             try:
                 if kind == STEP:
                     simulator.step()
-                elif kind == RESET:
-                    simulator.reset(*pickle.loads(_receive(connection)))
+                elif kind == BEGIN:
+                    simulator.begin({0: pickle.loads(_receive(connection))})
                 elif kind == INIT:
                     config, index, num_workers, weights = pickle.loads(_receive(connection))
                     simulator = _make_simulator(memory, config, index, num_workers, weights)
@@ -233,8 +234,8 @@ def stays_awake(index: int, num_workers: int) -> bool:
     """Whether a worker, and the parent that waits for its answer, stay awake for :data:`AWAKE_S` before they sleep.
 
     They do if there are cores enough; the parents of single views always sleep. With one core per worker and none for
-    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and who
-    polls would only stand in the way.
+    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and
+    polling would only get in the way.
     """
     spare = usable_cores() - num_workers
     return hasattr(os, "sched_yield") and (spare > 0 or (spare == 0 and index > 0))
@@ -264,9 +265,9 @@ def _receive_awake(
 
 
 def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int, weights: Any) -> Any:
-    from izoo.envs.sumo.simulator import Simulator
+    from izoo.envs.sumo.simulator import SumoSimulator
 
     for array in weights:
         array.flags.writeable = False  # as load_weights() returns them: one compiled variant serves both
     frames = map_frames(mmap.mmap(memory, 0), config, num_workers)
-    return Simulator(config, {name: array[index] for name, array in frames.items()}, weights)
+    return SumoSimulator(config, row_of(frames, index), weights)

@@ -1,4 +1,4 @@
-"""What vehicles are told in a step, and the form in which the views that are no TorchRL environments take it."""
+"""What vehicles are told in a step, and the form in which the views for libraries other than TorchRL take it."""
 
 from __future__ import annotations
 

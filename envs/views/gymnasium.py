@@ -1,9 +1,10 @@
 """Gymnasium views: all controlled vehicles of an intersection as one padded agent, or one of them.
 
-``import izoo.envs`` registers ``izoo/EcoDriving-v0`` (:class:`EcoDrivingJoint`) and ``izoo/EcoDrivingEgo-v0``
-(:class:`EcoDrivingEgo`); ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` imports it first. They simulate what
-:class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories. Each simulation
-has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in parallel.
+``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` makes an :class:`EcoDrivingJoint`, ``"izoo/EcoDrivingEgo-v0"`` an
+:class:`EcoDrivingEgo`; what stands before the colon is imported first (Gymnasium looks for no plug-ins since 1.0). They
+simulate what :class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories.
+Each simulation has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in
+parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.host.OPTIONS`.
@@ -20,7 +21,7 @@ import numpy as np
 from gymnasium import spaces
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import observation_names
+from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.host import RENDER_MODES, Host, render_modes
 from izoo.envs.views.vector import ViewVector
@@ -85,7 +86,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
       left).
     - reward: the mean over the CVs that acted, 0 where there was none.
     - terminated: never; truncated: the horizon.
-    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, 11]`` (:data:`izoo.envs.layout.REWARD_VECTOR`), ``vehicle``
+    - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, R]`` (:data:`izoo.envs.mdp.reward.REWARD_VECTOR`), ``vehicle``
       ``[A]`` (number in the episode's demand, -1 where empty), ``agent_terminated`` ``[A]`` (the CV left: its value is
       zero), ``time_s``; at the episode's end ``metrics``.
     """
@@ -143,7 +144,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
       left).
     - reward: the ego's.
     - info: ``vehicle`` (the ego's number in the simulation's demand), ``time_s``, and in steps ``reward_vector``
-      ``[11]``; at the horizon ``metrics``.
+      ``[R]``; at the horizon ``metrics``.
 
     Args:
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
@@ -246,10 +247,10 @@ class EcoDrivingEgo(_View[np.ndarray]):
 
 
 def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
-    """What ``gymnasium.make_vec("izoo/EcoDriving-v0", num_envs)`` makes where no vectorization mode is given."""
+    """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDriving-v0", num_envs)`` makes without a vectorization mode."""
     return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
 
 
 def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
-    """What ``gymnasium.make_vec("izoo/EcoDrivingEgo-v0", num_envs)`` makes where no vectorization mode is given."""
+    """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDrivingEgo-v0", num_envs)`` makes without a vectorization mode."""
     return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)

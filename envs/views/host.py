@@ -1,4 +1,4 @@
-"""One simulation for the views that are no TorchRL environments: its episodes, its frame, its process.
+"""One simulation behind a view for a library other than TorchRL: its episodes, its frame, its process.
 
 Only NumPy is needed here, so that the processes which step such a view stay small.
 """
@@ -6,10 +6,8 @@ Only NumPy is needed here, so that the processes which step such a view stay sma
 from __future__ import annotations
 
 import dataclasses
-import mmap
-import os
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,17 +16,19 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
+from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
-from izoo.envs.layout import NUMBER, VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, frame_bytes, map_frames
+from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.state import NUMBER
+from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
-from izoo.envs.sumo.worker import Worker, WorkerLost, shared_memory_file
+from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts
-    from izoo.envs.sumo.simulator import Simulator
 
 RENDER_MODES = ("rgb_array", "human")
 OPTIONS = ("context", "episode_seed", "episode")
@@ -47,7 +47,7 @@ class Host:
         in_process: simulate in this process, which then can hold no other simulation.
 
     Attributes:
-        frame: the arrays of :func:`izoo.envs.layout.frame_fields`, of one environment.
+        frame: the arrays of :func:`izoo.envs.mdp.frame.frame_fields`, of one environment.
         context: what is being played; ``None`` before the first episode.
         over: whether the episode has ended.
     """
@@ -70,14 +70,21 @@ class Host:
         self.steps = 0
         self.episode, self.episode_seed = -1, 0
         self._next_episode = 0
-        size = frame_bytes(self.config, 1)
-        self._memory = None if in_process else shared_memory_file(size)
-        buffer: Any = bytearray(size) if self._memory is None else mmap.mmap(self._memory, 0)
-        self.frame = {name: array[0] for name, array in map_frames(buffer, self.config, 1).items()}
-        self._runner: list[Simulator | Worker] = []
-        self._finalizer = weakref.finalize(self, _end, self._runner, self._memory)
+        self._in_process = in_process
+        self._make_backend()
 
-    # -- episodes ------------------------------------------------------------------------------------------------------
+    def _make_backend(self) -> None:
+        backend: Backend
+        if self._in_process:
+            from izoo.envs.sumo.simulator import SumoSimulator
+
+            self.frame = row_of(map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1), 0)
+            backend = SumoSimulator(self.config, self.frame, load_weights())
+        else:
+            backend = workers = SumoWorkers(self.config, 1, awake=False)
+            self.frame = row_of(workers.frames, 0)
+        self._backend = backend
+        self._finalizer = weakref.finalize(self, backend.close)
 
     def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Begin an episode: the first one of a new base ``seed``, the one that ``options`` name, or the next one.
@@ -102,8 +109,9 @@ class Host:
             self._next_episode = episode + 1
         episode_seed = int(options.get("episode_seed", episode_seed))
         self.over = True
-        runner = self._ready_runner()
-        self._ask(runner.reset, context, episode_seed, episode)
+        if not self._finalizer.alive:
+            self._make_backend()
+        self._backend.begin({0: Play(context, episode_seed, episode)})
         self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
         self.over = False
 
@@ -122,7 +130,9 @@ class Host:
         self.require_running()
         for name, values in commands._asdict().items():
             self.frame[name][:] = values
-        self._ask(self._runner[0].step)
+        self.over = True  # unless the step succeeds
+        if self._backend.step():
+            raise RuntimeError("the simulation was lost; call reset(), it begins anew in a new process.")
         self.steps += 1
         self.over = bool(self.frame["truncated"][0])
 
@@ -133,54 +143,10 @@ class Host:
         if self.over:
             raise IzooError("step() came after the end of the episode; call reset(), it starts the next one.")
 
-    def _ready_runner(self) -> Simulator | Worker:
-        if self._runner and isinstance(self._runner[0], Worker):
-            worker = self._runner[0]
-            if worker.episodes >= self.config.recycle_episodes or worker.process.poll() is not None:
-                self.close()
-        if not self._runner:
-            if self._memory is None:
-                from izoo.envs.sumo.simulator import Simulator
-
-                self._runner.append(Simulator(self.config, self.frame, load_weights()))
-            else:
-                setup = (self.config, 0, 1, load_weights())
-                self._runner.append(Worker(self._memory, setup, self.config.watchdog_s))
-        return self._runner[0]
-
-    def _ask(self, question: Callable[..., Any], *values: Any) -> None:
-        """Call the simulator; where it is another process, wait until that has done what it was asked to."""
-        runner = self._runner[0]
-        try:
-            question(*values)
-            if isinstance(runner, Worker):
-                runner.wait()
-        except IzooError:
-            raise
-        except WorkerLost as error:
-            self._discard()
-            raise RuntimeError(
-                f"the simulation was lost: {error}; call reset(), it begins anew in a new process."
-            ) from error
-        except BaseException:
-            # An answer may still be on the way; nothing must take it for the answer to the next question.
-            self._discard()
-            raise
-
-    def _discard(self) -> None:
-        self.over = True
-        runner = self._runner.pop()
-        if isinstance(runner, Worker):
-            runner.kill()
-        else:
-            runner.close()
-
     def close(self) -> None:
         """End the simulation; a later :meth:`begin` starts it again."""
         self.context, self.over = None, True
-        _stop(self._runner)
-
-    # -- what is in the frame ------------------------------------------------------------------------------------------
+        self._finalizer()
 
     @property
     def mask(self) -> np.ndarray:
@@ -219,29 +185,9 @@ class Host:
         """Return a top view ``[size_px, size_px, 3]`` uint8; no screen is needed."""
         if self.context is None:
             raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
-        from izoo.envs.views.render import draw
-        from izoo.networks.net.build import build_net
-        from izoo.networks.road import read_road
-
-        road, frame = read_road(build_net(self.context.intersection)), self.frame
-        vehicles = dict(zip(VEHICLE_FLOATS, frame["vehicle_floats"].T, strict=True))
-        vehicles |= zip(VEHICLE_INTS, frame["vehicle_ints"].T, strict=True)
-        vehicles |= zip(VEHICLE_FLAGS, frame["vehicle_flags"].T.astype(bool), strict=True)
-        title = f"{self.context.name}   t = {self.time_s:.1f} s"
-        return draw(road, vehicles, frame["signal_colour"], title=title, span_m=span_m, size_px=size_px)
+        return draw(self._backend.scene(), span_m=span_m, size_px=size_px)
 
 
 def render_modes() -> list[str]:
     """The render modes that this machine has."""
     return list(RENDER_MODES) if has_screen() else ["rgb_array"]
-
-
-def _stop(runner: list[Simulator | Worker]) -> None:
-    while runner:
-        runner.pop().close()
-
-
-def _end(runner: list[Simulator | Worker], memory: int | None) -> None:
-    _stop(runner)
-    if memory is not None:
-        os.close(memory)

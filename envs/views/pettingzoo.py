@@ -14,7 +14,8 @@ import numpy as np
 from gymnasium import spaces
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.host import OPTIONS, Host, render_modes
 from izoo.errors import IzooError, check_range, unknown_choice
@@ -173,7 +174,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         :attr:`state_layout` says where its parts lie: ``vehicles``, ``[V, len(VEHICLE_COLUMNS)]`` row by row, all
         vehicles of the region in the columns :data:`VEHICLE_COLUMNS`; ``signal_colour`` and ``signal_time_left_s``,
         ``[P, P]`` by approach and exit (0 green, 1 yellow, 2 red); ``context``, in the columns
-        :data:`izoo.envs.layout.CONTEXT_VALUES`.
+        :data:`izoo.envs.mdp.frame.CONTEXT_VALUES`.
         """
         if self.host.context is None:
             raise IzooError("state() came before reset(); call reset() first, it starts the episode.")

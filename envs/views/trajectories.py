@@ -9,8 +9,9 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.emissions.classes import CLASSES
-from izoo.envs.layout import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
+from izoo.files import replacing
 
 FUELS = {1: "gasoline", 2: "diesel"}
 
@@ -51,6 +52,6 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
 def write_trajectories(rollout: TensorDictBase, path: str | Path, step_s: float = 0.5) -> Path:
     """Write :func:`trajectory_table` as CSV; the file appears whole or not at all."""
     path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    trajectory_table(rollout, step_s).to_csv(partial, index=False)
-    return partial.replace(path)
+    with replacing(path) as partial:
+        trajectory_table(rollout, step_s).to_csv(partial, index=False)
+    return path

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
-import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo import __version__, cli
+from izoo import __version__
+from izoo.console import Progress, exit_code
 from izoo.errors import IzooError, os_reason
+from izoo.files import write_json
 
 if TYPE_CHECKING:
     from izoo.drivers.estimate import Estimate
 
 EXIT_NOT_CONVERGED = 1
-LINE_EVERY_S = 20.0
 PACKAGES = ("jax", "numpyro")
 NOISY, MEMORY = -0.2, 0.3
 """Correlations of consecutive residuals: white noise in the speeds makes -0.5."""
@@ -66,8 +64,9 @@ def calibrate(options: argparse.Namespace) -> int:
         print(
             f"{name}: {len(data.drivers)} drivers, {data.minutes:.1f} minutes in steps of {data.step_s:g} s", flush=True
         )
-        with Progress(f"{name} drivers") as progress:
-            results[name] = estimate(data, config, progress.update)
+        print("compiling the model", flush=True)
+        with Progress(100, unit="%") as progress:
+            results[name] = estimate(data, config, _in_per_cent(progress))
         print(describe(name, results[name]), flush=True)
     source = f"calibrated by izoo {__version__} on {', '.join(path.name for path in options.files)}"
     content = to_content(results, config, source)
@@ -77,7 +76,7 @@ def calibrate(options: argparse.Namespace) -> int:
             png = options.out.with_suffix(f".{name}.png")
             draw_estimate(result, f"{len(result.data.drivers)} {name} drivers", png)
             written.append(png)
-        write_population(options.out, content)
+        write_json(options.out, content)
     except OSError as error:
         raise IzooError(f"cannot write {error.filename or options.out}: {os_reason(error)}; choose another.") from None
     print(f"wrote {', '.join(map(str, [options.out, *written]))}")
@@ -101,14 +100,6 @@ def check_out(path: Path) -> None:
         raise IzooError(f"--out is {path}; give the name of a file that ends in .json.")
     if path.is_dir() or not path.parent.is_dir():
         raise IzooError(f"--out is {path}, which is a folder or lies in none; give a file in a folder that exists.")
-
-
-def write_population(path: Path, content: dict[str, object]) -> None:
-    """Write the population, whole or not at all."""
-    # PyTorch comes with this module, and a wrong option must not wait for it.
-    from izoo.evaluation.table import write_text
-
-    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def describe(name: str, result: Estimate) -> str:
@@ -143,36 +134,9 @@ def _remark(correlation: float) -> str:
     return "; drivers have memory, and intervals are too narrow" if correlation > MEMORY else ""
 
 
-class Progress:
-    """A line that says how far the sampling is: rewritten on a terminal, now and then elsewhere.
-
-    Args:
-        what: is sampled.
-    """
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self._began = self._said = time.monotonic()
-        self._bar = sys.stdout is not None and sys.stdout.isatty()
-
-    def __enter__(self) -> Progress:
-        print(f"{self.what}: compiling the model", end="" if self._bar else "\n", flush=True)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._bar:
-            print(flush=True)
-
-    def update(self, share: float) -> None:
-        """Say which share of the work is done."""
-        now = time.monotonic()
-        if not self._bar and now - self._said < LINE_EVERY_S and share < 1.0:
-            return
-        self._said = now
-        left = (now - self._began) * (1.0 - share) / share
-        bar = "#" * int(30 * share)
-        text = f"{self.what}: [{bar:30}] {share:4.0%}, {now - self._began:.0f} s, {left:.0f} s left"
-        print(f"\r{text:90}" if self._bar else text, end="" if self._bar else "\n", flush=True)
+def _in_per_cent(progress: Progress) -> Callable[[float], None]:
+    """Return what takes the share of the work that is done."""
+    return lambda share: progress.update(round(100 * share))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -185,4 +149,4 @@ def main(argv: Sequence[str] | None = None) -> int:
     calibrate_arguments(commands.add_parser("calibrate", help=summary, description=summary))
     options = parser.parse_args(argv)
     print(f"izoo {__version__} drivers {options.command}", flush=True)
-    return cli.exit_code("drivers", lambda: calibrate(options))
+    return exit_code("drivers", lambda: calibrate(options))

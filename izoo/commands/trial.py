@@ -20,11 +20,11 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError, check_range
-from izoo.evaluation.episode import run_episode
+from izoo.evaluation.playing import run_episode
 from izoo.evaluation.policies import as_candidate
+from izoo.files import CACHE_ENV
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.net.build import build_net
-from izoo.networks.net.cache import CACHE_ENV
 from izoo.networks.road import read_road
 
 PER_CITY = 10

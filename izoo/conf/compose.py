@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -16,12 +18,16 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from izoo.conf.mapping import from_mapping
+from izoo.algos import registry
+from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.contexts.cities.rebuilt import CITIES, city_name
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
 CONFIG_MODULE = "izoo.conf"
+DEFAULT_ALGORITHM = "ppo"
+"""As in ``train.yaml``."""
 MAX_CHECKED = 200
 
 
@@ -32,7 +38,40 @@ def choices() -> dict[str, tuple[str, ...]]:
         folder.name: tuple(sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".yaml")))
         for folder in folders
     }
+    groups |= {"algo": registry.choices(), "env": ("default",)}
     return {name: groups[name] for name in sorted(groups) if groups[name]}
+
+
+def register(config_name: str, cls: type) -> None:
+    """Let Hydra find a command without a YAML file, whose options have no choices: its dataclass says everything."""
+    if not (resources.files(CONFIG_MODULE) / f"{config_name}.yaml").is_file():
+        ConfigStore.instance().store(name=config_name, node=to_mapping(cls()))
+
+
+def _compose(config_name: str, words: Sequence[str]) -> DictConfig:
+    """Let Hydra compose ``words``, after telling it what the dataclasses alone say.
+
+    These are the environment's settings, and the hyper-parameters of the algorithm that is chosen.
+
+    Raises:
+        IzooError: it refuses, as where a command has no such group.
+    """
+    store = ConfigStore.instance().store
+    store("default", to_mapping(EnvConfig()), group="env")
+    named = [word.removeprefix("algo=").strip("'\"") for word in words if word.startswith("algo=")]
+    for choice in {DEFAULT_ALGORITHM, *named}:
+        store(choice, to_mapping(registry.preset(choice)), group="algo")
+    try:
+        with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
+            return compose(config_name=config_name, overrides=list(words))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
+
+
+@functools.cache
+def _skeleton(config_name: str, words: tuple[str, ...]) -> DictConfig:
+    """Return every option that there is beside these choices; composing takes a tenth of a second."""
+    return _compose(config_name, words)
 
 
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
@@ -74,12 +113,10 @@ def check_names(config_name: str, overrides: Sequence[Override]) -> None:
                     raise IzooError(f"{value} is a city; write contexts=city contexts.city={city_name(value)}.")
                 raise unknown_choice(override.key_or_group, value, groups[override.key_or_group])
     # A sweep over a group is checked against its first choice: the options of the others differ in the algorithm's own.
-    words = [f"{override.key_or_group}={_values(override)[0]}" for override in chosen]
-    with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
-        skeleton = compose(config_name=config_name, overrides=words)
+    words = tuple(f"{override.key_or_group}={_values(override)[0]}" for override in chosen)
     for override in overrides:
         if override not in chosen and not override.key_or_group.startswith("hydra"):
-            _check_key(skeleton, override.key_or_group)
+            _check_key(_skeleton(config_name, words), override.key_or_group)
 
 
 def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
@@ -89,13 +126,9 @@ def compose_config(config_name: str, cls: type[T], words: Sequence[str]) -> T:
         IzooError: an option or choice is unknown, or a value is refused.
     """
     overrides = parse(words)
+    register(config_name, cls)
     check_names(config_name, overrides)
-    try:
-        with initialize_config_module(config_module=CONFIG_MODULE, version_base="1.3"):
-            composed = compose(config_name=config_name, overrides=[_word(override) for override in overrides])
-    except (HydraException, OmegaConfBaseException) as error:
-        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
-    return to_dataclass(composed, cls)
+    return to_dataclass(_compose(config_name, [_word(override) for override in overrides]), cls)
 
 
 def check_combinations(config_name: str, cls: type[T], overrides: Sequence[Override]) -> list[T]:
@@ -167,8 +200,13 @@ def _choices_with(key: str) -> list[str]:
     group, _, name = key.partition(".")
     found = []
     for choice in choices().get(group, ()):
-        text = (resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text()
-        if name in OmegaConf.create(text):
+        if group == "algo":
+            options: Any = vars(registry.preset(choice))
+        elif group == "env":
+            options = to_mapping(EnvConfig())
+        else:
+            options = OmegaConf.create((resources.files(CONFIG_MODULE) / group / f"{choice}.yaml").read_text())
+        if name in options:
             found.append(f"{group}={choice}")
     return found
 

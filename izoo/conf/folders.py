@@ -55,6 +55,10 @@ class DatasetContexts:
             )
         _make_absolute(self)
 
+    def check(self) -> None:
+        """Raise :class:`IzooError` where no folder is named, or none is there; reads nothing."""
+        _check(self.name, self.path)
+
     def build(self) -> ContextSource:
         """Read the folders and return their contexts; raises :class:`IzooError` naming the file that cannot be used."""
         contexts = _load(self, self.path, {})
@@ -98,27 +102,36 @@ class OsmContexts:
         check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")
         _make_absolute(self)
 
-    def build(self) -> ContextSource:
-        """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
+    def check(self) -> None:
+        """Raise :class:`IzooError` where no folder is named, or it holds no such build; reads nothing."""
         from izoo.networks.osm.store import CMDP_FILE
 
-        if self.path is not None and not Path(self.path, CMDP_FILE).is_file():
-            raise IzooError(
-                f"{self.path} holds no intersections built from OpenStreetMap; build them first: "
-                "python -m izoo.contexts build --osm FILE OUT."
-            )
+        remedy = "build intersections first: python -m izoo.contexts build --osm FILE OUT"
+        if not (_check(self.name, self.path, remedy) / CMDP_FILE).is_file():
+            raise IzooError(f"{self.path} holds no intersections built from OpenStreetMap; {remedy}.")
+
+    def build(self) -> ContextSource:
+        """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
+        self.check()
         fields = {"temperature_c": self.temperature_c, "humidity_pct": self.humidity_pct, "season": None}
         return with_own_drivers(_load(self, self.path, fields), self.drivers)
+
+
+def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
+    if path is None:
+        raise IzooError(f"contexts={name} needs a folder: contexts.path=DIR.")
+    if not Path(path).exists():
+        raise IzooError(f"contexts.path={path} does not exist; {remedy}.")
+    return Path(path)
 
 
 def _load(config: DatasetContexts | OsmContexts, path: str | None, fields: dict[str, Any]) -> ContextList:
     # Imported here: reading options must not wait for SUMO's packages.
     from izoo.networks.dataset.intersections import load_dataset
 
-    if path is None:
-        raise IzooError(f"contexts={config.name} needs a folder: contexts.path=DIR.")
+    folder = _check(config.name, path)
     contexts = load_dataset(
-        path,
+        folder,
         approaches=config.approaches,
         adoption=config.adoption,
         hour=config.hour,

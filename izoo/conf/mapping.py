@@ -8,6 +8,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
+from izoo.algos.registry import AlgoConfig
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
@@ -17,7 +18,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     """Build the dataclass ``cls`` from ``values``.
 
     A field whose type is a union of dataclasses is resolved by the mapping's ``name``, which each of those classes
-    declares as a ``Literal`` field.
+    declares as a ``Literal`` field; that of an algorithm's hyper-parameters by its name in the registry.
 
     Args:
         cls: a dataclass.
@@ -68,6 +69,10 @@ def _convert(kind: Any, value: Any, path: str) -> Any:
         return value
     if origin in (tuple, list):
         return _convert_sequence(kind, value, path)
+    if kind is AlgoConfig:
+        if not isinstance(value, Mapping):
+            raise IzooError(f"{path} is {value!r}; it is a group of options, one of which is name.")
+        kind = AlgoConfig.of(value)
     if dataclasses.is_dataclass(kind):
         group: Any = kind
         if not isinstance(value, Mapping):

@@ -4,8 +4,6 @@
 - :mod:`.source`: sets of contexts, and the order in which episodes visit them;
 - :mod:`.features`: every context feature, declared once; :mod:`.distributions`: how features are drawn;
 - :mod:`.procedural`: four-leg worlds from a few numbers;
-- :mod:`.cities`: the ten built-in cities, from :mod:`.copula` (features), :mod:`.shapes` (legs and lanes),
-  :mod:`.movements` (turns) and :mod:`.timing` (signal plans); :mod:`.compare` checks them; :mod:`.weather`;
-- :mod:`.catalogue`: 1,306,720 scenarios by id; :mod:`.splits` and :mod:`.protocols`: what to train and test on;
-- :mod:`.commands`: ``python -m izoo.contexts``.
+- :mod:`.cities`: the ten built-in cities, their features, shapes, signal plans and weather; :mod:`.movements`: turns;
+- :mod:`.catalogue`: 1,306,720 scenarios by id; :mod:`.splits` and :mod:`.protocols`: what to train and test on.
 """

@@ -1,8 +1,10 @@
-"""Entry point of ``python -m izoo.contexts``, whose commands come from several rooms."""
+"""``python -m izoo.contexts``: see :mod:`izoo.commands.contexts`."""
 
 import sys
 
-from izoo.commands.contexts import main
+from izoo.commands.contexts import CONTEXTS
+
+main = CONTEXTS.main
 
 if __name__ == "__main__":
     sys.exit(main())

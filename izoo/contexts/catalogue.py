@@ -1,4 +1,4 @@
-"""The catalogue: 1,306,720 scenarios, each with an integer id that rebuilds it on any machine (spec 2).
+"""The catalogue: 1,306,720 scenarios, each with an integer id that rebuilds it on any machine.
 
 A scenario is (intersection of a city) x season x adoption level x hour x engine. :class:`Scenarios` is a lazy set of
 them: it filters and counts by arithmetic and builds a context only when it is asked for one.

@@ -7,18 +7,15 @@ import functools
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import IntersectionSpec, hold_floats
 from izoo.errors import check_choice, check_range
 
-if TYPE_CHECKING:
-    from tensordict import TensorDict
-
 HOURS = ("peak", "off-peak")
 HOUR_FACTOR = {"peak": 0.084, "off-peak": 0.055}
-"""Share of the daily traffic that passes in the hour (spec 2)."""
+"""Share of the daily traffic that passes in the hour."""
 FLOW_CAP_VPH_PER_LANE = 900.0
 SEASONS = ("winter", "spring", "summer", "fall")
 ENGINES = ("combustion", "electric")
@@ -80,7 +77,7 @@ class Context:
         return tuple(name for name in names if self.flow_vph_per_lane(name) > 0.0)
 
     def flow_vph_per_lane(self, leg: str) -> float:
-        """Arrivals per main lane of ``leg`` in veh/h: AADT times the hour factor, at most 900 (spec 2)."""
+        """Arrivals per main lane of ``leg`` in veh/h: AADT times the hour factor, at most 900."""
         approach = self.intersection.leg(leg).approach
         if approach is None or (self.approach is not None and self.approach != leg):
             return 0.0
@@ -104,24 +101,3 @@ class Context:
             fields.pop("drivers")
         fields["intersection"].pop("net_path")
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
-
-    def to_tensordict(self) -> TensorDict:
-        """Return the observed features that hold for the whole episode, and the catalogue's id (-1 without one).
-
-        Keys and shapes are those of an environment's ``"context"`` group: ``adoption``, ``temperature_c``,
-        ``humidity_pct``, ``engine`` (0 combustion, 1 electric), each ``[1]`` float32 and unscaled, and ``context_id``
-        ``[1]`` int64. Features of an approach or a movement are in the agents' observations.
-        """
-        # PyTorch takes seconds to import, and most uses of contexts do without it.
-        import torch
-        from tensordict import TensorDict
-
-        values = {
-            "adoption": self.adoption,
-            "temperature_c": self.temperature_c,
-            "humidity_pct": self.humidity_pct,
-            "engine": float(ENGINES.index(self.engine)),
-        }
-        columns = {name: torch.tensor([value], dtype=torch.float32) for name, value in values.items()}
-        identity = -1 if self.context_id is None else self.context_id
-        return TensorDict({**columns, "context_id": torch.tensor([identity])}, batch_size=[])

@@ -72,7 +72,7 @@ FEATURES = (
     Feature("turning", "", 0.0, 1.0, None, "demand", hidden=_UNPREDICTABLE),
 )
 """All features. ``engine`` is 0 for combustion and 1 for electric. ``green_s`` and ``red_s`` are those of a vehicle's
-own movement; their sum is the cycle. The last four are random draws made from the episode's seed (spec 2)."""
+own movement; their sum is the cycle. The last four are random draws made from the episode's seed."""
 
 BY_NAME = {feature.name: feature for feature in FEATURES}
 OBSERVED = tuple(feature.name for feature in FEATURES if feature.observed)

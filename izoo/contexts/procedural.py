@@ -1,4 +1,4 @@
-"""Procedural contexts: four equal legs, described by a few numbers, each fixed or drawn (spec 2.3)."""
+"""Procedural contexts: four equal legs, described by a few numbers, each fixed or drawn."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ _TRAIN_FEATURES: dict[Key, Any] = {
 EASY = ProceduralSource({})
 """One fixed, easy context: one lane, straight on only, 250 veh/h from leg A."""
 SYSTEMATICITY_TRAIN = ProceduralSource()
-"""Training set of the systematicity protocol (spec 11): wide ranges, without the test box."""
+"""Training set of the systematicity protocol: wide ranges, without the test box."""
 SYSTEMATICITY_TEST_SAMPLE = ProceduralSource(
     {
         ("lane_count", "phase_count"): Choice(_TEST_SHAPES),

@@ -1,4 +1,4 @@
-"""The context sets of the paper's protocols (spec 11): what to train on, select on and test on."""
+"""The context sets of the paper's protocols: what to train on, select on and test on."""
 
 from __future__ import annotations
 

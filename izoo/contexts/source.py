@@ -122,18 +122,6 @@ class RoundRobinSchedule:
         return self.contexts[episode % len(self.contexts)], episode_seed(self.seed, episode)
 
 
-class FixedSchedule:
-    """A given list of ``(context, seed)`` pairs, repeated from its start when it is used up."""
-
-    def __init__(self, pairs: Sequence[tuple[Context, int]]) -> None:
-        if len(pairs) == 0:
-            raise IzooError("a fixed schedule needs at least one (context, seed) pair.")
-        self.pairs = list(pairs)
-
-    def __call__(self, episode: int) -> tuple[Context, int]:
-        return self.pairs[episode % len(self.pairs)]
-
-
 class CurriculumSchedule:
     """The caller chooses: ``choose(episode, generator)`` returns the context of each episode.
 

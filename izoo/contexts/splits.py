@@ -1,4 +1,4 @@
-"""Train, validation and test sets of the protocols (spec 11). Nothing on this page may ever change.
+"""Train, validation and test sets of the protocols. Nothing on this page may ever change.
 
 Intersections are ordered by a hash of a constant and their name, so a split depends on neither NumPy nor the platform;
 the first tenth is the test set, the second the validation set, the rest the training set.

@@ -21,24 +21,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from izoo import cli
+from izoo.commands.help_page import as_word, attribute_docs
+from izoo.commands.option_command import OptionCommand
 from izoo.conf import compose
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.envs.mdp.observation import observation_columns
+from izoo.envs.mdp.reward import TERMS
 from izoo.errors import IzooError, unknown_choice
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent.parent
-MARKER = re.compile(r"^<!-- (options|commands|source)(?:: (\S+))? -->$", re.MULTILINE)
+MARKER = re.compile(r"^<!-- (options|commands|source|observation|reward)(?:: (\S+))? -->$", re.MULTILINE)
 HELP_COLUMNS = "100"
-
-
-# -- options -----------------------------------------------------------------------------------------------------------
 
 
 def option_docs(config: type) -> dict[str, str]:
     """Return what the docstrings of a dataclass and of those it extends say of each option."""
     docs: dict[str, str] = {}
     for owner in reversed(config.__mro__):
-        docs |= cli.attribute_docs(owner)
+        docs |= attribute_docs(owner)
     return docs
 
 
@@ -52,7 +53,7 @@ def modules() -> dict[str, Any]:
     return {name: module for name, module in found.items() if hasattr(module, "main")}
 
 
-def hydra_commands() -> list[cli.Command]:
+def hydra_commands() -> list[OptionCommand]:
     """Return the commands whose options Hydra composes."""
     return [module.COMMAND for module in modules().values() if hasattr(module, "COMMAND")]
 
@@ -61,7 +62,7 @@ def options_page(_: str = "") -> str:
     """Return every option of every command as tables: its default in each choice, and its meaning."""
     lines: list[str] = []
     for command in hydra_commands():
-        config_class = command.config()
+        config_class = command.config_class()
         config: Any = compose.compose_config(command.name, config_class, [])
         lines += [f"## python -m izoo.{command.name}", "", command.summary, ""]
         lines += _table(config_class, {"default": config}, "")
@@ -92,8 +93,8 @@ def options_of(group: str, choice: str) -> Any:
     """
     for command in hydra_commands():
         with contextlib.suppress(IzooError, AttributeError):
-            config = getattr(compose.compose_config(command.name, command.config(), [f"{group}={choice}"]), group)
-            # Commands change defaults of the environment, which has one choice: what it is by itself is wanted.
+            config = getattr(compose.compose_config(command.name, command.config_class(), [f"{group}={choice}"]), group)
+            # Commands have other defaults for the environment, which has one choice; the page shows its own.
             return type(config)() if choice == "default" else config
     raise IzooError(f"no command has the option {group}={choice}; izoo/conf has a file that nothing reads.")
 
@@ -120,7 +121,7 @@ def _table(config_class: type, presets: dict[str, Any], prefix: str) -> list[str
                 lines += _rows(f"{field.name}.", values[0])
                 continue
         else:
-            shown = [f"`{cli._as_word(value)}`" for value in values]
+            shown = [f"`{as_word(value)}`" for value in values]
         lines.append(f"| `{prefix}{field.name}` | {' | '.join(shown)} | {_meaning(docs, field.name)} |")
     return [*lines, ""]
 
@@ -129,7 +130,7 @@ def _rows(prefix: str, config: Any) -> list[str]:
     """Rows of a group of options that has no choices."""
     docs = option_docs(type(config))
     return [
-        f"| `{prefix}{field.name}` | `{cli._as_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
+        f"| `{prefix}{field.name}` | `{as_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
         for field in dataclasses.fields(config)
     ]
 
@@ -140,9 +141,6 @@ def _meaning(docs: dict[str, str], name: str) -> str:
 
 def _choice(config: Any) -> str:
     return str(getattr(config, "name", "default"))
-
-
-# -- help of the other commands ----------------------------------------------------------------------------------------
 
 
 def argparse_commands() -> dict[str, Callable[[list[str]], object]]:
@@ -182,9 +180,6 @@ def subcommands(page: str) -> list[str]:
     return re.split(r",\s*", found.group(1)) if found else []
 
 
-# -- sources -----------------------------------------------------------------------------------------------------------
-
-
 def source(path: str) -> str:
     """Return a file beside the pages as a block that folds out."""
     text = (FOLDER / path).read_text()
@@ -192,11 +187,33 @@ def source(path: str) -> str:
     return f'??? example "{path}"\n\n    ```python\n{body}\n    ```\n'
 
 
-MARKERS: dict[str, Callable[[str], str]] = {"options": options_page, "commands": commands_page, "source": source}
+def observation_table(_: str = "") -> str:
+    """Return the columns of an observation with default settings as a table."""
+    config = EnvConfig()
+    lines = ["| | column | unit | divided by | meaning |", "|---|---|---|---|---|"]
+    for place, column in enumerate(observation_columns(config.neighbours, config.observed)):
+        lines.append(f"| {place} | `{column.name}` | {column.unit} | {column.scale:g} | {column.meaning} |")
+    return "\n".join(lines)
+
+
+def reward_table(_: str = "") -> str:
+    """Return the terms of the reward as a table."""
+    lines = ["| column | unit | weight | default | in the vector |", "|---|---|---|---|---|"]
+    for option, term in TERMS.items():
+        where = "the smallest value, shared" if term.most is not None else f"own, and `fleet_{term.name}`"
+        weight = getattr(RewardConfig(), option)
+        lines.append(f"| `{term.name}` | {term.unit} | `env.reward.{option}` | {weight:g} | {where} |")
+    return "\n".join(lines)
+
+
+MARKERS: dict[str, Callable[[str], str]] = {
+    "options": options_page,
+    "commands": commands_page,
+    "source": source,
+    "observation": observation_table,
+    "reward": reward_table,
+}
 """``<!-- options -->``, ``<!-- commands -->``, ``<!-- source: examples/NAME.py -->``, each alone on its line."""
-
-
-# -- what MkDocs calls -------------------------------------------------------------------------------------------------
 
 
 def on_config(config: Any) -> Any:

@@ -16,7 +16,7 @@ from izoo.drivers.following import Following
 from izoo.drivers.hierarchy import total_noise
 from izoo.drivers.pilot import fit_pilot
 from izoo.drivers.predictive import Predictions, predict
-from izoo.drivers.tables import CLASSES
+from izoo.drivers.recorded_pairs import CLASSES
 from izoo.traffic.drivers import built_in_population
 
 MAX_R_HAT, MIN_ESS = 1.02, 200.0

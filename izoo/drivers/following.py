@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.drivers.checks import Problem, check_units, time_step
-from izoo.drivers.tables import CLASSES, read_pairs
+from izoo.drivers.recorded_pairs import CLASSES, read_pairs
 from izoo.errors import IzooError, check_range
 
 SIMULATOR_STEP_S = 0.5

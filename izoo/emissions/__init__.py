@@ -5,5 +5,22 @@
 - :mod:`izoo.emissions.kernel`: the same function compiled for one environment's vehicles.
 - :mod:`izoo.emissions.tables`: the data files that ``neuralmoves`` brings along.
 
-Nothing is imported here, so that a simulator process can use the kernel without paying for torch.
+Names are loaded when first used, so that a simulator process can use the kernel without paying for torch.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from izoo.emissions.moves import MovesSurrogate
+
+__all__ = ["MovesSurrogate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from izoo.emissions.moves import MovesSurrogate
+
+    return MovesSurrogate

@@ -7,8 +7,8 @@ whereas the work itself is 4,480 multiply-adds and 128 hyperbolic tangents per v
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from izoo.compiling import compiled
 from izoo.emissions.weights import HIDDEN, KernelWeights, load_weights
 
 __all__ = ["KernelWeights", "emission_rate_kernel", "load_weights"]
@@ -18,7 +18,7 @@ _N1, _N2 = np.float32(105 / 945), np.float32(1 / 945)
 _D1, _D2 = np.float32(420 / 945), np.float32(15 / 945)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fast_tanh(x):  # type: ignore[no-untyped-def]
     """Return tanh of a float32 within 1e-6 relative, in arithmetic that LLVM vectorises.
 
@@ -41,7 +41,7 @@ def fast_tanh(x):  # type: ignore[no-untyped-def]
     return m / d
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def emission_rate_kernel(  # type: ignore[no-untyped-def]
     speed_mps, accel_mps2, grade_pct, moves_class, active, temperature_c, humidity_pct, weights, out_gps
 ):

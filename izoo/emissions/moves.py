@@ -17,7 +17,7 @@ _DEVICE_CHUNK_ROWS = 1 << 20
 
 
 class MovesSurrogate(nn.Module):
-    """CO2 rate of vehicles in g/s: 99 networks 5-64-64-1, one per class, floored at the idling rate (spec 8).
+    """CO2 rate of vehicles in g/s: 99 networks 5-64-64-1, one per class, floored at the idling rate.
 
     Vehicles are sorted by class and laid into tiles of equal size, each of one class, so that every layer is one
     batched matrix product. tanh is written as ``2 sigmoid(2x) - 1`` with the constants folded into the weights, as

@@ -1,4 +1,4 @@
-"""Room: evaluation. Runs policies against human driving on the same episodes, and sums up.
+"""Runs policies against human driving on the same episodes, and sums up.
 
 - :func:`evaluate_policy`: paired episodes over worker processes, resumable, baselines cached.
 - :func:`summarise`, :func:`print_summary`: aggregates with intervals, as a dictionary and as a table to read.

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from izoo.evaluation.aggregates import SCORES, TASK, aggregates, over_intersections, over_train_seeds, plain
 from izoo.evaluation.policies import HUMAN
-from izoo.evaluation.summary import STATISTICS
 from izoo.metrics import statistics
-from izoo.metrics.benefit import GATES, benefits, emission_pairs, ratio_of_sums
+from izoo.metrics.benefit import benefits
 
-RUN, TASK = "train_seed", ("context_hash", "approach")
+RUN = "train_seed"
 PAPER_FORM = "best of {n} training seeds, chosen by its ratio of sums on the test set: the paper's form"
 THRESHOLDS = tuple(round(-1.0 + 0.02 * k, 2) for k in range(101))
 """Benefits at which performance profiles are given."""
@@ -50,7 +50,7 @@ def aggregate(rows: pd.DataFrame, seed: int = 0, resamples: int = statistics.RES
         ``all`` and ``unsaturated``: what :func:`_block` returns; ``best_seed``: the paper's form, labelled as such.
     """
     counted = rows[rows["left_out"] == ""]
-    tasks = rows.drop_duplicates(list(TASK))
+    tasks = rows.drop_duplicates(TASK)
     n = {
         "train_seeds": int(rows[RUN].nunique()),
         "approaches": int((tasks["left_out"] == "").sum()),
@@ -70,53 +70,24 @@ def aggregate(rows: pd.DataFrame, seed: int = 0, resamples: int = statistics.RES
 
 
 def _block(rows: pd.DataFrame, seed: int, resamples: int) -> dict[str, Any]:
-    """Return ``per_seed`` (values of each training seed), and per gate the two kinds of interval.
+    """Return ``per_seed``: all figures of each training seed; and their :data:`SCORES` with the two kinds of interval.
 
-    ``over_train_seeds`` and ``over_intersections``: per gate (and ``ungated``) the statistics of
-    :data:`izoo.evaluation.summary.STATISTICS`, each an estimate with its n; ``share_gated`` over training seeds alone.
+    ``over_train_seeds`` pools all training seeds; ``over_intersections`` is of each approach's mean over them.
     """
-    columns = {**{gate: f"benefit_{gate}" for gate in GATES}, "ungated": "benefit_ungated"}
-    result: dict[str, Any] = {"per_seed": [_run(part, int(k)) for k, part in rows.groupby(RUN)]}
-    result["over_train_seeds"] = {gate: {} for gate in columns}
-    result["over_intersections"] = {gate: {} for gate in columns}
-    groups = rows.drop_duplicates(list(TASK)).sort_values(list(TASK))["intersection"].tolist()
-    for gate, column in columns.items():
-        scores = score_matrix(rows, column)
-        for name, statistic in STATISTICS.items():
-            runs = statistics.stratified_bootstrap(scores, statistic, np.random.default_rng(seed), resamples)
-            means = scores.mean(axis=0) if len(scores) else np.empty(0)
-            places = statistics.bootstrap(means, statistic, np.random.default_rng(seed), groups, resamples)
-            result["over_train_seeds"][gate][name] = runs.to_dict()
-            result["over_intersections"][gate][name] = places.to_dict()
-        if gate in GATES:
-            gated = score_matrix(rows, f"gated_{gate}")
-            share = statistics.stratified_bootstrap(gated, statistics.mean, np.random.default_rng(seed), resamples)
-            result["over_train_seeds"][gate]["share_gated"] = share.to_dict()
-    return result
+    rows = rows.sort_values([RUN, *TASK], kind="stable")
+    parts = {int(k): part for k, part in rows.groupby(RUN)}
+    runs = max(len(parts), 1)
+    return {
+        "per_seed": [{"seed": k, **aggregates(part, plain), "n": len(part)} for k, part in parts.items()],
+        "over_train_seeds": aggregates(rows, over_train_seeds(runs, seed, resamples), SCORES),
+        "over_intersections": aggregates(rows, over_intersections(rows, seed, resamples, runs), SCORES),
+    }
 
 
 def score_matrix(rows: pd.DataFrame, column: str) -> statistics.Array:
     """Return a column as ``[training seeds, approaches]``, approaches sorted by context and name."""
-    wide = rows.pivot(index=RUN, columns=list(TASK), values=column).sort_index(axis=1)
+    wide = rows.pivot(index=RUN, columns=TASK, values=column).sort_index(axis=1)
     return wide.to_numpy(dtype=np.float64)
-
-
-def _run(rows: pd.DataFrame, train_seed: int) -> dict[str, Any]:
-    """Return the plain statistics of one training seed."""
-    run: dict[str, Any] = {"seed": train_seed}
-    for gate in GATES:
-        benefit = rows[f"benefit_{gate}"].to_numpy(float)
-        run[gate] = {name: float(statistic(benefit)) for name, statistic in STATISTICS.items()}
-        run[gate]["share_gated"] = float(rows[f"gated_{gate}"].astype(float).mean())
-        run[gate]["ratio_of_sums"] = float(ratio_of_sums(emission_pairs(rows, gate)))
-    flows = rows[["throughput_policy", "throughput_baseline"]].to_numpy(float)
-    run["throughput"] = {
-        "mean": float(rows["throughput_benefit"].mean()),
-        "ratio_of_sums": float(-ratio_of_sums(flows)),
-        "share_kept": float((flows[:, 0] >= flows[:, 1]).mean()),
-    }
-    run["n"] = len(rows)
-    return run
 
 
 def compare_entries(rows: Mapping[str, pd.DataFrame], seed: int = 0, resamples: int = 500) -> dict[str, Any]:
@@ -130,7 +101,7 @@ def compare_entries(rows: Mapping[str, pd.DataFrame], seed: int = 0, resamples: 
         ``profiles``: ``thresholds``, and per entry the share of (training seed, approach) above each; ``approaches``.
     """
     counted = {name: table[table["left_out"] == ""] for name, table in rows.items()}
-    keys = {name: list(table[list(TASK)].itertuples(index=False, name=None)) for name, table in counted.items()}
+    keys = {name: list(table[TASK].itertuples(index=False, name=None)) for name, table in counted.items()}
     shared = set.intersection(*(set(there) for there in keys.values()))
     if not shared:
         return {"improvement": [], "profiles": {}, "approaches": 0}

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
 from izoo.evaluation.table import (
     CSV_FILE,
     EPISODE_KEY,
@@ -23,35 +21,10 @@ from izoo.evaluation.table import (
     read_csv,
     read_journal,
     write_csv,
-    write_text,
 )
+from izoo.files import claimed, write_json
 
 FORMAT = 1
-
-
-@contextlib.contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """Make ``folder`` and keep other processes out of it, until the end of this one at the latest.
-
-    Raises:
-        IzooError: it cannot be made, or another process works in it.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise IzooError(f"cannot use the folder {folder}: {os_reason(error)}; choose another one.") from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise IzooError(f"another process works in {folder}; wait for it, or choose another out.") from None
-    except OSError:
-        pass  # some network file systems cannot lock a folder
-    try:
-        yield
-    finally:
-        os.close(descriptor)
 
 
 class ResultFolder:
@@ -63,7 +36,7 @@ class ResultFolder:
 
     Args:
         path: the folder, or ``None`` to keep nothing.
-        settings: what every row of the folder must share (:func:`izoo.evaluation.cache.settings`).
+        settings: what every row of the folder must share (:func:`izoo.evaluation.provenance.settings`).
 
     Attributes:
         done: ``(policy, context hash, seed)`` of the episodes that are there.
@@ -124,7 +97,7 @@ class ResultFolder:
             write_csv(make_table(self._rows), path / CSV_FILE)
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         content = {"format": FORMAT, "settings": self.settings, "policies": {**policies, policy: fingerprint}}
-        write_text(path / MANIFEST_FILE, json.dumps(content, indent=2) + "\n")
+        write_json(path / MANIFEST_FILE, content)
 
     def _write(self, path: Path, whole: bool) -> None:
         from izoo.evaluation.summary import summarise
@@ -139,7 +112,7 @@ class ResultFolder:
             return
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         with contextlib.suppress(IzooError):  # an interrupted evaluation may lack baselines
-            write_text(path / SUMMARY_FILE, json.dumps(summarise(self.table), indent=2, allow_nan=False) + "\n")
+            write_json(path / SUMMARY_FILE, summarise(self.table))
 
 
 def _read_manifest(path: Path) -> dict[str, Any] | None:

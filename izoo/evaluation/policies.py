@@ -20,7 +20,7 @@ from torch import nn
 from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
-from izoo.evaluation.episode import Policy
+from izoo.evaluation.playing import Policy
 
 HUMAN, UNCOMMANDED = "human", "uncommanded"
 POLICY_FREE = (HUMAN, UNCOMMANDED)

@@ -1,4 +1,4 @@
-"""Episodes over the machines of a Ray cluster: what :func:`izoo.evaluation.workers.play_all` does, elsewhere."""
+"""Episodes over the machines of a Ray cluster: what :func:`izoo.evaluation.processes.play_all` does, elsewhere."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from izoo import cluster
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.evaluation.workers import ATTEMPTS, EpisodeFailed, Player, Rows, Task
+from izoo.evaluation import ray_cluster as cluster
+from izoo.evaluation.processes import ATTEMPTS, EpisodeFailed, Player, Rows, Task
 
 
 class RemotePlayer:
@@ -35,7 +35,7 @@ def play_on_ray(
     """Play episodes on a Ray cluster and yield them as they finish.
 
     Args:
-        tasks, policies, config: as for :func:`izoo.evaluation.workers.play_all`.
+        tasks, policies, config: as for :func:`izoo.evaluation.processes.play_all`.
         num_workers: processes, each on a core of the cluster; they wait for one where too few are free.
 
     Raises:

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
-from izoo.evaluation import cache as caching
-from izoo.evaluation.episode import Policy
+from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_folder
 from izoo.evaluation.folder import ResultFolder
+from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate, as_candidate
+from izoo.evaluation.processes import Rows, Task, play_all
+from izoo.evaluation.provenance import settings
 from izoo.evaluation.remote import play_on_ray
 from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
-from izoo.evaluation.workers import Rows, Task, play_all
 
 EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
 """What plays episodes, by the option ``executor``."""
-LINE_EVERY_S = 10.0
-"""Where there is no terminal for a bar, a line says so often how far an evaluation is."""
 Key = tuple[str, str, int]
 """Policy name, content hash of the context it is evaluated in, seed."""
 
@@ -60,7 +58,7 @@ def evaluate_policy(
         name: the policy's name in the table.
         uncommanded: also play the CVs that nobody commands, which separates what the policy did from what the CV's
             vehicle parameters did.
-        cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.cache.default_folder`.
+        cache: folder of the cached baselines; ``None``: :func:`izoo.evaluation.baselines.default_folder`.
         source: what a policy that is given as an object can be made from again, so that a report can replay it: a
             driver's name, ``module:function``, or the path of a checkpoint.
         executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
@@ -82,8 +80,8 @@ def evaluate_policy(
     candidate = as_candidate(policy, config, name)
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
     candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
-    folder = ResultFolder(None if out_dir is None else Path(out_dir), caching.settings(config))
-    cached = caching.EpisodeCache(Path(cache) if cache else caching.default_folder(), config)
+    folder = ResultFolder(None if out_dir is None else Path(out_dir), settings(config))
+    cached = EpisodeCache(Path(cache) if cache else default_folder(), config)
     with folder.open(candidate.name, candidate.fingerprint):
         unique = list({context.content_hash: context for context in contexts}.values())
         wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
@@ -112,7 +110,7 @@ def _play(
     config: EnvConfig,
     play: Callable[..., Iterator[tuple[Task, Rows]]],
     folder: ResultFolder,
-    cached: caching.EpisodeCache,
+    cached: EpisodeCache,
     progress: bool,
 ) -> None:
     """Take policy-free episodes from the cache where it has them, and play the rest.
@@ -123,7 +121,7 @@ def _play(
     waiting: dict[Key, list[tuple[str, Context, int]]] = {}
     tasks: list[Task] = []
     for name, context, seed in entries:
-        played = caching.baseline_context(context) if name == HUMAN else context
+        played = baseline_context(context) if name == HUMAN else context
         rows = cached.get(name, played, seed) if name in POLICY_FREE else None
         if rows is not None:
             folder.add(_relabel(rows, name, context, seed))
@@ -133,32 +131,15 @@ def _play(
             tasks.append(Task(candidates[name].name, name, played, seed))
         waiting.setdefault(key, []).append((name, context, seed))
     policies = {name: candidates[name].pack() for name in {task.policy for task in tasks}}
-    with _progress_bar(progress and bool(tasks)) as bar:
-        row = bar.add_task("episodes", total=len(tasks))
-        last_line = time.monotonic()
+    with Progress(len(tasks), unit="episodes", shown=progress) as bar:
         for number, (task, rows) in enumerate(play(tasks, policies, config), 1):
             if task.name in POLICY_FREE:
                 cached.put(task.name, task.context, task.seed, rows)
             for name, context, seed in waiting[_key(task.name, task.context, task.seed)]:
                 folder.add(_relabel(rows, name, context, seed))
-            bar.update(row, advance=1)
-            if progress and not bar.console.is_terminal and time.monotonic() - last_line >= LINE_EVERY_S:
-                last_line = time.monotonic()
-                print(f"{number:>10,} / {len(tasks):,} episodes", flush=True)
+            bar.update(number)
 
 
 def _relabel(rows: Rows, name: str, context: Context, seed: int) -> Rows:
     """Give rows the identity of the context that is evaluated, which for human driving is not the one played."""
     return [{**row, **identity(name, context, seed, row["approach"])} for row in rows]
-
-
-def _progress_bar(shown: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        disable=not shown,
-    )

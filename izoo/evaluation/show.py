@@ -18,6 +18,7 @@ SHOWN_SCORES = (
     "stopped_time_s_per_vehicle",
     "unfinished_share",
     "waiting_vehicles",
+    "dropped_vehicles",
     "min_ttc_s",
     "collisions",
     "deferred_share",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gzip
 import json
@@ -17,6 +16,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
+from izoo.files import write_bytes
 
 SOURCES_FILE = "sources.json.gz"
 FORMAT = "izoo-sources-1"
@@ -55,13 +55,7 @@ def add_sources(folder: Path, contexts: Iterable[Context], policy: str, source: 
         "policies": {**old.policies, policy: text},
         "contexts": [dataclasses.asdict(everything[key]) for key in sorted(everything)],
     }
-    partial = folder / f".{SOURCES_FILE}.{os.getpid()}"
-    try:
-        partial.write_bytes(gzip.compress(json.dumps(content).encode(), mtime=0))
-        partial.replace(folder / SOURCES_FILE)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+    write_bytes(folder / SOURCES_FILE, gzip.compress(json.dumps(content).encode(), mtime=0))
 
 
 def read_sources(folder: Path) -> Sources:

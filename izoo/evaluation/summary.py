@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError, check_choice
+from izoo.evaluation.aggregates import aggregates, over_intersections
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.metrics import statistics
-from izoo.metrics.benefit import GATES, PAIR, benefits, emission_pairs, ratio_of_sums
+from izoo.metrics.benefit import PAIR, benefits
 from izoo.metrics.scores import SCORES, pool
 
 BASELINES = (HUMAN, UNCOMMANDED)
-STATISTICS: dict[str, Callable[[statistics.Array], Any]] = {
-    "mean": statistics.mean,
-    "iqm": statistics.iqm,
-    "share_positive": statistics.share_positive,
-}
-"""Aggregates of the benefit over approaches."""
 
 
 def approach_table(
@@ -110,48 +104,19 @@ def compare(table: pd.DataFrame, seed: int = 0, resamples: int = statistics.RESA
         table: from :func:`approach_table`.
 
     Returns:
-        ``all`` and ``unsaturated`` (without the flagged approaches), each with the estimates of :func:`_aggregate`;
-        ``saturated`` and ``left_out``: which approaches those are.
+        ``all`` and ``unsaturated`` (without the flagged approaches), each with the estimates of
+        :func:`izoo.evaluation.aggregates.aggregates` over other intersections; ``saturated`` and ``left_out``: which
+        approaches those are.
     """
     counted = table[table["left_out"] == ""]
     left_out = table[table["left_out"] != ""]
     saturated = counted[counted["saturated"]]
+    blocks = {"all": counted, "unsaturated": counted[~counted["saturated"]]}
     return {
-        "all": _aggregate(counted, seed, resamples),
-        "unsaturated": _aggregate(counted[~counted["saturated"]], seed, resamples),
+        **{name: aggregates(rows, over_intersections(rows, seed, resamples)) for name, rows in blocks.items()},
         "saturated": [f"{row.context} {row.approach}" for row in saturated.itertuples()],
         "left_out": [f"{row.context} {row.approach}: {row.left_out}" for row in left_out.itertuples()],
     }
-
-
-def _aggregate(table: pd.DataFrame, seed: int, resamples: int) -> dict[str, Any]:
-    """Estimates over approaches; intersections are resampled, as approaches of one are not independent.
-
-    Per gate: mean, IQM and share positive of the benefit, share gated, and the ratio of sums. ``throughput``: the
-    mean benefit, the ratio of sums, and the share of approaches that kept their throughput. ``ungated``: mean and IQM.
-    """
-    groups = table["intersection"].tolist()
-
-    def estimate(values: Any, statistic: statistics.Statistic) -> dict[str, Any]:
-        generator = np.random.default_rng(seed)
-        return statistics.bootstrap(values, statistic, generator, groups, resamples).to_dict()
-
-    result: dict[str, Any] = {}
-    for gate in GATES:
-        benefit = table[f"benefit_{gate}"].to_numpy(float)
-        gated = table[f"gated_{gate}"].to_numpy(float)
-        result[gate] = {name: estimate(benefit, statistic) for name, statistic in STATISTICS.items()}
-        result[gate]["share_gated"] = estimate(gated, statistics.mean)
-        result[gate]["ratio_of_sums"] = estimate(emission_pairs(table, gate), ratio_of_sums)
-    ungated = table["benefit_ungated"].to_numpy(float)
-    result["ungated"] = {name: estimate(ungated, STATISTICS[name]) for name in ("mean", "iqm")}
-    flows = table[["throughput_policy", "throughput_baseline"]].to_numpy(float)
-    result["throughput"] = {
-        "mean": estimate(table["throughput_benefit"].to_numpy(float), statistics.mean),
-        "ratio_of_sums": estimate(flows, lambda x: -ratio_of_sums(x)),
-        "share_kept": estimate((flows[:, 0] >= flows[:, 1]).astype(float), statistics.mean),
-    }
-    return result
 
 
 def _counts(table: pd.DataFrame) -> dict[str, int]:

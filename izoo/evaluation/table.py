@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import math
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ import pandas as pd
 from izoo.contexts.context import Context
 from izoo.errors import IzooError
 from izoo.evaluation.saturation import volume_over_capacity
+from izoo.files import write_text
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 
@@ -153,20 +152,6 @@ def read_csv(path: Path) -> pd.DataFrame:
         for column in _WHOLE:
             row[column] = None if row[column] is None else int(row[column])
     return make_table(rows)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file beside its place, flush it, then rename: readers see the old or the new one."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with partial.open("w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Room: metrics. From the sums that an environment emits to numbers with intervals.
+"""From the sums that an environment emits to numbers with intervals.
 
 - :mod:`~izoo.metrics.definitions`: what an environment reports.
 - :mod:`~izoo.metrics.masked`: reductions over valid slots.

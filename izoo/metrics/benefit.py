@@ -1,4 +1,4 @@
-"""Benefit against human driving, paired and gated (spec 10).
+"""Benefit against human driving, paired and gated.
 
 A row of a table is one approach in one episode: the keys :data:`PAIR`, the sums of
 :mod:`izoo.metrics.definitions`, and what describes the context. Policy and baseline rows are paired by context, seed

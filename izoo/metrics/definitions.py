@@ -2,7 +2,8 @@
 
 An environment emits *sums and counts* (``("metrics", "approach", name)`` of shape ``[*B, P]``, one entry per incoming
 approach), never means, so that they can be added over approaches and episodes without weights going wrong. Means are
-taken in one place, :func:`scores`, and are NaN-free: a mean over nothing is reported as missing by its mask.
+taken in one place, :mod:`izoo.metrics.scores`, and are NaN-free: a mean over nothing is reported as missing by its
+mask.
 
 A vehicle is *counted* unless it was in the controlled region during warm-up. It belongs to the approach it came from.
 """
@@ -38,6 +39,10 @@ APPROACH_METRICS: tuple[str, ...] = (
     "unslotted_steps",  # steps of CVs that found no free agent slot and were driven by IDM
     "red_crossings_cv",  # CVs that crossed the stop line on red where turning right on red is not legal
     "red_crossings_hdv",  # human-driven vehicles that did
+    "due",  # vehicles whose departure was due by the end: dropped + waiting + outside + early + entered
+    "dropped",  # those that the simulator dropped because they could not enter the network safely
+    "outside",  # those under way to the region at the end
+    "early",  # those that were in the region, or had left it, when the warm-up ended
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 

@@ -53,6 +53,7 @@ SCORES: dict[str, Score] = {
     ),
     "unfinished_share": Score("share that had not crossed", ("unfinished",), "entered", "", "lower"),
     "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), None, "veh", "lower"),
+    "dropped_vehicles": Score("dropped before they entered", ("dropped",), None, "veh", "lower"),
     "comfort_mps2": Score("mean absolute acceleration", ("abs_accel_sum",), "vehicle_steps", "m/s2", "lower"),
     "jerk_mps3": Score("mean absolute jerk", ("abs_jerk_sum",), "vehicle_steps", "m/s3", "lower"),
     "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
@@ -61,7 +62,7 @@ SCORES: dict[str, Score] = {
     "nan_share": Score("share of commands that were NaN", ("nan_actions",), "agent_steps", "", "lower"),
     "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
 }
-"""Every score by name, the headline first (spec 10). ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
+"""Every score by name, the headline first. ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
 
 TIME_WEIGHT_G_PER_S = 1.0
 """Default lambda of the objective J, in g CO2 per vehicle second: about what an idling car emits."""
@@ -93,7 +94,7 @@ def score_tensors(sums: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]
 
 
 def add_scores(table: pd.DataFrame, time_weight_g_per_s: float = TIME_WEIGHT_G_PER_S) -> pd.DataFrame:
-    """Return ``table`` with a column per score, and ``objective_g``, the objective J of spec 1.
+    """Return ``table`` with a column per score, and ``objective_g``, the objective J.
 
     Args:
         table: rows with the columns :data:`~izoo.metrics.definitions.APPROACH_METRICS`.

@@ -1,1 +1,1 @@
-"""Room: networks."""
+"""Intersections as nets: built, imported, given signals, and read as arrays."""

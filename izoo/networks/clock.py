@@ -1,4 +1,4 @@
-"""The fixed-time plan of the main signal, seen from a movement (spec 4).
+"""The fixed-time plan of the main signal, seen from a movement.
 
 All tables are indexed by movement ``[P, Q]`` and phase ``[K]``; times count from the beginning of the phase, so the
 clock at time ``t`` is a table entry minus the time already spent in the phase.
@@ -25,10 +25,10 @@ class SignalClock:
 
     Attributes:
         cycle_s, offset_s: length of the cycle; when its first phase begins.
-        phase_begin_s: ``[K]`` begin of each phase within the cycle.
+        phase_begin_s: ``[K]`` beginning of each phase within the cycle.
         colour: ``[P, Q, K]`` int8: 0 green (``G`` or ``g``), 1 yellow, 2 red.
         legal_on_red: ``[P, Q, K]`` bool: crossing on red after a stop is legal (``s``).
-        change_s: ``[P, Q, K]`` from the phase's begin until the colour changes; infinite if it never does.
+        change_s: ``[P, Q, K]`` from the phase's beginning until the colour changes; infinite if it never does.
         second_green_s, third_green_s: ``[P, Q, K]`` until the second and third green interval begin; a current green
             counts as the first.
         green_s, red_s: ``[P, Q]`` green per cycle, and the rest of the cycle.
@@ -102,7 +102,7 @@ def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndar
 
 
 def _look_ahead(colour: np.ndarray, duration_s: np.ndarray, k: int) -> tuple[float, list[float]]:
-    """Time from the begin of phase ``k`` to the next colour change and to the first three green intervals."""
+    """Time from the beginning of phase ``k`` to the next colour change and to the first three green intervals."""
     count = len(duration_s)
     change, elapsed = np.inf, 0.0
     greens = [0.0] if colour[k] == GREEN else []

@@ -58,7 +58,7 @@ class RoadNet:
         lane_length: ``[L]`` m.
         lane_limit_mps: ``[L]``.
         lane_approach, lane_exit: ``[L]`` -1 where the lane does not tell.
-        lane_offset_m: ``[L]`` path position of the lane's begin: negative before the stop line, distance travelled
+        lane_offset_m: ``[L]`` path position of the lane's beginning: negative before the stop line, distance travelled
             inside the junction, 0 for leaving lanes (the junction's length is added per vehicle).
         inside_length_m: ``[L]`` length of the whole way through the junction that an inside lane belongs to.
         next_lane: ``[L, Q]`` the lane after this one on the way to an exit, -1 where it does not lead there.

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from izoo.reporting.collect import Curve
 from izoo.reporting.drawing import PALETTE, QUIET, Figure, axis, escaped
+from izoo.reporting.material import Curve
 
 CURVES = {
     "return": "return per episode",

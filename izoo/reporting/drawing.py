@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from izoo.evaluation.policies import UNCOMMANDED
-from izoo.reporting.scores import Scored
+from izoo.reporting.scored import Scored
 
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4fa0", "#8c564b")
 """Okabe and Ito's colours, which colour-blind readers can tell apart, and two more."""

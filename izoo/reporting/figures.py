@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from izoo.evaluation.policies import UNCOMMANDED
-from izoo.reporting.collect import Material
 from izoo.reporting.curves import learning_curves, pareto
 from izoo.reporting.drawing import PALETTE, Figure, axis, colours, error_bars, escaped, in_percent, in_words
 from izoo.reporting.histograms import beside_published, histograms
-from izoo.reporting.scores import THRESHOLDS, Scored, profile
+from izoo.reporting.material import Material
+from izoo.reporting.scored import THRESHOLDS, Scored, profile
 
 
 def forest(scored: Sequence[Scored]) -> Figure:

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from izoo.reporting.drawing import PALETTE, QUIET, Figure, axis, colours, error_bars, escaped, in_percent, in_words
 from izoo.reporting.published import PUBLISHED
-from izoo.reporting.scores import Scored
+from izoo.reporting.scored import Scored
 
 BINS, LIMIT_PCT = 150, 100.0
-"""The published histogram: benefit clipped to +-100 %, 150 bins (spec 11)."""
+"""The published histogram: benefit clipped to +-100 %, 150 bins."""
 
 
 def histogram(benefit: ArrayLike, title: str, name: str, colour: str = PALETTE[0]) -> Figure:

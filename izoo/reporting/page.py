@@ -17,17 +17,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from izoo import __version__
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import percent, score_rows
 from izoo.evaluation.summary import summarise
-from izoo.evaluation.table import write_text
+from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
-from izoo.reporting.collect import Material, collect
+from izoo.reporting.material import Material, collect
 from izoo.reporting.published import PUBLISHED
 from izoo.reporting.replay import Player, scenes
 from izoo.reporting.rows import COLUMNS, FEATURES, approach_rows
-from izoo.reporting.scores import Scored, improvement, score
+from izoo.reporting.scored import Scored, improvement, score
 
 PAGE_FILE = "report.html"
 TEMPLATES = "templates"
@@ -69,7 +69,7 @@ def write_report(
         replay: show the best and the worst approach of every policy; they are played again once, and then kept.
         imports: policies written ``module:function`` may be imported for that.
         partial: accept a benchmark that is not finished.
-        note: is told what takes time, and what is left out.
+        note: called with what takes time, and with what is left out.
 
     Returns:
         the page's path.

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.layout import METRIC
-from izoo.envs.sumo.simulator import Simulator
+from izoo.envs.mdp.frame import METRIC
+from izoo.envs.mdp.scene import Scene
 from izoo.networks.road import APPROACHING, RoadNet
 
 COUNTER_STEPS = 10
@@ -39,43 +39,40 @@ class Recorder:
         self._counters: list[list[float]] = []
         self.frames = 0
 
-    def take(self, simulator: Simulator) -> None:
+    def take(self, scene: Scene) -> None:
         """Record the present state."""
-        columns, rows = simulator.vehicles(), simulator.roster.rows
-        numbers = columns["vehicle_number"][rows]
-        positions = np.rint(columns["path_position_m"][rows] * DM_PER_M).astype(int)
-        starts = np.rint((columns["path_position_m"] - columns["lane_position_m"])[rows] * DM_PER_M).astype(int)
-        lanes = columns["region_lane"][rows]
-        for k, row in enumerate(rows.tolist()):
-            number = int(numbers[k])
+        columns = scene.vehicles
+        positions = np.rint(columns["path_position_m"] * DM_PER_M).astype(int)
+        starts = np.rint((columns["path_position_m"] - columns["lane_position_m"]) * DM_PER_M).astype(int)
+        for k, number in enumerate(columns["vehicle_number"].tolist()):
             track = self._tracks.get(number)
             if track is None:
                 track = self._tracks[number] = _Track(
                     self.frames,
-                    bool(columns["is_cv"][row]),
-                    round(float(columns["length_m"][row]) * DM_PER_M),
-                    int(columns["approach"][row]),
-                    int(columns["exit"][row]),
+                    bool(columns["is_cv"][k]),
+                    round(float(columns["length_m"][k]) * DM_PER_M),
+                    int(columns["approach"][k]),
+                    int(columns["exit"][k]),
                 )
             track.positions.append(int(positions[k]))
-            lane = int(lanes[k])
+            lane = int(columns["region_lane"][k])
             if track.lanes and track.lanes[-1][0] == lane:
                 track.lanes[-1][1] += 1
             else:
                 track.lanes.append([lane, 1, int(starts[k])])
-        colours = "".join("gyr"[colour] for colour in simulator.clock.now.ravel())
+        colours = "".join("gyr"[colour] for colour in scene.colour.ravel())
         if not self._signals or self._signals[-1][1] != colours:
             self._signals.append([self.frames, colours])
         if self.frames % COUNTER_STEPS == 0:
-            crossed, emission_g = (float(simulator.sums[:, METRIC[name]].sum()) for name in ("crossed", "emission_g"))
-            self._counters.append([crossed, round(emission_g, 1)])
+            sums = scene.approach_metrics.sum(axis=0)
+            self._counters.append([float(sums[METRIC["crossed"]]), round(float(sums[METRIC["emission_g"]]), 1)])
         self.frames += 1
 
     def content(self) -> dict[str, Any]:
         """Return the episode as plain values.
 
         ``vehicles``: per vehicle ``[first frame, is CV, length in dm, approach, exit, lanes, positions]``, where
-        ``lanes`` holds ``[lane, frames, path position of its begin in dm]`` and ``positions`` what
+        ``lanes`` holds ``[lane, frames, path position of its beginning in dm]`` and ``positions`` what
         :func:`second_differences` makes of the path positions in dm. ``signals``: ``[frame, colours]`` at every
         change, a letter per movement in the order of ``[P, Q]``. ``counters``: vehicles that crossed and their CO2 in
         g, every :data:`COUNTER_STEPS`.

@@ -7,7 +7,6 @@ import dataclasses
 import gzip
 import hashlib
 import json
-import os
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,19 +16,22 @@ from typing import Any
 import pandas as pd
 from tensordict import TensorDictBase
 
+from izoo import files
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
-from izoo.evaluation.cache import baseline_context, code_digest
-from izoo.evaluation.episode import run_episode
+from izoo.evaluation.aggregates import TASK
+from izoo.evaluation.baselines import baseline_context
+from izoo.evaluation.playing import run_episode
 from izoo.evaluation.policies import HUMAN, POLICY_FREE, Candidate, as_candidate
+from izoo.evaluation.provenance import code_digest
 from izoo.evaluation.sources import read_sources
 from izoo.evaluation.table import MANIFEST_FILE
-from izoo.reporting.collect import Evaluated
+from izoo.reporting.material import Evaluated
 from izoo.reporting.recording import Recorder, geometry
-from izoo.reporting.scores import TASK, Scored
+from izoo.reporting.scored import Scored
 from izoo.training import checkpoint, runs
 
 FOLDER = "replays"
@@ -132,7 +134,7 @@ class Player:
         packed = self._record(scene, manifest, fingerprint)
         with contextlib.suppress(OSError):  # a folder that cannot be written only costs the time of playing again
             path.parent.mkdir(exist_ok=True)
-            _write_bytes(path, packed)
+            files.write_bytes(path, packed, durable=False)
         return packed
 
     def _record(self, scene: Scene, manifest: dict[str, Any], fingerprint: str) -> bytes:
@@ -147,7 +149,7 @@ class Player:
             played = baseline_context(context) if driver.name == HUMAN else context
             content[side] = self._play(config, driver, played, context, scene)
         assert self._env is not None
-        content["net"] = geometry(self._env.simulator.road)
+        content["net"] = geometry(self._env.road)
         return gzip.compress(json.dumps(content, separators=(",", ":")).encode(), mtime=0)
 
     def _play(
@@ -159,7 +161,7 @@ class Player:
         env, recorder = self._env, Recorder()
 
         def watched(tensordict: TensorDictBase) -> TensorDictBase:
-            recorder.take(env.simulator)
+            recorder.take(env.scene())
             return driver.policy(tensordict)
 
         rows = run_episode(env, watched, driver.name, played, scene.seed)
@@ -222,13 +224,3 @@ def _loaded(path: Path) -> tuple[Any, str]:
 
 def _key(scene: Scene) -> list[Any]:
     return [scene.policy, scene.baseline, scene.context_hash, scene.seed]
-
-
-def _write_bytes(path: Path, content: bytes) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)

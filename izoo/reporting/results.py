@@ -8,7 +8,7 @@
       learning_curves.png            return and emission of all training runs; not where nothing was trained
       train/ENTRY/seedK/             a run folder of izoo.train: config.yaml, metrics.csv, checkpoints, ...
       evaluation/ENTRY/seedK/        evaluation.csv (izoo.evaluation.table), evaluation.json, summary.json
-      leaderboard/ENTRY.json         one submission per entry (izoo.reporting.leaderboard)
+      leaderboard/ENTRY.json         one submission per entry (izoo.reporting.submissions)
 
 An **entry** is what is compared: an algorithm with its action (``ppo``, ``ppo_residual``), or a scripted driver
 (``glide``, ``uncommanded``), which needs no training and has one run with seed 0. In ``evaluation.csv`` of an entry the
@@ -52,7 +52,8 @@ import pandas as pd
 
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.errors import IzooError
-from izoo.evaluation.table import CSV_FILE, read_csv, write_text
+from izoo.evaluation.table import CSV_FILE, read_csv
+from izoo.files import write_json
 
 FORMAT = "izoo-results-1"
 RESULTS_FILE, SETTINGS_FILE = "results.json", "settings.yaml"
@@ -130,7 +131,7 @@ class Results:
 
 def write_results(folder: Path, results: Results) -> None:
     """Write ``results.json``, whole or not at all."""
-    write_text(folder / RESULTS_FILE, json.dumps(to_mapping(results), indent=1, allow_nan=False) + "\n")
+    write_json(folder / RESULTS_FILE, to_mapping(results))
 
 
 def read_results(folder: Path) -> Results:

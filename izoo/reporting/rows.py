@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from izoo.reporting.scores import TASK, Scored
+from izoo.evaluation.aggregates import TASK
+from izoo.reporting.scored import Scored
 
 FEATURES = {
     "volume_over_capacity": "volume over capacity",

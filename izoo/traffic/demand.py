@@ -1,4 +1,4 @@
-"""When vehicles arrive and which way they turn (spec 2)."""
+"""When vehicles arrive and which way they turn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How people drive: IDM parameters drawn per driver from a calibrated log-normal population (spec 3).
+"""How people drive: IDM parameters drawn per driver from a calibrated log-normal population.
 
 The built-in population is ``idm_population.json``, whose ``source`` entry says where the numbers come from. v0 is drawn
 with the others but not used: the speed limit rules.

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from izoo.errors import IzooError
+from izoo.files import replacing
 
 FORMAT = "izoo-checkpoint-2"
 _NAME = re.compile(r"step-(\d+)\.pt")
@@ -39,19 +37,13 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
     folder = folder_of(run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"step-{frames:012d}.pt"
-    partial = path.with_suffix(".partial")
+    import torch
+
     try:
-        with partial.open("wb") as file:
-            torch.save({"format": FORMAT, "frames": frames, **state}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-        _sync_folder(folder)
-    except (OSError, RuntimeError) as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        # torch reports a write that failed underneath it as a RuntimeError.
-        raise error if isinstance(error, OSError) else OSError(str(error).splitlines()[0]) from error
+        with replacing(path) as partial:
+            torch.save({"format": FORMAT, "frames": frames, **state}, partial)
+    except RuntimeError as error:  # torch's word for a write that failed underneath it
+        raise OSError(str(error).splitlines()[0]) from error
     there = listed(run_dir)
     until = there.index(path) + 1
     # Later ones belong to what was given up when the run was resumed further back.
@@ -72,6 +64,8 @@ def load(path: Path) -> dict[str, Any]:
     Raises:
         IzooError: the file is missing, cut short, or not a checkpoint of izoo; the one before it is named.
     """
+    import torch
+
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
@@ -164,11 +158,3 @@ def run_of(checkpoint: Path) -> Path:
 def _previous(path: Path) -> str:
     earlier = [other for other in listed(run_of(path)) if other.name < path.name]
     return f" The one before it is {earlier[-1]}: name that file instead." if earlier else " There is none before it."
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

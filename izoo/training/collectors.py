@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import functools
 import gc
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import BaseCollector
+from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo import cluster
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
+from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
+from izoo.evaluation import ray_cluster as cluster
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
-from izoo.training.interrupt import workers_ignore_interrupts
 from izoo.training.past import EpisodePast
-from izoo.training.rollouts import ProcessesCollector, RolloutCollector
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,36 @@ class ShiftedSchedule:
 
     def __call__(self, episode: int) -> tuple[Context, int]:
         return self.schedule(self.first + episode)
+
+
+class ProcessesCollector(MultiSyncCollector):
+    """TorchRL's collector with a process per environment, which says plainly which of its processes has ended."""
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Yield batches ``[N, T]``.
+
+        Raises:
+            RuntimeError: a process has ended.
+        """
+        try:
+            yield from super().iterator()
+        except (OSError, RuntimeError, ValueError) as error:
+            # TorchRL notices too, but then stumbles over the other processes, or over the pipe, as it may happen.
+            for number, process in enumerate(self.procs):
+                code = _exit_code(process)
+                if code not in (None, -signal.SIGTERM):  # with which TorchRL ends the others
+                    raise RuntimeError(
+                        f"process {number} of {self.num_workers} that collect has ended (exit code {code}); "
+                        "what it wrote before says why, unless it was killed"
+                    ) from error
+            raise
+
+
+def _exit_code(process: BaseProcess) -> int | None:
+    try:
+        return process.exitcode
+    except ValueError:  # TorchRL has ended and closed it
+        return None
 
 
 class BatchSource:
@@ -64,7 +95,7 @@ class BatchSource:
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if not isinstance(self._collector, RolloutCollector):
+        if not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     def close(self) -> None:
@@ -99,7 +130,7 @@ def _single(
     schedule: Schedule,
     pasts: Sequence[EpisodePast],
     frames: int,
-) -> RolloutCollector:
+) -> Collector:
     return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed, pasts=pasts), policy, frames)
 
 
@@ -109,7 +140,7 @@ def _parallel(
     schedule: Schedule,
     pasts: Sequence[EpisodePast],
     frames: int,
-) -> RolloutCollector:
+) -> Collector:
     env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed, pasts=pasts)
     return _collector(env, policy, frames)
 
@@ -125,7 +156,15 @@ def _multisync(
         functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
         for worker in range(config.num_workers)
     ]
-    return ProcessesCollector(makers, policy, TrainingEnv(schedule, config=config.env), frames)
+    return ProcessesCollector(
+        makers,
+        policy,
+        frames_per_batch=frames,
+        total_frames=-1,
+        exploration_type=ExplorationType.RANDOM,
+        trust_policy=True,
+        auto_register_policy_transforms=False,
+    )
 
 
 def _ray(
@@ -149,7 +188,6 @@ def _ray(
         total_frames=2**62,
         exploration_type=ExplorationType.RANDOM,
         trust_policy=True,
-        collector_class=RolloutCollector,
         collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
         remote_configs=cluster.WORKER_RESOURCES,
         sync=True,
@@ -169,8 +207,8 @@ def _worker_env(
     )
 
 
-def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> RolloutCollector:
-    return RolloutCollector(
+def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
+    return Collector(
         env,
         policy,
         frames_per_batch=frames,

@@ -13,15 +13,14 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Unbounded
 
-from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
-from izoo.envs.layout import TOTALS
-from izoo.envs.sumo.parallel import SumoParallelEnv
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 
 
 class _Training(EcoDrivingBase):
-    """Adds :data:`TOTALS` to what an environment emits, and lives through episodes in progress again.
+    """Adds :data:`TOTALS` to what an environment emits, and plays episodes in progress up to where they stood.
 
     Args:
         pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
@@ -67,26 +66,16 @@ class _Training(EcoDrivingBase):
         unbegun = torch.tensor([len(script) == 0 for script in scripts])
         if longest > 0 and unbegun.any():
             frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
-        self._count_on([script.episode for script in scripts])
+        self._next_episode[:] = [script.episode + self._stride for script in scripts]
         return frame
-
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        """Let the next episode of each environment follow the one given."""
-        raise NotImplementedError
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
     """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and pasts."""
 
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        self._episode = episodes[0] + self._stride
-
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
     """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
-
-    def _count_on(self, episodes: Sequence[int]) -> None:
-        self._next_episode[:] = [episode + self.num_workers for episode in episodes]
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 
 from izoo.algos.base import MASK, REWARD
-from izoo.envs.layout import TOTALS
+from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.masked import masked_mean
 from izoo.metrics.scores import score_tensors
 from izoo.training.environments import split_totals
@@ -28,7 +28,7 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
     Args:
         batch: ``[N, T]`` steps of a training environment.
 
-    Episodes that a lost worker took along report no steps, and are left out.
+    Episodes that were lost with their worker report no steps, and are left out.
 
     Returns:
         ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,

@@ -9,9 +9,9 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.conf.options import TrainConfig
+from izoo.algos.registry import make_algorithm
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from izoo.training import runs
 
 COLLECTS_ON = torch.device("cpu")
 
@@ -43,13 +43,12 @@ class Learner:
 
     Args:
         config: options of the run.
-        features: length ``F`` of an observation.
         device: where networks, losses and replay live.
     """
 
-    def __init__(self, config: TrainConfig, features: int, device: torch.device) -> None:
+    def __init__(self, config: TrainConfig, device: torch.device) -> None:
         self.device = device
-        self.algorithm = runs.make_algorithm(config, features, device)
+        self.algorithm = make_algorithm(config.algo, config.action, config.env, device)
         shared = device == COLLECTS_ON
         self.policy: TensorDictModuleBase = (
             self.algorithm.policy if shared else copy.deepcopy(self.algorithm.policy).to(COLLECTS_ON)

@@ -1,4 +1,4 @@
-"""Episodes in progress: what was commanded in them so far, so that a resumed run can live through them again.
+"""Episodes in progress: what was commanded in them so far, so that a resumed run can play them again.
 
 A context, a seed and the commands determine a trajectory. So a checkpoint need not hold the state of the simulators,
 which SUMO saves with less than full precision: the number of each running episode and its commands are enough.

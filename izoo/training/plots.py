@@ -10,7 +10,9 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
+from izoo.files import replacing
 from izoo.training.records import MetricsTable
 
 PANELS = (
@@ -28,7 +30,12 @@ LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def learning_curve(table: MetricsTable, path: Path, title: str, validation: MetricsTable | None = None) -> None:
-    """Draw return, emission, throughput and stopped time against environment steps, and save it as PNG.
+    """Save what :func:`draw_learning_curve` draws as PNG."""
+    _save(draw_learning_curve(table, title, validation), path)
+
+
+def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTable | None = None) -> Figure:
+    """Draw return, emission, throughput and stopped time against environment steps.
 
     Thin lines are single batches; thick ones their running mean over a fifth of the points, at most 20. Where the run
     has validated, two more panels show the benefit and the share of approaches that kept their throughput.
@@ -44,10 +51,8 @@ def learning_curve(table: MetricsTable, path: Path, title: str, validation: Metr
         frames, values = table.series(name)
         axes.plot(frames, values, color="tab:blue", alpha=0.3, linewidth=1)
         axes.plot(frames, _running_mean(values), color="tab:blue", linewidth=2)
-        axes.set_xlabel("environment steps")
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
-    _save(figure, path)
+        _label(axes, label)
+    return figure
 
 
 def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title: str) -> None:
@@ -72,18 +77,15 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
                 legend = choice if number == 0 else None
                 line = {"color": colour, "linestyle": LINE_STYLES[number % len(LINE_STYLES)], "label": legend}
                 axes.plot(frames[begin:], _running_mean(values)[begin:], linewidth=1.6, **line)
-        axes.set_xlabel("environment steps")
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
+        _label(axes, label)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside right center", frameon=False)
     _save(figure, path)
 
 
 def _save(figure: Figure, path: Path) -> None:
     """Write the picture whole or not at all."""
-    partial = path.with_suffix(".partial")
-    figure.savefig(partial, format="png", dpi=110)
-    partial.replace(path)
+    with replacing(path, durable=False) as partial:
+        figure.savefig(partial, format="png", dpi=110)
 
 
 def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:
@@ -91,13 +93,21 @@ def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:
         for (name, label), colour in zip(columns, ("tab:green", "tab:gray"), strict=False):
             frames, values = table.series(name)
             axes.plot(frames, [100.0 * value for value in values], "o-", markersize=4, color=colour, label=label)
-        axes.set_xlabel("environment steps")
-        axes.set_ylabel("validation, %")
-        axes.legend()
-        axes.grid(alpha=0.3)
+        _label(axes, "validation, %")
+        # Above the panel, where it covers no curve.
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1, frameon=False, fontsize="small")
     best = [int(row["frames"]) for row in table.rows if row.get("best") == "1"]
     if best:
         panels[0].axvline(best[-1], color="tab:green", alpha=0.3, linestyle="--")
+
+
+def _label(axes: Axes, label: str) -> None:
+    """Name the axes; steps are written short (``150k``, ``1.5M``) and far enough apart to be told from each other."""
+    axes.set_xlabel("environment steps")
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.3)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
 def _width(values: list[float]) -> int:

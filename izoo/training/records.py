@@ -9,13 +9,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from izoo.conf.options import LoggerConfig
+from izoo.conf.train_options import LoggerConfig
 from izoo.errors import IzooError
+from izoo.files import replacing
 
 FIRST_COLUMNS = (
     *("frames", "seconds", "frames_per_s", "episodes", "return", "reward"),
     *("emission_g_per_vehicle", "throughput_veh_per_episode"),
 )
+SHOWN = (
+    ("frames_per_s", "{:.0f} frames/s"),
+    ("return", "return {:.1f}"),
+    ("emission_g_per_vehicle", "{:.1f} g/veh"),
+    ("throughput_veh_per_episode", "{:.0f} veh/episode"),
+    ("validation_benefit", "validation {:+.1%}"),
+)
+"""Numbers that are shown while a run trains, and how."""
 WANDB_HOST = "api.wandb.ai"
 
 
@@ -72,12 +81,10 @@ class MetricsTable:
         return [frames for frames, _ in pairs], [value for _, value in pairs]
 
     def _rewrite(self) -> None:
-        partial = self.path.with_suffix(".partial")
-        with partial.open("w", newline="") as file:
+        with replacing(self.path) as partial, partial.open("w", newline="") as file:
             writer = csv.DictWriter(file, self.columns, restval="")
             writer.writeheader()
             writer.writerows(self.rows)
-        partial.replace(self.path)
 
 
 def _read_rows(path: Path) -> list[dict[str, str]]:
@@ -95,6 +102,11 @@ def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:
     if config.name == "tensorboard":
         return [_tensorboard(run_dir)]
     return []
+
+
+def in_short(latest: Mapping[str, float]) -> str:
+    """Return the numbers of :data:`SHOWN` on one line, without those that ``latest`` lacks."""
+    return "  ".join(form.format(latest[name]) for name, form in SHOWN if name in latest)
 
 
 def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:

@@ -2,46 +2,25 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import torch
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from tensordict.nn import TensorDictModuleBase
 from yaml import YAMLError
 
 from izoo.algos.base import Algorithm
-from izoo.algos.ddpg import DDPG
-from izoo.algos.gcrl import GCRL
-from izoo.algos.mappo import MAPPO
-from izoo.algos.ppo import PPO
+from izoo.algos.registry import make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
-from izoo.envs.layout import observation_names
-from izoo.errors import IzooError, os_reason
-from izoo.evaluation.table import write_text
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.files import ensure_empty, write_text
 from izoo.training import checkpoint
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
-
-ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
-    "ppo": PPO,
-    "ddpg": DDPG,
-    "mappo": MAPPO,
-    "gcrl": GCRL,
-}
-"""What builds an algorithm from its options, the length of an observation, the bounds of the acceleration, and the
-device that it learns on."""
-
-
-def make_algorithm(config: TrainConfig, features: int, device: torch.device | str = "cpu") -> Algorithm:
-    """Build the algorithm that a run's options name, for observations of length ``features``, on ``device``."""
-    build = functools.partial(ALGORITHMS[config.algo.name], device=device)
-    return config.action.algorithm(build, config.algo, features, config.env)
 
 
 def create(config: TrainConfig) -> Path:
@@ -55,17 +34,6 @@ def create(config: TrainConfig) -> Path:
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     write_config(run_dir, config)
     return run_dir
-
-
-def ensure_empty(folder: Path, option: str, instead: str = "remove its content") -> None:
-    """Make ``folder``; refuse one that holds anything, or that cannot be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        occupied = any(folder.iterdir())
-    except OSError as error:
-        raise IzooError(f"cannot use {option}={folder}: {os_reason(error)}; choose another folder.") from error
-    if occupied:
-        raise IzooError(f"{option}={folder} is not empty; choose another folder, or {instead}.")
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
@@ -102,7 +70,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
     check_layout(state["features"], config, path)
-    algorithm = make_algorithm(config, state["features"])
+    algorithm = make_algorithm(config.algo, config.action, config.env)
     try:
         algorithm.load_state_dict(state["algorithm"])
     except (KeyError, RuntimeError, ValueError) as error:
@@ -113,7 +81,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
 
 
 def check_layout(features: int, config: TrainConfig, path: Path) -> None:
-    """Raise :class:`IzooError` where a checkpoint observes ``features`` numbers, and its run's options say not."""
+    """Raise :class:`IzooError` unless a checkpoint observes as many ``features`` as its run's options say."""
     expected = len(observation_names(config.env))
     if features != expected:
         raise IzooError(

@@ -18,18 +18,19 @@ from pathlib import Path
 from typing import IO, Any
 
 from izoo.conf.built_in import CityContexts
-from izoo.conf.contexts import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.options import TrainConfig
-from izoo.contexts.context import Context
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
+from izoo.evaluation.selection import choose_contexts, episode_seeds
+from izoo.files import write_json
 from izoo.training import checkpoint
 from izoo.training.records import MetricsTable
 
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
-"""Of validation contexts and episodes, whatever the run's seed: runs are compared on the same episodes."""
+"""Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
 NICENESS = 10
 POLICY = "policy"
 _PATIENCE_S = 0.2
@@ -178,16 +179,14 @@ def validate(path: Path) -> dict[str, float | None]:
     ``benefit`` is the mean over approaches of the exactly gated benefit over human driving (of electric vehicles: over
     uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out. Shares and benefits are fractions.
     """
-    from izoo.contexts.source import episode_seed
     from izoo.evaluation import evaluate_policy, summarise
-    from izoo.evaluation.command import choose_contexts
     from izoo.training import runs
 
     started = time.perf_counter()
     algorithm, config, state = runs.load_algorithm(path)
     options = config.validation
-    contexts: list[Context] = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
-    seeds = [episode_seed(VALIDATION_SEED, number) for number in range(options.seeds)]
+    contexts = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
+    seeds = episode_seeds(VALIDATION_SEED, options.seeds)
     table = evaluate_policy(
         algorithm.policy.eval(), contexts, seeds, config.env, num_workers=0, progress=False, name=POLICY
     )
@@ -235,9 +234,7 @@ def _end_with_parent() -> None:
 
 def main(checkpoint_file: str, result_file: str) -> None:
     """Validate a checkpoint and write the row as JSON, whole or not at all."""
-    from izoo.evaluation.table import write_text
-
-    write_text(Path(result_file), json.dumps(validate(Path(checkpoint_file)), allow_nan=False) + "\n")
+    write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)
 
 
 if __name__ == "__main__":

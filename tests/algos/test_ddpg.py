@@ -11,9 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
-from izoo.algos.ddpg import ACTION_VALUE, DDPG
-from izoo.algos.ddpg_config import DDPGConfig
-from izoo.algos.replay import (
+from izoo.algos.buffer import (
     ERROR,
     NEXT_OBSERVATION,
     NEXT_REWARD,
@@ -24,9 +22,11 @@ from izoo.algos.replay import (
     Replay,
     transitions,
 )
+from izoo.algos.ddpg import ACTION_VALUE, DDPG
+from izoo.algos.ddpg_config import DDPGConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
@@ -323,7 +323,7 @@ def test_update_improves_a_bandit() -> None:
 
 
 @pytest.mark.parametrize(("choice", "config"), [("ddpg", DDPGConfig()), ("ddpg_paper", DDPGConfig.paper())])
-def test_yaml_equals_dataclass(choice: str, config: DDPGConfig) -> None:
+def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfig) -> None:
     assert compose_config("train", TrainConfig, [f"algo={choice}"]).algo == config
     assert from_mapping(DDPGConfig, to_mapping(config)) == config
 

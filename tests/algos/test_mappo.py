@@ -13,7 +13,7 @@ from izoo.algos import base
 from izoo.algos.mappo import COUNT_SCALE, MAPPO, SetCritic
 from izoo.algos.ppo_config import MAPPOConfig, PPOConfig
 from izoo.conf.compose import compose_config
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import runs
 from izoo.training.records import MetricsTable
@@ -102,7 +102,7 @@ def test_bad_hyper_parameters_are_refused() -> None:
 def test_a_short_run_on_sumo(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = ["algo=mappo", "contexts=pcg_easy", "algo.frames_per_batch=400", "total_frames=800", f"run_dir={run_dir}"]
-    assert train.main([*words, "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
+    assert train.main([*words, "collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
     losses = MetricsTable(run_dir / runs.METRICS_FILE, 800).series("loss_critic")[1]
     assert len(losses) == 2
     assert all(math.isfinite(loss) for loss in losses)

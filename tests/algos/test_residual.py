@@ -15,14 +15,16 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo import train
 from izoo.algos import base
 from izoo.algos.action import DirectAction, ResidualAction
+from izoo.algos.registry import ALGORITHMS, make_algorithm
 from izoo.algos.residual import RESIDUAL, NominalDriver, Residual, ResidualPolicy
 from izoo.algos.scripted import DEFER
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError
 from izoo.training import runs
 
@@ -58,7 +60,7 @@ def nominal(**values: float) -> float:
 def make(algo: str, *words: str) -> Residual:
     torch.manual_seed(3)
     options = compose_config("train", TrainConfig, [f"algo={algo}", "algo.hidden=[8]", "action=residual", *words])
-    algorithm = runs.make_algorithm(options, len(NAMES))
+    algorithm = make_algorithm(options.algo, options.action, options.env)
     assert isinstance(algorithm, Residual)
     return algorithm
 
@@ -134,7 +136,7 @@ def test_whom_glide_leaves_alone_is_commanded_only_to_brake() -> None:
     assert not ResidualPolicy(Learned(), NominalDriver(ENV), threshold_mps2=0.1)(batch)[DEFER].any()
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_training_starts_from_the_nominal_controller(algo: str) -> None:
     algorithm, batch = make(algo), make_batch()
     acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
@@ -145,7 +147,7 @@ def test_training_starts_from_the_nominal_controller(algo: str) -> None:
     torch.testing.assert_close(acted[base.ACTION], (expected + acted[RESIDUAL]).clamp(-4.5, 2.6))
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_residuals_stay_in_their_range_and_sums_in_the_environments(algo: str) -> None:
     algorithm = make(algo, "action.half_width_mps2=0.5")
     acted = act(algorithm, make_batch(t=40))
@@ -167,7 +169,7 @@ def test_log_probabilities_are_those_of_the_residual(algo: str) -> None:
     assert abs(float(wrong["loss_objective"].detach())) > 1e-3, "the sum in the place of the residual must show here"
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_update_sees_the_residual_and_leaves_the_batch_alone(algo: str) -> None:
     one, other = (make(algo, *_now(algo)) for _ in range(2))
     acted = act(one, make_batch())
@@ -180,7 +182,7 @@ def test_update_sees_the_residual_and_leaves_the_batch_alone(algo: str) -> None:
     assert other.learned.update(before.set(base.ACTION, before[RESIDUAL]), 0.0) == pytest.approx(stats)
 
 
-@pytest.mark.parametrize("algo", sorted(runs.ALGORITHMS))
+@pytest.mark.parametrize("algo", sorted(ALGORITHMS))
 def test_state_is_restored(algo: str) -> None:
     one, other = (make(algo, *_now(algo)) for _ in range(2))
     acted = act(one, make_batch())
@@ -206,7 +208,7 @@ def test_what_cannot_work_is_refused() -> None:
         ResidualAction(half_width_mps2=0.0)
     blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))
     with pytest.raises(IzooError, match="glide needs leader_present"):
-        runs.make_algorithm(blind, len(observation_names(blind.env)))
+        make_algorithm(blind.algo, blind.action, blind.env)
 
 
 def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:
@@ -232,7 +234,7 @@ def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_
         ),
         *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
     ]
-    assert train.main(words) == 0
+    assert train.main([*words, "collector=single"]) == 0
     with (run_dir / runs.METRICS_FILE).open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from izoo.algos import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import (
     DRIVERS,
     ConstantSpeed,
@@ -18,7 +18,8 @@ from izoo.algos.scripted import (
 )
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError
 
 CONFIG = EnvConfig()

@@ -16,8 +16,8 @@ import torch
 from matplotlib import image
 
 from izoo.benchmarks import campaign, generalization
-from izoo.evaluation.folder import claimed
 from izoo.evaluation.table import read_csv
+from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
 from izoo.reporting.results import evaluation_of, read_results
 from izoo.training import checkpoint
@@ -54,8 +54,34 @@ def wait_for_frames(folder: Path, frames: int, process: subprocess.Popen[str]) -
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A benchmark that was stopped by Ctrl-C, then by SIGKILL, and then ended; and its cache."""
+    """A finished benchmark and its cache."""
     folder, cache = tmp_path_factory.mktemp("results") / "a", tmp_path_factory.mktemp("baselines")
+    assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
+    return folder, cache
+
+
+def assert_everything_is_there(folder: Path) -> None:
+    results = read_results(folder)
+    assert results.complete
+    assert image.imread(folder / "learning_curves.png").shape[2] == 4
+    assert results.entry("ppo").runs[0].frames == 750
+    table = evaluation_of(folder, results.entry("ppo").runs[0])
+    assert set(table["policy"]) == {"human", "uncommanded", "ppo"}
+    assert table["context_hash"].nunique() == 2 and table["seed"].nunique() == 3
+    frames = [line.split(",")[0] for line in (folder / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
+    assert [int(number) for number in frames] == list(range(150, 751, 150)), "a batch was lost or counted twice"
+    assert results.aggregates["entries"]["ppo"]["n"]["approaches"] == 2
+    assert "paper's form" in results.aggregates["entries"]["ppo"]["best_seed"]["label"]
+    assert {pair["x"] for pair in results.aggregates["improvement"]} == {"ppo", "uncommanded"}
+
+
+def test_everything_is_there(done: tuple[Path, Path]) -> None:
+    assert_everything_is_there(done[0])
+
+
+@pytest.mark.slow
+def test_a_benchmark_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path) -> None:
+    folder, cache = tmp_path / "a", tmp_path / "cache"
     process = start(folder, cache)
     wait_for_frames(folder, 150, process)
     process.send_signal(signal.SIGINT)
@@ -69,23 +95,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     process.communicate()
     assert not read_results(folder).complete
     assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
-    return folder, cache
-
-
-def test_everything_is_there(done: tuple[Path, Path]) -> None:
-    folder, _ = done
-    results = read_results(folder)
-    assert results.complete
-    assert image.imread(folder / "learning_curves.png").shape[2] == 4
-    assert results.entry("ppo").runs[0].frames == 750
-    table = evaluation_of(folder, results.entry("ppo").runs[0])
-    assert set(table["policy"]) == {"human", "uncommanded", "ppo"}
-    assert table["context_hash"].nunique() == 2 and table["seed"].nunique() == 3
-    frames = [line.split(",")[0] for line in (folder / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
-    assert [int(number) for number in frames] == list(range(150, 751, 150)), "a batch was lost or counted twice"
-    assert results.aggregates["entries"]["ppo"]["n"]["approaches"] == 2
-    assert "paper's form" in results.aggregates["entries"]["ppo"]["best_seed"]["label"]
-    assert {pair["x"] for pair in results.aggregates["improvement"]} == {"ppo", "uncommanded"}
+    assert_everything_is_there(folder)
 
 
 def test_a_second_start_does_nothing(done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 from pathlib import Path
@@ -12,13 +11,13 @@ import pandas as pd
 import pytest
 
 from izoo import leaderboard as command
-from izoo.benchmarks.claim import versions
 from izoo.benchmarks.outcome import other_environment
 from izoo.benchmarks.plan import evaluation_seeds
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
-from izoo.reporting.leaderboard import (
+from izoo.evaluation.provenance import versions
+from izoo.reporting.submissions import (
     check,
     content_hash,
     make_submission,
@@ -105,36 +104,10 @@ def test_aggregates_keep_training_seeds_apart() -> None:
     assert aggregate(rows) == found
 
 
-def test_every_tampering_is_marked() -> None:
+def test_a_file_that_was_changed_is_marked() -> None:
     content = submission()
-    changed = copy.deepcopy(content)
-    changed["policy"]["name"] = "mine"
-    assert any("hash does not match" in mark for mark in marks(changed))
-
-    changed = copy.deepcopy(content)
-    changed["rows"][0]["benefit_exact"] = 0.5
-    assert any("row 0" in mark and "does not follow" in mark for mark in marks(sealed(changed)))
-
-    changed = copy.deepcopy(content)
-    changed["rows"][0]["emission_policy_g"] *= 0.5
-    assert any("does not follow from its emissions" in mark for mark in marks(sealed(changed)))
-
-    changed = copy.deepcopy(content)
-    gated = next(k for k, row in enumerate(changed["rows"]) if row["gated_exact"])
-    changed["rows"][gated]["gated_exact"] = False
-    changed["rows"][gated]["benefit_exact"] = changed["rows"][gated]["benefit_ungated"]
-    assert any(f"row {gated}" in mark and "throughput" in mark for mark in marks(sealed(changed)))
-
-    changed = copy.deepcopy(content)
-    changed["aggregates"]["all"]["over_intersections"]["exact"]["mean"]["value"] += 0.1
-    found = marks(sealed(changed))
-    assert len(found) == 1 and "all/over_intersections/exact/mean/value" in found[0]
-
-    changed = copy.deepcopy(content)
-    changed["rows"] = [row for row in changed["rows"] if row["train_seed"] != 3]
-    assert any("other training seeds" in mark for mark in marks(sealed(changed)))
-    changed["rows"].append(changed["rows"][0])
-    assert any("twice" in mark for mark in marks(sealed(changed)))
+    for change in ({"policy": {**content["policy"], "name": "mine"}}, {"rows": content["rows"][:-1]}):
+        assert marks({**content, **change}) == ("the hash does not match: the file was changed after it was written",)
 
 
 def test_what_is_missing_or_of_other_versions_is_marked() -> None:
@@ -143,8 +116,8 @@ def test_what_is_missing_or_of_other_versions_is_marked() -> None:
     other["versions"]["sumo"] = "1.27.0"
     assert marks(sealed(other)) == ("other version of sumo: 1.27.0, not 1.28.0",)
     other = submission()
-    other["eval_seeds"] = [1, 2, 3]
-    assert any("seeds are not the protocol's" in mark for mark in marks(sealed(other)))
+    other["eval_seeds"] = other["eval_seeds"][:2]
+    assert marks(sealed(other)) == ("2 evaluation seed(s); the protocol asks for 3",)
 
 
 def test_another_environment_is_marked() -> None:
@@ -154,15 +127,6 @@ def test_another_environment_is_marked() -> None:
     content = submission()
     content["protocol"]["env"] = changed
     assert marks(sealed(content)) == (f"evaluated in another environment: {changed}",)
-
-
-def test_contexts_of_a_published_protocol_are_known() -> None:
-    """A submission cannot make its test set smaller: that of a built-in city is rebuilt."""
-    claimed = submission()
-    claimed["protocol"].update(train="seattle", test_count=3)
-    found = marks(sealed(claimed))
-    assert any("test contexts are missing" in mark for mark in found)
-    assert any("3 context(s) are not of the protocol's test set" in mark for mark in found)
 
 
 def test_merging_ranks_the_unmarked_and_keeps_the_others_apart() -> None:

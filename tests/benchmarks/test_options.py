@@ -7,14 +7,13 @@ import dataclasses
 import pytest
 
 from izoo.benchmarks import pace
-from izoo.benchmarks.options import SCALES, GeneralizationConfig, parse_entry
+from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
 from izoo.benchmarks.outcome import _place
 from izoo.benchmarks.plan import (
     evaluation_env,
     evaluation_seeds,
     limit_contexts,
     make_plan,
-    published_test_set,
     train_config,
 )
 from izoo.conf.compose import compose_config
@@ -76,18 +75,8 @@ def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-u
     assert all(context.approach is not None for context in plan.test)
 
 
-def test_published_test_sets_are_rebuilt_and_folders_are_not() -> None:
-    base = {"form": "split", "weather": None, "test_set": "grid", "test": None}
-    cities = published_test_set({**base, "protocol": "in_distribution", "train": "seattle"})
-    assert cities == set(hashes(protocols.in_distribution("seattle").test))
-    assert len(published_test_set({**base, "protocol": "systematicity", "train": None}) or ()) == 128
-    assert published_test_set({**base, "protocol": "in_distribution", "train": "my-folder"}) is None
-
-
 def test_a_folder_named_like_a_city_is_not_that_city() -> None:
-    base = {"form": "split", "weather": None, "test_set": "grid", "test": None, "protocol": "in_distribution"}
     assert _place("datasets/atlanta") == "atlanta/" and _place("atlanta") == "atlanta" and _place(None) is None
-    assert published_test_set({**base, "train": _place("datasets/atlanta")}) is None
 
 
 def test_evaluation_seeds_extend() -> None:
@@ -120,7 +109,7 @@ def test_entries() -> None:
     assert parse_entry("ppo_paper_residual").algo == "ppo_paper"
     assert parse_entry("ppo_paper_residual").action == "residual"
     assert parse_entry("glide").kind == "scripted"
-    assert parse_entry("tests.evaluation.drivers:gentle").name == "gentle"
+    assert parse_entry("tests.evaluation.odd_policies:gentle").name == "gentle"
     for name in ("human", "pppo", "ppo_residual_residual"):
         with pytest.raises(IzooError, match=r"choose one of: .*ppo_residual.*glide"):
             parse_entry(name)
@@ -146,7 +135,7 @@ def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignor
         ({"episodes": 3, "frames": 3}, "both"),
         ({"algos": ()}, "one or more"),
         ({"algos": ("ppo", "ppo")}, "once"),
-        ({"algos": ("glide", "tests.evaluation.drivers:glide")}, "once"),
+        ({"algos": ("glide", "tests.evaluation.odd_policies:glide")}, "once"),
         ({"train_options": ("algo.gamma=0.9", "seed=3")}, "by seeds"),
         ({"train_options": ("+contexts.split=all",)}, "by protocol"),
         ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
@@ -168,9 +157,3 @@ def test_time_left_follows_from_what_was_measured() -> None:
     assert clock.left(jobs) == pytest.approx(150.0)
     clock.add(("train", "gcrl"), 10.0, 10.0)
     assert clock.left(jobs) == pytest.approx(600.0)
-    assert [pace.duration(s) for s in (None, 5, 600, 7200)] == [
-        "an unknown time",
-        "about 5 s",
-        "about 10 min",
-        "about 2.0 h",
-    ]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks.campaign import Campaign
-from izoo.benchmarks.options import GeneralizationConfig
+from izoo.benchmarks.generalization_options import GeneralizationConfig
 from izoo.training import checkpoint
 
 

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 from izoo.benchmarks import tradeoffs
-from izoo.benchmarks.options import Entry
+from izoo.benchmarks.generalization_options import Entry
 from izoo.benchmarks.pareto import on_front
 from izoo.benchmarks.plan import make_plan, train_config
-from izoo.benchmarks.sweep import TradeoffsConfig
-from izoo.cli import attribute_docs
+from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
+from izoo.commands.help_page import attribute_docs
 from izoo.conf.compose import compose_config
 from izoo.errors import IzooError
 from izoo.reporting.results import read_results
@@ -67,6 +67,7 @@ def test_the_front_is_what_nobody_beats() -> None:
     assert on_front(costs, allowed).tolist() == [True, True, False, True, False, False, True]
 
 
+@pytest.mark.slow
 def test_a_sweep_leaves_points_and_a_plot(tmp_path: Path) -> None:
     words = ["protocol=systematicity", "frames=150", "horizon_s=100", "test_limit=1", "num_workers=0", "beta=[-1,-9]"]
     words += ["floors_mps=[2,8]", 'train_options=["algo.frames_per_batch=150","algo.epochs=1"]']

@@ -7,10 +7,10 @@ import pytest
 
 from izoo.conf import compose
 from izoo.conf.built_in import CatalogueContexts, CityContexts
-from izoo.conf.contexts import PcgContexts
+from izoo.conf.context_choices import PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import SIZES
 from izoo.contexts.procedural import SYSTEMATICITY_TEST

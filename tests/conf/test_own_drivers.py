@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from izoo.conf import compose
-from izoo.conf.contexts import DatasetContexts, PcgContexts
+from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.options import TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
 from izoo.contexts.procedural import procedural_context
@@ -22,7 +22,7 @@ from izoo.evaluation.sources import context_from_dict
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.drivers import built_in_population
-from izoo.traffic.episode import sample_traffic
+from izoo.traffic.sampling import sample_traffic
 
 
 def own_population(tau_s: float = 0.6) -> dict[str, Any]:

@@ -5,8 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from izoo.commands.scenarios import main
 from izoo.contexts import catalogue
+from izoo.contexts.__main__ import main
 from izoo.contexts.catalogue import ADOPTIONS, SIZE, Scenario, Scenarios, describe, find_id
 from izoo.contexts.cities.weather import weather
 from izoo.errors import IzooError
@@ -167,4 +167,4 @@ def test_commands(capsys):
 @pytest.mark.parametrize("argv", [["show", "9999999"], ["count", "--city", "paris"], ["list", "--limit", "-1"]])
 def test_commands_name_bad_input(argv, capsys):
     assert main(argv) == 2
-    assert capsys.readouterr().err.startswith("error: ")
+    assert capsys.readouterr().err.startswith("izoo contexts: ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import shutil
 import subprocess
@@ -12,13 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from izoo.commands import measured, trial
-from izoo.commands.contexts import COMMANDS, main
+from izoo.commands import trial
+from izoo.commands.contexts import CONTEXTS
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.osm.store import save_cmdp
 
+main = CONTEXTS.main
 PNG = b"\x89PNG"
 
 
@@ -45,7 +45,7 @@ def town(tmp_path: Path) -> Path:
 
 
 def test_every_subcommand_explains_itself(capsys):
-    for command in COMMANDS:
+    for command in CONTEXTS.subcommands:
         with pytest.raises(SystemExit) as stop:
             main([command.name, "--help"])
         assert stop.value.code == 0
@@ -111,10 +111,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["draw", "atlanta", str(tmp_path / "out.pdf")], "must end in .png"),
         (["draw", "atlanta", "/dev/null/out.png"], "/dev/null"),
         (["compare", "--city", "atlanta", "--csv", "/dev/null/out.csv"], "/dev/null/out.csv"),
-        (["compare", "--measured", str(town)], "no measured intersections"),
-        (["compare", "--measured", str(few), "--city", "atlanta"], "--city"),
-        (["compare", "--measured", str(few), "--seeds", "0"], "--seeds is 0"),
-        (["compare", "--measured", str(few), "--horizon-s", "1"], "horizon"),
         (["try", str(town), "--city", "atlanta"], "--city"),
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
@@ -122,7 +118,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
     ):
         assert main(argv) == 2, argv
         err = capsys.readouterr().err
-        assert err.startswith("error: ") and message in err and err.count("\n") == 1, argv
+        assert err.startswith("izoo contexts: ") and message in err and err.count("\n") == 1, argv
         assert sorted(tmp_path.rglob("*")) == before, argv
 
 
@@ -161,28 +157,3 @@ def test_drawn_intersections_are_shared_out_evenly():
     specs = trial.choose(None, ["atlanta", "boston", "atlanta"], 5, seed=0)
     assert [spec.city for spec in specs] == ["atlanta"] * 3 + ["boston"] * 2
     assert specs == trial.choose(None, ["atlanta", "boston"], 5, seed=0)
-
-
-def test_rebuilt_beside_measured(few, tmp_path, capsys):
-    csv, png = tmp_path / "c.csv", tmp_path / "c.png"
-    argv = ["compare", "--measured", str(few), "--num-workers", "0", "--horizon-s", "100"]
-    argv += ["--csv", str(csv), "--png", str(png)]
-    assert main(argv) == 0
-    out = capsys.readouterr().out
-    for name in (*measured.FEATURES, *measured.OUTCOMES):
-        assert f"\n{name} " in out
-    assert "signal plans of the 3 measured intersections" in out
-    assert len(csv.read_text().splitlines()) == 1 + len(measured.FEATURES) + len(measured.OUTCOMES)
-    assert png.read_bytes().startswith(PNG)
-
-
-def test_the_distance_is_that_of_kolmogorov_and_smirnov():
-    import numpy as np
-
-    one, two = np.array([1.0, 2.0, 3.0, 4.0]), np.array([3.0, 4.0, 5.0, 6.0])
-    assert measured.distance(one, two) == pytest.approx(0.5)
-    assert measured.distance(one, one) == 0.0
-    generator = np.random.default_rng(0)
-    samples = [(generator.normal(size=60), generator.normal(size=80)) for _ in range(300)]
-    exceeded = sum(itertools.starmap(lambda a, b: measured.distance(a, b) > measured.noise(a, b), samples))
-    assert 3 <= exceeded <= 27

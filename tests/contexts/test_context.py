@@ -1,4 +1,4 @@
-"""A context as a TensorDict."""
+"""Contexts do without PyTorch, and what is no set of contexts is refused."""
 
 from __future__ import annotations
 
@@ -6,34 +6,10 @@ import subprocess
 import sys
 
 import pytest
-import torch
 
-from izoo.contexts import catalogue
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import as_schedule
-from izoo.envs.config import EnvConfig
-from izoo.envs.specs import context_spec, observation_spec
 from izoo.errors import IzooError
-
-
-def test_to_tensordict_holds_the_observed_features_of_the_episode():
-    context = catalogue.get(1_000_001)
-    td = context.to_tensordict()
-    assert td.batch_size == torch.Size([])
-    assert float(td["adoption"]) == pytest.approx(context.adoption)
-    assert float(td["temperature_c"]) == pytest.approx(context.temperature_c)
-    assert float(td["humidity_pct"]) == pytest.approx(context.humidity_pct)
-    assert float(td["engine"]) == ("combustion", "electric").index(context.engine)
-    assert int(td["context_id"]) == 1_000_001
-    assert int(procedural_context().to_tensordict()["context_id"]) == -1
-
-
-def test_its_keys_and_shapes_are_those_of_an_environment():
-    td = procedural_context().to_tensordict()
-    spec = context_spec(torch.Size([]))
-    for name, value in td.items():
-        assert spec[name].is_in(value), name
-    assert "context" in observation_spec(EnvConfig(), torch.Size([]))
 
 
 def test_contexts_do_without_torch():

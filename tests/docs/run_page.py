@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from izoo import cli
+from izoo.commands.option_command import OptionCommand
 from izoo.conf import compose
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
 
@@ -75,21 +75,18 @@ def _check_izoo(module_name: str, words: list[str]) -> None:
     """Let the command itself read its words, up to where it would begin."""
     module = importlib.import_module(module_name)
     command = getattr(module, "COMMAND", None)
-    if isinstance(command, cli.Command):
-        options = [word for word in words if not word.startswith("-")]
+    if isinstance(command, OptionCommand):
+        options = command.options([word for word in words if not word.startswith("-")])
         if "-m" in words:
             overrides = compose.parse(options, multirun=True)
             compose.check_names(command.name, overrides)
-            compose.check_combinations(command.name, command.config(), overrides)
+            compose.check_combinations(command.name, command.config_class(), overrides)
         else:
-            compose.compose_config(command.name, command.config(), options)
+            compose.compose_config(command.name, command.config_class(), options)
         return
     if module_name.startswith("izoo.docs.examples."):
         if not callable(module.main) or words:
             raise ValueError("an example is run by its main(), without arguments; tests/test_examples.py runs it")
-        return
-    if hasattr(module, "parse"):
-        module.parse(words)
         return
     if not hasattr(module, "main"):
         module = importlib.import_module(f"{module_name}.__main__")

@@ -15,6 +15,7 @@ from izoo.conf import compose
 from izoo.docs import pages
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.errors import IzooError
 from tests.docs.blocks import DOCS, ROOT
 
@@ -37,7 +38,7 @@ def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
     env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, lane_change=True))
     config, found = env.config, {}
     letters = {config.num_agents: "A", config.num_vehicles: "V", config.num_approaches: "P"}
-    letters[len(env.observation_names)] = "F"
+    letters |= {len(env.observation_names): "F", len(REWARD_VECTOR): "R"}
     for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
         for key in spec.keys(True, True):
             shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
@@ -74,7 +75,7 @@ def test_options() -> None:
     rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)\|$", page, re.MULTILINE))
     expected = set()
     for command in pages.hydra_commands():
-        expected |= leaves(compose.compose_config(command.name, command.config(), []))
+        expected |= leaves(compose.compose_config(command.name, command.config_class(), []))
     for group, choices in compose.choices().items():
         for choice in choices:
             config = pages.options_of(group, choice)
@@ -113,8 +114,8 @@ def test_every_example_and_page_can_be_found() -> None:
         assert f"(examples/{path.name})" in examples and f"<!-- source: examples/{path.name} -->" in examples
     # Material's own tags are of no interest here.
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    listed = re.findall(r"\w+\.md", str(site["nav"]))
-    assert sorted(listed) == sorted(path.name for path in DOCS.glob("*.md"))
+    listed = re.findall(r"[\w/]+\.md", str(site["nav"]))
+    assert sorted(listed) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
 def test_the_site_asks_for_nothing_from_the_network() -> None:

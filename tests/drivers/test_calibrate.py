@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
 from izoo.commands import calibrate
-from izoo.conf.contexts import PcgContexts
+from izoo.conf.context_choices import PcgContexts
 from izoo.contexts.population import read_population
 from izoo.drivers import estimate as estimating
 from izoo.errors import IzooError

@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from izoo.envs import kernels
-from izoo.envs.config import NEIGHBOURS
-from izoo.envs.layout import (
-    APPROACH,
-    EGO_FEATURES,
-    EXIT,
-    LENGTH,
-    NEIGHBOUR_FEATURES,
-    NUM_FLAGS,
-    NUM_FLOATS,
-    NUM_INTS,
-    PRESENT,
-)
+from izoo.envs.mdp.motion import place, road_arrays
+from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
+from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS
+from izoo.envs.mdp.observe import observe
+from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.state import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
 from izoo.networks.road import RoadNet
 
 STEP_S = 0.5
 RIGHT_BLINKER, LEFT_BLINKER = 1, 2
 
 
+class Vehicles(NamedTuple):
+    """The tables that observations are made from."""
+
+    floats: np.ndarray
+    ints: np.ndarray
+    flags: np.ndarray
+    order: np.ndarray
+    lane_start: np.ndarray
+
+
 class Scene:
     """Tables with room for ``capacity`` vehicles; :meth:`put` adds one, :meth:`look` runs the kernels."""
 
     def __init__(self, road: RoadNet, capacity: int = 12) -> None:
-        self.road, self.lanes = road, kernels.road_arrays(road)
-        self.floats = np.zeros((capacity, NUM_FLOATS))
-        self.ints = np.zeros((capacity, NUM_INTS), np.int64)
-        self.flags = np.zeros((capacity, NUM_FLAGS), np.uint8)
+        self.road, self.lanes = road, road_arrays(road)
+        self.floats = np.zeros((capacity, len(FLOATS)))
+        self.ints = np.zeros((capacity, len(INTS)), np.int64)
+        self.flags = np.zeros((capacity, len(FLAGS)), np.uint8)
         self.order = np.zeros(capacity, np.int64)
         self.start = np.zeros(len(road.lane_ids) + 1, np.int64)
         self.rows: list[int] = []
@@ -68,9 +71,9 @@ class Scene:
         rows = np.array(self.rows, np.int64)
         lane, position, speed, signals = (np.array(column) for column in zip(*self.reading, strict=True))
         tables = (self.floats, self.ints, self.flags)
-        kernels.place(rows, lane, position.astype(float), speed.astype(float), signals, *tables, self.lanes, STEP_S)
-        kernels.sort_lanes(rows, self.floats, self.ints, len(self.road.lane_ids), self.order, self.start)
-        kernels.find_leaders(rows, *tables, self.order, self.start, self.lanes)
+        place(rows, lane, position.astype(float), speed.astype(float), signals, *tables, self.lanes, STEP_S)
+        sort_lanes(rows, self.floats, self.ints, len(self.road.lane_ids), self.order, self.start)
+        find_leaders(rows, *tables, self.order, self.start, self.lanes)
 
     def look(
         self,
@@ -82,17 +85,15 @@ class Scene:
     ) -> np.ndarray:
         """Return the observation ``[A, F]`` of the vehicles in ``agents`` (row -1: an empty slot)."""
         self.read()
-        clock = self.road.clock
-        shape = clock.colour.shape[:2]
-        state = (np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape), np.zeros(shape))
-        tables = (clock.phase_begin_s, clock.colour, clock.change_s, clock.second_green_s, clock.third_green_s)
-        kernels.read_clock(time_s, clock.cycle_s, clock.offset_s, *tables, *state)
+        clock = clock_arrays(self.road.clock)
+        read_clock(time_s, clock)
+        shape = clock.now.shape
         features = np.zeros((*shape, 0)) if features is None else features
         chosen = np.array([NEIGHBOURS.index(name) for name in neighbours], np.int64)
         width = len(EGO_FEATURES) + len(NEIGHBOUR_FEATURES) * len(chosen) + features.shape[2]
         out = np.full((len(agents), width), np.nan, np.float32)
-        tables_ = (self.floats, self.ints, self.flags, self.order, self.start, self.lanes)
-        kernels.observe(np.array(agents, np.int64), *tables_, state, features, chosen, float(range_m), out)
+        vehicles = Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
+        observe(np.array(agents, np.int64), vehicles, self.lanes, clock, features, chosen, float(range_m), out)
         return out
 
     def see(self, agent: int, **options: Any) -> dict[str, float]:

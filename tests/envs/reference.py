@@ -15,7 +15,7 @@ from izoo.envs import EnvConfig
 from izoo.envs.sumo.session import sumo_arguments
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.episode import sample_traffic, write_routes
+from izoo.traffic.sampling import sample_traffic, write_routes
 
 Steps = dict[float, dict[int, tuple[str, float, float]]]
 

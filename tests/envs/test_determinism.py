@@ -66,6 +66,7 @@ def test_another_seed_is_another_episode() -> None:
     assert play_alone(crossing(), SEED + 1) != play_alone(crossing())
 
 
+@pytest.mark.slow
 def test_same_in_another_process() -> None:
     program = "from tests.envs.test_determinism import *; print(play_alone(crossing()))"
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
@@ -119,7 +120,10 @@ def by_episode(frames: TensorDict) -> dict[int, str]:
     return found
 
 
-@pytest.mark.parametrize(("workers", "changes"), [(1, {}), (2, {"recycle_episodes": 1}), (4, {})])
+@pytest.mark.parametrize(
+    ("workers", "changes"),
+    [(2, {"recycle_episodes": 1}), *(pytest.param(count, {}, marks=pytest.mark.slow) for count in (1, 4))],
+)
 def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, changes: dict[str, Any]) -> None:
     """And before and after a worker process has been replaced on schedule."""
     env = SumoParallelEnv(workers, schedule(), config=short(**changes))
@@ -127,7 +131,7 @@ def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, 
         processes = set()
         frames, state = [], env.reset()
         for _ in range(EPISODES // workers):
-            processes |= {worker.process.pid for worker in env._workers if worker is not None}
+            processes |= {worker.process.pid for worker in env.backend._workers if worker is not None}
             part, state = play_on(env, env.config.control_steps, steer, state)
             frames.append(part)
     finally:
@@ -149,7 +153,7 @@ def start_method(request: pytest.FixtureRequest) -> Iterator[str]:
     multiprocessing.set_start_method(before, force=True)
 
 
-@pytest.mark.parametrize("start_method", ["fork", "spawn"], indirect=True)
+@pytest.mark.parametrize("start_method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)], indirect=True)
 def test_same_in_collector_processes(expected: dict[int, str], start_method: str) -> None:
     policy = TensorDictModule(steering, in_keys=[("agents", "observation")], out_keys=[("agents", "action")])
     steps = short().control_steps

@@ -64,7 +64,10 @@ def test_specs_of_every_variant(make: Make, variant: str) -> None:
         assert (place in env.observation_spec.keys(True)) == (group in env.config.emit)
 
 
-@pytest.mark.parametrize("variant", ["default", "nothing but agents", "everything"])
+@pytest.mark.parametrize(
+    "variant",
+    ["everything", *(pytest.param(name, marks=pytest.mark.slow) for name in ("default", "nothing but agents"))],
+)
 def test_specs_of_the_parallel_environment(make: Make, variant: str) -> None:
     check_env_specs(make(SumoParallelEnv, num_workers=2, config=short(**VARIANTS[variant])))
 

@@ -26,7 +26,7 @@ def run_env(context: Context, config: EnvConfig) -> Steps:
     try:
         start = env.reset(context=context, seed=SEED)
         frames = play(env, config.control_steps, defer, start)
-        lanes = env.simulator.road.lane_ids
+        lanes = env.road.lane_ids
     finally:
         env.close()
     steps: Steps = defaultdict(dict)
@@ -96,12 +96,12 @@ def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
     ours, theirs = [], []
     try:
         state = env.reset()
-        simulator = env.simulator
+        simulator = env.backend
         for _ in range(env.config.control_steps - 1):
             frame, state = env.step_and_maybe_reset(defer(state))
-            for row in simulator.roster.rows.tolist():
+            for name, row in simulator.names.row_of.items():
                 ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
-                theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(simulator.roster.names[row]))))
+                theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(name))))
     finally:
         env.close()
     return np.array(ours), np.array(theirs)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-import izoo.envs  # registers the ids
+import izoo.envs
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
 
@@ -147,7 +147,9 @@ def test_ego_needs_controlled_vehicles() -> None:
 # -- vector forms ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "mode"), [(JOINT, None), (EGO, None), (EGO, "async")])
+@pytest.mark.parametrize(
+    ("name", "mode"), [(JOINT, None), (EGO, None), pytest.param(EGO, "async", marks=pytest.mark.slow)]
+)
 def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest) -> None:
     """Every environment of a vector plays what one alone with its seed does."""
     env = request.getfixturevalue("joint" if name == JOINT else "ego")
@@ -279,7 +281,7 @@ def test_step_after_the_end_is_refused(joint: gymnasium.Env[Any, Any]) -> None:
 
 def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     joint.reset(seed=0)
-    joint.unwrapped.host._runner[0].process.kill()
+    joint.unwrapped.host._backend._workers[0].process.kill()
     with pytest.raises(RuntimeError, match=r"was lost.*call reset\(\)"):
         for _ in range(3):
             joint.step(forward(joint))

@@ -39,8 +39,8 @@ def test_memory_stays_over_some_episodes() -> None:
 
 
 @pytest.mark.slow
-def test_memory_stays_over_300_episodes() -> None:
-    assert memory_growth(300, 30, EnvConfig(horizon_s=200.0)) < 1.1
+def test_memory_stays_over_episodes_of_some_length() -> None:
+    assert memory_growth(40, 15, EnvConfig(horizon_s=200.0)) < 1.03
 
 
 @pytest.mark.slow

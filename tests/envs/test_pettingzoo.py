@@ -15,7 +15,7 @@ from tests.envs.worlds import crossing, short
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from izoo.envs.layout import CONTEXT_VALUES
+from izoo.envs.mdp.frame import CONTEXT_VALUES
 from izoo.envs.views.pettingzoo import VEHICLE_COLUMNS, EcoDrivingParallel, parallel_env
 
 Frames = list[tuple[list[str], tuple[Any, ...]]]

@@ -10,8 +10,9 @@ import torch
 
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, RewardConfig
-from izoo.envs.accounting import pay, reward_terms
-from izoo.envs.layout import ACCEL, EMISSION, NUM_FLOATS, PREV_ACCEL, REWARD_VECTOR, SPEED, TTC
+from izoo.envs.mdp.pay import pay, reward_arrays, reward_terms
+from izoo.envs.mdp.reward import REWARD_VECTOR
+from izoo.envs.mdp.state import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
 from tests.envs.worlds import crossing, episode, short
 
 ROWS = np.array([4, 1, 2])
@@ -24,7 +25,7 @@ LEAVER, EMPTY = 6, -1
 
 
 def tables() -> tuple[np.ndarray, np.ndarray]:
-    floats, terms = np.zeros((8, NUM_FLOATS)), np.full((8, 5), np.nan)
+    floats, terms = np.zeros((8, len(FLOATS))), np.full((8, 5), np.nan)
     floats[:, TTC] = np.inf
     for row, values in VEHICLES.items():
         floats[row, [SPEED, EMISSION, ACCEL, PREV_ACCEL, TTC]] = values
@@ -35,12 +36,12 @@ def tables() -> tuple[np.ndarray, np.ndarray]:
 def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.ndarray]:
     """Return the reward and its vector for slots that hold rows 4, 1, a leaver, and nobody."""
     floats, terms = tables()
-    fleet = np.empty(5)
-    shortest = reward_terms(rows, floats, config.tau_mps, config.soft_stop, terms, fleet)
+    fleet, shared = np.empty(5), np.empty(1)
+    numbers, weights, shared_weights = reward_arrays(config)
+    reward_terms(rows, floats, numbers, terms, fleet, shared)
     reward, vector = np.full(4, np.nan, np.float32), np.full((4, 11), np.nan, np.float32)
-    weights = np.array([1.0, config.alpha, config.beta, config.comfort, config.realism])
-    rules = (config.eta, config.safety, config.scale)
-    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shortest, weights, *rules, reward, vector, len(rows) == 0)
+    rules = (numbers, weights, shared_weights)
+    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shared, *rules, reward, vector, len(rows) == 0)
     return reward, vector
 
 

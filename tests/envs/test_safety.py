@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterator
 
@@ -10,6 +11,7 @@ import pytest
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.networks.dataset.intersections import load_dataset
 from tests.envs.worlds import Driver, at_random, crossing, defer, play, set_action
 
 
@@ -51,7 +53,7 @@ def test_red_crossings_are_noticed() -> None:
     try:
         state = env.reset()
         for _ in range(env.config.control_steps - 1):
-            for name in env.simulator.roster.row_of:
+            for name in env.backend.names.row_of:
                 libsumo.vehicle.setSpeedMode(name, 0)
             frame, state = env.step_and_maybe_reset(flat_out(state))
         sums = frame["next", "metrics", "approach"]
@@ -68,23 +70,39 @@ def test_measured_intersections(env: EcoDrivingEnv, dataset: ContextList) -> Non
         assert counts["agent_steps"] > 0 and counts["red_crossings_cv"] == 0, context.name
 
 
-@pytest.mark.slow
-def test_two_hundred_episodes_on_all_measured_intersections(dataset: ContextList) -> None:
-    """Random actions on every intersection; the counts are printed beside the uncommanded baseline's."""
-    names = sorted({context.intersection.name for context in dataset})
-    contexts = {context.intersection.name: context.replace(approach=None) for context in dataset}
-    env = EcoDrivingEnv(crossing(), config=EnvConfig(emit=("metrics",)))
+def beside_baseline(contexts: list[Context], episodes: int, config: EnvConfig) -> tuple[Counter[str], Counter[str]]:
+    """Sums over episodes of random actions on one context after another, and over the same with nobody commanding."""
+    env = EcoDrivingEnv(crossing(), config=config)
     commanded, baseline = Counter[str](), Counter[str]()
     try:
-        for k in range(200):
-            context = contexts[names[k % len(names)]]
+        for k in range(episodes):
+            context = contexts[k % len(contexts)]
             commanded += totals(env, context, 1000 + k, at_random(k))
             baseline += totals(env, context, 1000 + k, defer)
-            if (k + 1) % 20 == 0:
-                shown = ("crossed", "collisions_cv", "collisions_hdv", "red_crossings_cv", "red_crossings_hdv")
-                counts = ", ".join(f"{name} {commanded[name]:.0f} / {baseline[name]:.0f}" for name in shown)
-                print(f"{k + 1} episodes, random / uncommanded: {counts}", flush=True)
     finally:
         env.close()
+    return commanded, baseline
+
+
+def from_all_approaches(dataset: ContextList) -> list[Context]:
+    """One context per measured intersection, with demand from all of its approaches."""
+    contexts = {context.intersection.name: context.replace(approach=None) for context in dataset}
+    return [contexts[name] for name in sorted(contexts)]
+
+
+@pytest.mark.slow
+def test_random_actions_beside_the_baseline_on_measured_intersections(dataset: ContextList) -> None:
+    config = EnvConfig(horizon_s=200.0, emit=("metrics",))
+    commanded, baseline = beside_baseline(from_all_approaches(dataset)[::3], 20, config)
+    assert commanded["agent_steps"] > 0 and baseline["crossed"] > 500
     assert commanded["red_crossings_cv"] == baseline["red_crossings_cv"] == 0
     assert commanded["collisions_cv"] <= baseline["collisions_cv"]
+
+
+if __name__ == "__main__":
+    # The same at length: `python -m tests.envs.test_safety DATASET EPISODES` prints both counts.
+    results = beside_baseline(
+        from_all_approaches(load_dataset(sys.argv[1])), int(sys.argv[2]), EnvConfig(emit=("metrics",))
+    )
+    for who, counts in zip(("random", "uncommanded"), results, strict=True):
+        print(who, {name: counts[name] for name in counts if "cross" in name or "collisions" in name})

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.mdp.state import COUNTED, CROSSED
 from tests.envs.worlds import at_random, crossing, defer, episode, play, short, steer
 
 
@@ -168,12 +169,13 @@ def crowded() -> Iterator[EcoDrivingEnv]:
 def test_tables_grow(crowded: EcoDrivingEnv) -> None:
     """More vehicles than the tables first have room for: they grow, and nothing is lost."""
     frames = play(crowded, 380, defer)
-    roster = crowded.simulator.roster
-    assert roster.capacity > 256
+    episode = crowded.backend.episode
+    assert len(episode.tables.flags) > 256
     steps = frames["next", "metrics", "episode", "vehicle_steps"]
     assert steps.diff(dim=0).max() > 256
     approach = frames["next", "metrics", "approach"][-1]
-    unfinished = int((roster.flags[roster.rows][:, 6:8] == [1, 0]).all(-1).sum())
+    flags = episode.tables.flags[episode.members]
+    unfinished = int(((flags[:, COUNTED] == 1) & (flags[:, CROSSED] == 0)).sum())
     assert approach["entered"].sum() == approach["crossed"].sum() + unfinished
 
 
@@ -198,12 +200,12 @@ def test_a_vehicle_that_passes_its_approach_within_a_step_is_seen() -> None:
     region: set[str] = set()
     known: set[str] = set()
     try:
-        state, simulator = env.reset(), env.simulator
-        edges = {lane.rsplit("_", 1)[0] for lane in simulator.road.lane_ids}
+        state, simulator = env.reset(), env.backend
+        edges = {lane.rsplit("_", 1)[0] for lane in env.road.lane_ids}
         for _ in range(env.config.control_steps - 1):
             _, state = env.step_and_maybe_reset(defer(state))
             region |= {name for edge in edges for name in simulator.session.on_edge(edge)}
-            known |= set(simulator.roster.row_of)
+            known |= set(simulator.names.row_of)
     finally:
         env.close()
     assert len(region) > 50 and known == region

@@ -13,7 +13,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -21,17 +22,26 @@ import torch
 from tensordict import TensorDict
 
 from izoo.contexts.context import Context
-from izoo.contexts.source import FixedSchedule
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
-from izoo.envs.sumo.session import simulator
+from izoo.envs.sumo import simulator
 from izoo.envs.sumo.worker import AWAKE_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet
-from izoo.traffic.episode import Traffic, write_routes
+from izoo.traffic.sampling import Traffic, write_routes
 from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
+
+
+@dataclass(frozen=True)
+class FixedSchedule:
+    """Plays the given pairs of a context and a seed, again and again."""
+
+    pairs: Sequence[tuple[Context, int]]
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        return self.pairs[episode % len(self.pairs)]
 
 
 @pytest.fixture
@@ -69,7 +79,7 @@ def undisturbed(steps: int) -> TensorDict:
 @pytest.mark.parametrize("awake_s", [0.0, AWAKE_S])
 def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s: float) -> None:
     prepare, prepared = pair.reader.prepare, []
-    pair._awake_s = [awake_s, awake_s]
+    pair.backend._awake_s = [awake_s, awake_s]
     pair.reader.prepare = lambda: prepared.append(prepare())
     played = play(pair, 101)
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
@@ -80,7 +90,12 @@ def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s:
 
 
 @pytest.mark.parametrize(
-    ("number", "limit_s", "index"), [(signal.SIGKILL, 1.0, 0), (signal.SIGSTOP, 4.0, 0), (signal.SIGSTOP, 4.0, 1)]
+    ("number", "limit_s", "index"),
+    [
+        (signal.SIGKILL, 1.0, 0),
+        pytest.param(signal.SIGSTOP, 4.0, 0, marks=pytest.mark.slow),
+        (signal.SIGSTOP, 4.0, 1),
+    ],
 )
 def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
@@ -139,12 +154,13 @@ def run_out_of_memory() -> None:
     raise RuntimeError("no memory")
 
 
+@pytest.mark.slow
 def test_a_failure_of_the_parent_leaves_no_answer_unread(
     pair: SumoParallelEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It looks like one of a worker's, but no answer was read."""
     _, state = play_on(pair, 10, steer, pair.reset())
-    pair._awake_s = [AWAKE_S, AWAKE_S]
+    pair.backend._awake_s = [AWAKE_S, AWAKE_S]
     stopped = process_of(pair, 0)
     os.kill(stopped, signal.SIGSTOP)
     with monkeypatch.context() as patch:
@@ -215,12 +231,8 @@ def survive(kills: int, seed: int) -> None:
         single.close()
 
 
-def test_random_kills_lose_only_the_killed_episodes() -> None:
-    survive(kills=4, seed=1)
-
-
 @pytest.mark.slow
-def test_fifty_random_kills() -> None:
+def test_fifty_random_kills_lose_only_the_killed_episodes() -> None:
     survive(kills=50, seed=2)
 
 
@@ -326,7 +338,7 @@ from tests.envs.worlds import crossing, play, short
 from izoo.envs import SumoParallelEnv
 env = SumoParallelEnv(2, crossing(), config=short(horizon_s=500.0))
 env.reset()
-print(*(worker.process.pid for worker in env._workers), flush=True)
+print(*(worker.process.pid for worker in env.backend._workers), flush=True)
 {ending}
 """
 ENDINGS = {
@@ -341,13 +353,7 @@ ENDINGS = {
 
 @pytest.mark.parametrize(
     "ending",
-    [
-        *("killed in the middle of steps", "Ctrl-C", "an exception"),
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("killed while idle", "terminated", "falling off the end")
-        ),
-    ],
+    [pytest.param(name, marks=() if name == "killed in the middle of steps" else pytest.mark.slow) for name in ENDINGS],
 )
 def test_no_orphans_and_nothing_left(ending: str, tmp_path: Path) -> None:
     code, number = ENDINGS[ending]

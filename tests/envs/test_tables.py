@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from izoo.envs import kernels
-from izoo.envs.layout import (
+from izoo.envs.mdp.state import (
     ACCEL,
     FRESH,
     GAP,
@@ -24,6 +23,7 @@ from izoo.envs.layout import (
     TTC,
     WRONG_LANE,
 )
+from izoo.envs.mdp.step import emit_vehicles
 from izoo.networks.road import APPROACHING, LEFT, STRAIGHT
 from tests.envs.placed import STEP_S, Scene
 
@@ -143,7 +143,7 @@ def test_emitted_rows_are_zero_where_nobody_is(scene: Scene) -> None:
     scene.ints[0] = 99
     scene.read()
     floats, ints, flags = np.full((4, 10), np.nan), np.full((4, 8), 7), np.full((4, 6), 7, np.uint8)
-    kernels.emit_vehicles(scene.floats, scene.ints, scene.flags, floats, ints, flags)
+    emit_vehicles(scene.floats, scene.ints, scene.flags, floats, ints, flags)
     for row in (0, 2, 3):
         assert not floats[row].any() and not ints[row].any() and not flags[row].any()
     assert floats[1, SPEED] == 10.0 and flags[1, 0] == 1

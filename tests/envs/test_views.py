@@ -13,7 +13,7 @@ import torch
 import izoo.envs
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.layout import LANE_POSITION, NUMBER, REGION_LANE, SPEED
+from izoo.envs.mdp.state import LANE_POSITION, NUMBER, REGION_LANE, SPEED
 from izoo.envs.views.host import Host
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 

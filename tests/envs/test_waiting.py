@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.sumo.session import worker
+from izoo.envs.sumo import worker
 from izoo.envs.sumo.worker import _receive_awake, stays_awake
 
 Pair = tuple[socket.socket, socket.socket]

@@ -14,6 +14,7 @@ from izoo.metrics.benefit import benefits
 from izoo.metrics.definitions import APPROACH_METRICS
 from tests.evaluation.conftest import SHORT
 
+pytestmark = pytest.mark.slow
 EPISODES, PER_COMPARISON, COMPARISONS = 24, 3, 100
 
 

@@ -20,14 +20,14 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation import approach_table, evaluate_policy, print_summary, summarise
-from izoo.evaluation.cache import EpisodeCache, baseline_context
+from izoo.evaluation.baselines import EpisodeCache, baseline_context
 from izoo.evaluation.folder import ResultFolder
 from izoo.evaluation.policies import fingerprint
+from izoo.evaluation.processes import EpisodeFailed
 from izoo.evaluation.table import COLUMNS, read_csv
-from izoo.evaluation.workers import EpisodeFailed
 from izoo.metrics.definitions import APPROACH_METRICS
-from izoo.reporting.collect import collect
-from tests.evaluation import drivers
+from izoo.reporting.material import collect
+from tests.evaluation import odd_policies as drivers
 from tests.evaluation.conftest import SHORT
 
 SEEDS = [11, 12]
@@ -84,6 +84,7 @@ print("rows", len(table))
 """
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     """Workers do not run the user's script again, and classes that it defines reach them."""
     (tmp_path / "script.py").write_text(SCRIPT)
@@ -223,10 +224,12 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
 @pytest.mark.parametrize(
     ("policy", "num_workers", "error", "message"),
     [
-        (drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        pytest.param(
+            drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep", marks=pytest.mark.slow
+        ),
         (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
         (drivers.silent, 0, IzooError, "action"),
-        (drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL"),
+        pytest.param(drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL", marks=pytest.mark.slow),
     ],
 )
 def test_a_failing_episode_names_its_context(
@@ -243,7 +246,7 @@ def test_a_failing_episode_names_its_context(
     [
         ("glied", None, "Did you mean 'glide'"),
         ("no_such_module:f", None, "module:function"),
-        ("tests.evaluation.drivers:nobody", None, "nobody"),
+        ("tests.evaluation.odd_policies:nobody", None, "nobody"),
         (drivers.gentle, "human", "another name"),
         (3, None, "int is no policy"),
     ],

@@ -35,10 +35,10 @@ def test_contexts_and_policies_add_up(tmp_path: Path) -> None:
 
 
 def test_an_evaluation_writes_them(contexts, tmp_path: Path, cache: Path) -> None:
-    evaluate_policy("tests.evaluation.drivers:gentle", contexts, [1], SHORT, 0, tmp_path, False, cache=cache)
+    evaluate_policy("tests.evaluation.odd_policies:gentle", contexts, [1], SHORT, 0, tmp_path, False, cache=cache)
     sources = read_sources(tmp_path)
     assert set(sources.contexts) == {context.content_hash for context in contexts}
-    assert sources.policies == {"gentle": "tests.evaluation.drivers:gentle"}
+    assert sources.policies == {"gentle": "tests.evaluation.odd_policies:gentle"}
 
 
 def test_what_is_damaged_is_refused(tmp_path: Path) -> None:

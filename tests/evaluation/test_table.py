@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +12,8 @@ from pandas.testing import assert_frame_equal
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.errors import IzooError
-from izoo.evaluation.folder import claimed
 from izoo.evaluation.saturation import volume_over_capacity
-from izoo.evaluation.table import COLUMNS, identity, make_table, read_csv, read_journal, write_csv, write_text
+from izoo.evaluation.table import COLUMNS, identity, make_table, read_csv, read_journal, write_csv
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 
@@ -78,29 +75,8 @@ def test_unreadable_tables_are_refused(contexts: list[Context], tmp_path: Path) 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "journal"
-    write_text(path, '[{"a": 1}]\nnonsense\n[{"a": 2}]\n')
+    path.write_text('[{"a": 1}]\nnonsense\n[{"a": 2}]\n')
     with pytest.raises(IzooError, match="damaged"):
         read_journal(path)
-    write_text(path, '[{"a": 1}]\n[{"a"')
+    path.write_text('[{"a": 1}]\n[{"a"')
     assert read_journal(path) == [{"a": 1}]
-
-
-def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    write_text(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "\ud800")
-    assert path.read_text() == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_folder_belongs_to_one_process_at_a_time(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    program = "from pathlib import Path; from izoo.evaluation.folder import claimed; "
-    program += f"claimed(Path({str(folder)!r})).__enter__()"
-    with claimed(folder):
-        other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-        assert other.returncode != 0 and "another process works in" in other.stderr
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-    with claimed(folder):
-        assert list(folder.iterdir()) == []

@@ -58,7 +58,7 @@ def test_identical_policy_has_exactly_no_benefit_and_passes_both_gates() -> None
 
 
 def test_an_unpaired_comparison_fails_the_exact_gate_about_half_the_time() -> None:
-    """The same driver twice, but with other arrivals: what the released evaluation did (spec 12)."""
+    """The same driver twice, but with other arrivals: what the released evaluation did."""
     generator = np.random.default_rng(2)
 
     def run() -> pd.DataFrame:

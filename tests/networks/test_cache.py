@@ -11,11 +11,11 @@ import pytest
 
 from izoo.contexts.procedural import procedural_intersection
 from izoo.errors import IzooError
-from izoo.networks.net import cache
+from izoo.networks.net import net_cache as cache
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 
-PROCESSES = 8
+PROCESSES = 4
 
 
 def build_and_read(folder: str, barrier, results) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from izoo.contexts.source import ContextList
-from izoo.envs import kernels
+from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
 from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
@@ -16,11 +16,9 @@ from tests.networks.handmade import write_handmade
 
 def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
     """Return the phase and ``[4, P, Q]``: colour, time left, second and third green."""
-    shape = clock.colour.shape[:2]
-    now, out = np.zeros(shape, np.int64), np.zeros((3, *shape))
-    tables = (clock.phase_begin_s, clock.colour, clock.change_s, clock.second_green_s, clock.third_green_s)
-    phase = kernels.read_clock(time_s, clock.cycle_s, clock.offset_s, *tables, now, *out)
-    return int(phase), np.stack([now, *out])
+    arrays = clock_arrays(clock)
+    phase = read_clock(time_s, arrays)
+    return int(phase), np.stack([arrays.now, arrays.time_left_s, arrays.until_second_s, arrays.until_third_s])
 
 
 @pytest.fixture(scope="module")

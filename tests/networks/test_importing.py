@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
+from izoo.networks.dataset import importing
 from izoo.networks.dataset.importing import import_dataset
-from izoo.networks.dataset.intersections import importing, load_dataset
+from izoo.networks.dataset.intersections import load_dataset
 from tests.networks.test_dataset import NET, write
 
 
@@ -177,14 +178,14 @@ def test_an_interrupted_import_leaves_no_trace_or_is_refused(
         import_dataset(source, target, progress=stop)
     assert tree(target) == before and len(load_dataset(target)) == 1
 
-    real = importing._write
+    real = importing.write_json
 
-    def write_until_the_manifest(path: Path, staging: Path, data: bytes) -> None:
+    def write_until_the_manifest(path: Path, content: object) -> None:
         if path.name == "manifest.json":
             raise OSError("disk full")
-        real(path, staging, data)
+        real(path, content)
 
-    monkeypatch.setattr(importing, "_write", write_until_the_manifest)
+    monkeypatch.setattr(importing, "write_json", write_until_the_manifest)
     with pytest.raises(IzooError, match="disk full"):
         import_dataset(source, target)
     for path in (target, target / "salt-lake-city", target / "salt-lake-city" / "9"):

@@ -14,8 +14,8 @@ import sumo
 from izoo.contexts.spec import Approach, IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_dataset, load_specs
+from izoo.networks.osm import store as osm_store
 from izoo.networks.osm.extract import OsmReport, build_from_osm
-from izoo.networks.osm.extract import store as osm_store
 from izoo.networks.osm.streets import Way, read_streets
 from izoo.networks.osm.tags import Lanes, assign_turns, lanes_towards, parse_speed, speed_limit
 
@@ -403,7 +403,7 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
         build_from_osm(extract, target=target)
     monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
-    (tmp_path / ".town.partial-999999999").mkdir()
+    (tmp_path / ".town.partial-999999999-0a").mkdir()
     build_from_osm(extract, target=target)
     assert {path.name for path in tmp_path.iterdir()} == {"map.osm", "town"}
     (target / "notes.txt").write_text("mine")

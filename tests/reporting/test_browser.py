@@ -11,13 +11,16 @@ from typing import Any
 import pytest
 
 from izoo.report import main
-from tests.reporting.folders import benchmark, rename_policy
+from tests.reporting.made_results import benchmark, rename_policy
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)
 WIDE, PHONE = (1280, 900), (390, 844)
 
-pytestmark = pytest.mark.skipif(BROWSER is None, reason=f"no Chromium on PATH ({', '.join(BROWSERS)})")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(BROWSER is None, reason=f"no Chromium on PATH ({', '.join(BROWSERS)})"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.reporting.collect import Curve
 from izoo.reporting.curves import learning_curves, pareto
 from izoo.reporting.histograms import cut_height, histogram, zero_count
+from izoo.reporting.material import Curve
 
 
 def test_tall_bars_are_cut_and_their_count_printed() -> None:

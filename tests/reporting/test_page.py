@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from izoo.report import main, parse
-from izoo.reporting.collect import collect
-from izoo.reporting.scores import improvement, score
-from tests.reporting.folders import METRICS, benchmark, rename_policy
+from izoo.conf.compose import compose_config
+from izoo.conf.report_options import ReportConfig
+from izoo.report import COMMAND, main
+from izoo.reporting.material import collect
+from izoo.reporting.scored import improvement, score
+from tests.reporting.made_results import METRICS, benchmark, rename_policy
 
 VOID = {"meta", "link", "input"}
 HOSTILE = "<script>alert(1)</script>"
@@ -228,5 +230,7 @@ def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None
 
 
 def test_options() -> None:
-    options = parse(["results", "out=a=b.html", "title=one -> two", "replay=false", "imports=true"])
-    assert (str(options.out), options.title, options.replay, options.imports) == ("a=b.html", "one -> two", False, True)
+    words = ["results", "out=a=b.html", "title=one -> 'two', three", "replay=false", "imports=true"]
+    config = compose_config("report", ReportConfig, COMMAND.options(words))
+    assert config == ReportConfig("results", "a=b.html", "one -> 'two', three", replay=False, imports=True)
+    assert compose_config("report", ReportConfig, COMMAND.options(["results", "title=null"])).title is None

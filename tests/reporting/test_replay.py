@@ -13,12 +13,12 @@ from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.reporting.collect import collect
+from izoo.reporting.material import collect
 from izoo.reporting.recording import Recorder, geometry, second_differences
 from izoo.reporting.replay import Player, scenes
-from izoo.reporting.scores import score
+from izoo.reporting.scored import score
 from tests.evaluation.conftest import SHORT
-from tests.reporting.folders import rename_policy
+from tests.reporting.made_results import rename_policy
 
 
 def positions(vehicle: list) -> np.ndarray:
@@ -37,12 +37,10 @@ def test_a_recording_says_where_vehicles_were(contexts) -> None:
     try:
         state = env.reset(context=contexts[0], seed=1)
         for _ in range(180):
-            recorder.take(env.simulator)
-            columns, rows = env.simulator.vehicles(), env.simulator.roster.rows
-            numbers = columns["vehicle_number"][rows].tolist()
-            where = zip(
-                columns["path_position_m"][rows], columns["region_lane"][rows], columns["is_cv"][rows], strict=True
-            )
+            scene = env.scene()
+            recorder.take(scene)
+            numbers = scene.vehicles["vehicle_number"].tolist()
+            where = zip(*(scene.vehicles[name] for name in ("path_position_m", "region_lane", "is_cv")), strict=True)
             seen.append(dict(zip(numbers, where, strict=True)))
             state = env.rand_action(state)
             state = env.step(state)["next"]

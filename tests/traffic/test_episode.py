@@ -17,7 +17,7 @@ from izoo.contexts.spec import Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.networks.road import read_road
 from izoo.traffic import Traffic, sample_traffic, write_routes
-from izoo.traffic.episode import PAPER_CV
+from izoo.traffic.sampling import PAPER_CV
 from tests.traffic.worlds import LEGS, Roads, make_context
 
 ROAD = Roads()

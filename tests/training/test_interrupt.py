@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from izoo.training.interrupt import graceful_interrupt, workers_ignore_interrupts
+from izoo.console import graceful_interrupt, workers_ignore_interrupts
 
 CHILD = "import sys; print('up', flush=True); sys.stdin.readline(); print('alive')"
 
@@ -39,7 +39,7 @@ def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
     """They start a tracker of their own first, which must not undo the block."""
     program = (
         "import multiprocessing, os, signal, time\n"
-        "from izoo.training.interrupt import workers_ignore_interrupts\n"
+        "from izoo.console import workers_ignore_interrupts\n"
         "if __name__ == '__main__':\n"
         "    with workers_ignore_interrupts():\n"
         "        child = multiprocessing.get_context('spawn').Process(target=time.sleep, args=(0.5,))\n"

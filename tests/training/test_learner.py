@@ -13,8 +13,8 @@ from izoo import train
 from izoo.algos.action import ResidualAction
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.conf.options import TrainConfig
-from izoo.envs.layout import observation_names
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training import learner as learning
 from izoo.training.learner import Learner, learner_device, to_learner
@@ -46,7 +46,7 @@ def collect(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def make(name: str, device: torch.device) -> Learner:
     torch.manual_seed(0)
-    return Learner(CONFIGS[name], FEATURES, device)
+    return Learner(CONFIGS[name], device)
 
 
 def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:
@@ -82,7 +82,7 @@ def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatc
     first.update(collect(first, monkeypatch), 0.25)
     state = copy.deepcopy(first.state_dict())
     torch.manual_seed(99)
-    second = Learner(CONFIGS[name], FEATURES, CPU)
+    second = Learner(CONFIGS[name], CPU)
     second.load_state_dict(state)
     assert torch.equal(torch.get_rng_state(), state["torch_rng"])
     expected = weights(first.policy)

@@ -14,8 +14,10 @@ import pandas as pd
 import pytest
 import torch
 
-from izoo import cluster, evaluate, train
+from izoo import evaluate, train
+from izoo.algos.registry import make_algorithm
 from izoo.errors import IzooError
+from izoo.evaluation import ray_cluster as cluster
 from izoo.training import runs
 
 TOY = [
@@ -56,6 +58,7 @@ def run(command: str, words: list[str], address: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @needs_ray
 def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
@@ -66,7 +69,8 @@ def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> N
     assert int(table[-1]["episodes"]) == 4, "both workers have ended two episodes of 100 steps"
     weights = runs.load_algorithm(run_dir)[0].state_dict()["policy"]
     torch.manual_seed(0)
-    fresh = runs.make_algorithm(runs.read_config(run_dir), runs.load_algorithm(run_dir)[2]["features"])
+    options = runs.read_config(run_dir)
+    fresh = make_algorithm(options.algo, options.action, options.env)
     assert any(not torch.equal(weights[key], value) for key, value in fresh.state_dict()["policy"].items())
     words = [f"run={run_dir}", "num_contexts=1", "num_workers=2"]
     run("izoo.evaluate", [*words, "executor=ray", f"out={tmp_path / 'ray'}", f"cache={tmp_path / 'a'}"], address)

@@ -17,10 +17,10 @@ from izoo import train
 from izoo.algos.base import ACTION, MASK
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
-from izoo.envs.layout import TOTALS
+from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, runs
-from izoo.training.environments import TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.past import EpisodePast, Pasts
 
 TOY = [
@@ -71,10 +71,9 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
 @pytest.mark.parametrize(
     "words",
     [
-        ["collector=single"],
-        ["collector=parallel", "num_workers=2", *DDPG],
+        pytest.param(["collector=single"], id="single-ppo"),
+        pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
     ],
-    ids=["single-ppo", "parallel-ddpg"],
 )
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
     words = [*TOY, *words]
@@ -94,7 +93,7 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 0
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
     before = flat(checkpoint.load(checkpoint.find(run_dir)))
     for path in checkpoint.listed(run_dir):
         path.unlink()
@@ -121,7 +120,7 @@ def play(
     return torch.stack(frames, 1), root
 
 
-@pytest.mark.parametrize("steps", [40, 150, 190])
+@pytest.mark.parametrize("steps", [40, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (150, 190))])
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     pasts = Pasts.fresh(2)
@@ -148,6 +147,7 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     second.close()
 
 
+@pytest.mark.slow
 def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
     pasts = Pasts.fresh(2)
     first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
@@ -165,6 +165,24 @@ def test_environments_whose_episodes_are_of_different_age_arrive_together() -> N
     alone.close()
 
 
+@pytest.mark.parametrize("num_workers", [1, 2])
+def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
+    """Of a single environment, or of one worker among several."""
+    config = EnvConfig(horizon_s=60.0, num_agents=16, emit=("context",))
+    env = TrainingEnv(DENSE, config=config, num_workers=num_workers, pasts=[EpisodePast(4)])
+    try:
+        state = env.reset()
+        assert state["context", "episode"].item() == 4
+        done = False
+        while not done:
+            state.set(ACTION, torch.zeros(16, 1))
+            step, state = env.step_and_maybe_reset(state)
+            done = bool(step["next", "done"])
+        assert state["context", "episode"].item() == 4 + num_workers
+    finally:
+        env.close()
+
+
 def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
     past = EpisodePast(5, [torch.tensor([2])], [{"action": torch.tensor([0.5, 1.0])}])
     script = past.unroll(4)
@@ -173,6 +191,7 @@ def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
         script.at(0, torch.tensor([True, False, False, False]))
 
 
+@pytest.mark.slow
 def test_another_number_of_workers_leaves_the_episodes_in_progress_out(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, "total_frames=400", f"run_dir={run_dir}"]) == 0

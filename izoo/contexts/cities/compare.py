@@ -13,6 +13,7 @@ from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import get
 from izoo.contexts.context import HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec
+from izoo.files import replacing
 
 
 def feature_table(specs: Iterable[IntersectionSpec]) -> np.ndarray:
@@ -69,7 +70,7 @@ def format_distances(tables: Mapping[str, np.ndarray]) -> str:
 
 def write_csv(tables: Mapping[str, np.ndarray], path: Path) -> None:
     """Write one line per city and feature."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["city", "feature", "approaches", "total_variation"])
         for city, table in tables.items():
@@ -96,4 +97,5 @@ def write_png(tables: Mapping[str, np.ndarray], path: Path) -> None:
             axis.set_title(f"{city}: {name}", fontsize=7)
             axis.tick_params(labelsize=6)
     axes[0, 0].legend(fontsize=6)
-    figure.savefig(path, dpi=70)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=70, format="png")

@@ -1,4 +1,4 @@
-"""Draws the features of a whole city: published marginals, joined by a Gaussian copula (spec 2.2).
+"""Draws the features of a whole city: published marginals, joined by a Gaussian copula.
 
 Normals give each feature's *ranks*; the values come from the published distribution at evenly spaced, jittered
 quantiles. So the marginals of a built city match the published ones up to one quantile step whatever the sample, and a

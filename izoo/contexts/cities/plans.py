@@ -118,7 +118,7 @@ class _Axis:
 
 
 def yellow_time_s(speed_limits_mps: Sequence[float]) -> float:
-    """Return the yellow time: 3 s, or 4 s where a limit exceeds 17 m/s (spec 4)."""
+    """Return the yellow time: 3 s, or 4 s where a limit exceeds 17 m/s."""
     return 4.0 if max(speed_limits_mps) > FAST_MPS else 3.0
 
 

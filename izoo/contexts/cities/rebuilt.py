@@ -1,4 +1,4 @@
-"""The ten built-in cities, rebuilt from published statistics (spec 2.2).
+"""The ten built-in cities, rebuilt from published statistics.
 
 These are reconstructions: each city has the published distribution of every feature and the joint structure of Salt
 Lake City, but no intersection is a copy of a measured one. Intersection ``k`` of a city is the same everywhere.

@@ -32,7 +32,7 @@ class Shape:
 
     @functools.cached_property
     def relations(self) -> tuple[tuple[str, ...], ...]:
-        """How the incoming approaches lie to each other, as :func:`latent_root` wants it."""
+        """How the incoming approaches lie to each other, for :func:`izoo.contexts.cities.copula.latent_root`."""
         return tuple(
             tuple(
                 "same"

@@ -1,4 +1,4 @@
-"""Temperature and relative humidity by city and season, from MOVES' county meteorology (spec 8)."""
+"""Temperature and relative humidity by city and season, from MOVES' county meteorology."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CITY_COUNTIES = MappingProxyType(
 SEASON_MONTHS = MappingProxyType({"winter": (12, 1, 2), "spring": (3, 4, 5), "summer": (6, 7, 8), "fall": (9, 10, 11)})
 
 WEATHER_PUBLISHED = MappingProxyType({"salt_lake_city": (20.0, 46.0), "atlanta": (22.8, 83.0)})
-"""``(temperature_c, humidity_pct)`` of the published experiments, for ``weather=published`` (spec 11)."""
+"""``(temperature_c, humidity_pct)`` of the published experiments, for ``weather=published``."""
 
 
 def weather(city: str, season: str) -> tuple[float, float]:

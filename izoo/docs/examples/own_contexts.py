@@ -48,7 +48,7 @@ def main(horizon_s: float = 200.0, episodes: int = 2) -> dict[str, list[str]]:
         env = EcoDrivingEnv(contexts, config=EnvConfig(horizon_s=horizon_s), seed=1)
         for _ in range(episodes):
             env.rollout(env.config.control_steps)
-            context = env.simulator.context
+            context = env.scene().context
             played.setdefault(name, []).append(context.name)
             print(f"{name:10s} {context.name:45s} {context.temperature_c:6.1f} C  adoption {context.adoption:.2f}")
         env.close()

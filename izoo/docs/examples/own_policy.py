@@ -10,7 +10,8 @@ from tensordict import TensorDictBase
 
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
-from izoo.envs.layout import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S, observation_names
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.evaluation import evaluate_policy, print_summary, summarise
 
 CONFIG = EnvConfig()

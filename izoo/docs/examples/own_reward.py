@@ -12,7 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.layout import REWARD_VECTOR
+from izoo.envs.mdp.reward import REWARD_VECTOR
 
 COLUMN = {name: column for column, name in enumerate(REWARD_VECTOR)}
 REWARD = ("agents", "reward")
@@ -30,7 +30,7 @@ class PlatoonReward(Transform):
         self.spread_weight = spread_weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        terms = next_tensordict["agents", "reward_vector"]  # [*B, A, 11], 0 in slots that did not act
+        terms = next_tensordict["agents", "reward_vector"]  # [*B, A, R], 0 in slots that did not act
         own = terms[..., COLUMN["speed_mps"]] / 15.0 - terms[..., COLUMN["emission_g"]]
         vehicles = next_tensordict["vehicles"]  # [*B, V], human-driven ones too
         present, speed = vehicles["present"], vehicles["speed_mps"]

@@ -19,7 +19,7 @@ def main(total_timesteps: int = 100_000, steps_per_update: int = 2048, horizon_s
     # eta=0 pays the ego for what it does itself, not for what the whole fleet does.
     config = EnvConfig(horizon_s=horizon_s, reward=RewardConfig(eta=0.0))
     contexts = ProceduralSource({"inflow_vph_per_lane": [250.0, 400.0], "adoption": 0.3})
-    env = Monitor(gymnasium.make("izoo/EcoDrivingEgo-v0", contexts=contexts, config=config))
+    env = Monitor(gymnasium.make("izoo.envs:izoo/EcoDrivingEgo-v0", contexts=contexts, config=config))
     model = PPO("MlpPolicy", env, n_steps=steps_per_update, batch_size=64, seed=0, device="cpu", verbose=1)
     model.learn(total_timesteps)
     lives = env.get_episode_lengths()

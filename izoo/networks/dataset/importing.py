@@ -18,13 +18,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
 from izoo.contexts.spec import IntersectionSpec
-from izoo.errors import IzooError, os_reason
+from izoo.errors import IzooError
+from izoo.files import discard_partials, is_partial, os_reason, write_bytes, write_json
 from izoo.networks.dataset.archive import Archive, open_archive
 from izoo.networks.dataset.intersections import INFLOW_FILE, MARKER, NET_FILE, load_intersection, natural_key
 from izoo.networks.road import read_road
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
-FORMAT = "izoo-dataset-1"
+FORMAT = "izoo-intersections-1"
 _STAGING = ".staging"
 _SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
 Progress = Callable[[int, int], None]
@@ -95,6 +96,7 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
         try:
             shutil.rmtree(staging, ignore_errors=True)
             staging.mkdir(parents=True)
+            discard_partials(target)
             rows, unusable = _stage(archive, places, staging, progress)
             if not rows:
                 first = next(iter(unusable.items()))
@@ -195,7 +197,7 @@ def _check_target(target: Path, source: Path) -> None:
     if links:
         raise IzooError(f"the target {target} holds the symbolic link {links[0]}; choose a new folder.")
     known = {MANIFEST, INDEX, MARKER, _STAGING, *_imported_folders(target)}
-    foreign = sorted(child.name for child in target.iterdir() if child.name not in known)
+    foreign = sorted(child.name for child in target.iterdir() if child.name not in known and not is_partial(child))
     if foreign:
         raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
 
@@ -217,7 +219,7 @@ def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[s
     """Replace an earlier import by the staged one; the marker stands from the first change to the last."""
     datasets = sorted({row.dataset for row in rows})
     earlier = _imported_folders(target)
-    _write(target / MARKER, staging, json.dumps({"datasets": sorted({*datasets, *earlier})}).encode())
+    write_json(target / MARKER, {"datasets": sorted({*datasets, *earlier})})
     (target / MANIFEST).unlink(missing_ok=True)
     for name in earlier:
         shutil.rmtree(target / name, ignore_errors=True)
@@ -228,7 +230,7 @@ def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[s
     writer.writeheader()
     writer.writerows(asdict(row) for row in rows)
     index = table.getvalue().encode()
-    _write(target / INDEX, staging, index)
+    write_bytes(target / INDEX, index)
     manifest = {
         "format": FORMAT,
         "source": source_name,
@@ -238,16 +240,6 @@ def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[s
         "index_sha256": hashlib.sha256(index).hexdigest(),
         "unusable": unusable,
     }
-    _write(target / MANIFEST, staging, json.dumps(manifest, indent=1).encode())
+    write_json(target / MANIFEST, manifest)
     staging.rmdir()
     (target / MARKER).unlink()
-
-
-def _write(path: Path, staging: Path, data: bytes) -> None:
-    """Write a file whole or not at all."""
-    partial = staging / f"{path.name}.part"
-    with partial.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

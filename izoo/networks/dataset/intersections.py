@@ -1,4 +1,4 @@
-"""Import of the published dataset: a folder per intersection with ``net.net.xml`` and ``inflows.txt`` (spec 2.1).
+"""Import of the published dataset: a folder per intersection with ``net.net.xml`` and ``inflows.txt``.
 
 Conventions of its nets: the signal is ``TL``; legs are ``A``, ``B``, ...; a leg's incoming edge is ``A2TL``, sometimes
 followed by ``A2TL_intern`` (the part with the turn pocket); its outgoing edge is ``TL2A``. Left, straight and right
@@ -68,7 +68,7 @@ def load_dataset(
         approaches: ``one``: a context per incoming approach; ``all``: one per intersection, fed from every approach.
         with_demand_only: leave out contexts without any demand.
         **context_fields: fields of every :class:`~izoo.contexts.context.Context`; the weather defaults to the
-            published values of the city (spec 11), in a city without them to its county's summer, elsewhere to those of
+            published values of the city, in a city without them to its county's summer, elsewhere to those of
             Salt Lake City.
 
     Raises:

@@ -218,7 +218,7 @@ def _points(lane: Any) -> np.ndarray:
 
 
 def _grade(first: Any, last: Any) -> float:
-    """Mean rise over run from the begin of lane ``first`` to the end of lane ``last``."""
+    """Mean rise over run from the beginning of lane ``first`` to the end of lane ``last``."""
     one, two = _points(first), _points(last)
     run = sum(float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum()) for points in (one, two))
     run = run + float(np.linalg.norm(two[0, :2] - one[-1, :2])) if first is not last else run / 2.0

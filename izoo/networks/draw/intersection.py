@@ -21,6 +21,7 @@ from izoo.contexts.cities.plans import measure
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec, SignalPlan
 from izoo.errors import IzooError
+from izoo.files import replacing
 from izoo.networks.draw.plan_view import LANE_M, Layout, layout_of_road, layout_of_spec
 from izoo.networks.road import RoadNet, read_road
 
@@ -110,7 +111,7 @@ def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
     """Features per approach, over all intersections; NaN for signal features of a spec without a plan.
 
     ``green_ratio`` is the share of the cycle in which some movement of the approach is green, ``phase_count`` the
-    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap (spec 2).
+    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap.
     """
     rows: list[dict[str, float]] = []
     for spec in specs:
@@ -285,5 +286,6 @@ def _save(figure: Figure, path: Path | str) -> Path:
     if path.suffix.lower() != ".png":
         raise IzooError(f"pictures are written as PNG; {path} must end in .png.")
     path.parent.mkdir(parents=True, exist_ok=True)
-    FigureCanvasAgg(figure).print_figure(str(path), dpi=_DPI, facecolor="white")
+    with replacing(path) as partial:
+        FigureCanvasAgg(figure).print_figure(partial, dpi=_DPI, facecolor="white", format="png")
     return path

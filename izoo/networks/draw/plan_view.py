@@ -143,7 +143,7 @@ def _turns_at_stop(road: RoadNet, spec: IntersectionSpec, lane: int) -> str:
 
 
 def _clip(points: np.ndarray, extent: float) -> np.ndarray:
-    """The part of a line from its begin until it is ``extent`` m from the middle."""
+    """The part of a line from its beginning until it is ``extent`` m from the middle."""
     kept = [points[0]]
     for one, two in itertools.pairwise(points):
         if np.linalg.norm(one) > extent:

@@ -16,7 +16,7 @@ import sumo
 
 from izoo.contexts.spec import IntersectionSpec, Leg
 from izoo.errors import IzooError
-from izoo.networks.net import cache
+from izoo.networks.net import net_cache as cache
 from izoo.networks.net.connections import Link
 from izoo.networks.net.heights import add_heights
 from izoo.networks.net.plain import PlainNet, plain_net
@@ -48,7 +48,7 @@ def build_net(spec: IntersectionSpec, cache_dir: Path | None = None) -> Path:
 
     Args:
         spec: the intersection; without a signal plan one is searched for.
-        cache_dir: where nets are kept; see :func:`izoo.networks.net.cache.cache_folder`.
+        cache_dir: where nets are kept; see :func:`izoo.networks.net.net_cache.cache_folder`.
 
     Raises:
         IzooError: the spec contradicts itself, ``netconvert`` refuses it, or the cache cannot be written to.

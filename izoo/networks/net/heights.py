@@ -23,7 +23,7 @@ def add_heights(text: str, spec: IntersectionSpec) -> str:
     """Return the net ``text`` with heights in its lane shapes.
 
     The main signal lies at 0 m and is flat. Approach, pocket part and exit of a leg rise by its grade towards the
-    signal; the ghost junction and all beyond it are flat at the height of the approach's begin.
+    signal; the ghost junction and all beyond it are flat at the height of the approach's beginning.
     """
     grades = {leg.name: leg.approach.grade for leg in spec.legs if leg.approach is not None}
     if not any(grades.values()):

@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass, field
 
 from izoo.contexts.spec import Approach
-from izoo.networks.osm.cluster import StreetGraph
+from izoo.networks.osm.junctions import StreetGraph
 from izoo.networks.osm.legs import CUT_LENGTH_M, Street, Stub
 from izoo.networks.osm.streets import Way
 from izoo.networks.osm.tags import MAX_LANES, Lanes, assign_turns, class_default, lanes_towards, speed_limit

@@ -1,4 +1,4 @@
-"""Intersections from an OpenStreetMap extract: a folder of specs that trains like a city (spec 2.4).
+"""Intersections from an OpenStreetMap extract: a folder of specs that trains like a city.
 
 The rules by which lanes, turns and limits are read and imputed stand in :mod:`izoo.networks.osm.tags`. Beyond those:
 
@@ -23,7 +23,7 @@ from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
-from izoo.networks.osm.cluster import Core, StreetGraph, find_cores
+from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp

@@ -6,7 +6,7 @@ import itertools
 import math
 from dataclasses import dataclass
 
-from izoo.networks.osm.cluster import Core, StreetGraph
+from izoo.networks.osm.junctions import Core, StreetGraph
 from izoo.networks.osm.streets import Way
 
 BEARING_AT_M = 40.0

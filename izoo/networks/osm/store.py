@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
-from izoo.errors import IzooError, os_reason
-from izoo.networks.net.cache import is_running
+from izoo.errors import IzooError
+from izoo.files import os_reason, replacing_folder
 
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
 ATTRIBUTION = "Contains information from OpenStreetMap, made available under the Open Database License (ODbL) 1.0"
 _KEY = re.compile(r"-?\d+")
-_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)")
 
 
 def check_target(target: Path) -> None:
@@ -47,25 +44,15 @@ def save_cmdp(
         details: further facts per intersection (street names, place).
         notes: facts about the build, for the index.
     """
-    staging = target.with_name(f".{target.name}.partial-{os.getpid()}")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _discard_partials(target)
-        staging.mkdir()
-        for key, spec in specs.items():
-            record = {"format": FORMAT, "attribution": ATTRIBUTION, "spec": asdict(spec), **details[key]}
-            (staging / f"{key}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-        index = {"format": FORMAT, "attribution": ATTRIBUTION, **notes, "intersections": list(specs)}
-        (staging / CMDP_FILE).write_text(json.dumps(index, indent=1), encoding="utf-8")
-        if target.exists():
-            shutil.rmtree(target)
-        staging.replace(target)
+        with replacing_folder(target) as staging:
+            for key, spec in specs.items():
+                record = {"format": FORMAT, "attribution": ATTRIBUTION, "spec": asdict(spec), **details[key]}
+                (staging / f"{key}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+            index = {"format": FORMAT, "attribution": ATTRIBUTION, **notes, "intersections": list(specs)}
+            (staging / CMDP_FILE).write_text(json.dumps(index, indent=1), encoding="utf-8")
     except OSError as error:
-        shutil.rmtree(staging, ignore_errors=True)
         raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
-    except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
-        raise
 
 
 def load_cmdp(folder: Path | str) -> list[IntersectionSpec]:
@@ -126,14 +113,3 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise IzooError(f"{path} is not of the format {FORMAT}; build the folder again with this version of izoo.")
     return record
-
-
-def _discard_partials(target: Path) -> None:
-    """Remove what builds of ``target`` left behind whose process is gone."""
-    for path in target.parent.iterdir():
-        match = _PARTIAL.fullmatch(path.name)
-        if not match or match["name"] != target.name:
-            continue
-        pid = int(match["pid"])
-        if pid == os.getpid() or not is_running(pid):
-            shutil.rmtree(path, ignore_errors=True)

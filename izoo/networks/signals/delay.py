@@ -39,7 +39,7 @@ class Movement:
 
 
 def peak_movements(spec: IntersectionSpec) -> tuple[Movement, ...]:
-    """Return the movements that lanes allow, with their peak-hour demand (spec 2)."""
+    """Return the movements that lanes allow, with their peak-hour demand."""
     movements: list[Movement] = []
     links = signal_links(spec)
     for leg in spec.legs:
@@ -59,7 +59,7 @@ def peak_movements(spec: IntersectionSpec) -> tuple[Movement, ...]:
 
 
 def _shares(exits: dict[str, tuple[str, int]]) -> dict[str, float]:
-    """Share of the traffic per exit, given ``(turn, connected lanes)``: the rule of spec 2."""
+    """Share of the traffic per exit, given ``(turn, connected lanes)``: fixed for turns beside a straight way on."""
     turns = sorted(turn for turn, _ in exits.values())
     if turns == ["l", "r", "s"] or (len(turns) == 2 and turns.count("s") == 1):
         straight = 1.0 - TURN_SHARE * (len(turns) - 1)

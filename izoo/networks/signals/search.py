@@ -1,4 +1,4 @@
-"""Fixed-time signal plans where none is given: exhaustive search on a grid for the least delay (spec 4)."""
+"""Fixed-time signal plans where none is given: exhaustive search on a grid for the least delay."""
 
 from __future__ import annotations
 

@@ -1,0 +1,106 @@
+"""The algorithms and drivers that can be chosen by name, for everyone above: one line for each.
+
+Nothing here loads PyTorch before an algorithm is built, so that commands can read names and options at once.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from izoo.errors import unknown_choice
+
+if TYPE_CHECKING:
+    import torch
+
+    from izoo.algos.action import ActionConfig
+    from izoo.algos.base import Algorithm
+    from izoo.envs.config import EnvConfig
+
+DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
+"""Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`)."""
+
+
+class AlgoConfig:
+    """Hyper-parameters of an algorithm: a frozen dataclass whose field ``name`` is its name in :data:`ALGORITHMS`.
+
+    Attributes:
+        name: the algorithm.
+        frames_per_batch: environment steps, over all workers, between two updates.
+    """
+
+    name: str
+    frames_per_batch: int
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> type[AlgoConfig]:
+        """Return the class of the hyper-parameters whose ``name`` stands in ``values``.
+
+        Raises:
+            IzooError: there is no such algorithm.
+        """
+        name = values.get("name")
+        if name not in ALGORITHMS:
+            raise unknown_choice("algo.name", name, ALGORITHMS)
+        return _imported(ALGORITHMS[name].config)
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where an algorithm lives, as ``module:Class``.
+
+    Attributes:
+        algorithm: called with its hyper-parameters, the length of an observation, the bounds of its action, and
+            ``device=``, it returns an :class:`izoo.algos.base.Algorithm`.
+        config: its :class:`AlgoConfig`; the defaults are the choice ``algo=NAME``. In a module of its own commands need
+            not load PyTorch to read it.
+        presets: class methods of the config; each is the choice ``algo=NAME_PRESET``.
+    """
+
+    algorithm: str
+    config: str
+    presets: tuple[str, ...] = ()
+
+
+ALGORITHMS = {
+    "ppo": Home("izoo.algos.ppo:PPO", "izoo.algos.ppo_config:PPOConfig", ("paper",)),
+    "ddpg": Home("izoo.algos.ddpg:DDPG", "izoo.algos.ddpg_config:DDPGConfig", ("paper",)),
+    "mappo": Home("izoo.algos.mappo:MAPPO", "izoo.algos.ppo_config:MAPPOConfig", ("paper",)),
+    "gcrl": Home("izoo.algos.gcrl:GCRL", "izoo.algos.ppo_config:GCRLConfig", ("paper",)),
+}
+
+
+def choices() -> tuple[str, ...]:
+    """Return what ``algo=`` may be: every algorithm, and every preset of one."""
+    return tuple(
+        sorted(choice for name, home in ALGORITHMS.items() for choice in (name, *(f"{name}_{p}" for p in home.presets)))
+    )
+
+
+def preset(choice: str) -> AlgoConfig:
+    """Return the hyper-parameters that a choice of :func:`choices` stands for."""
+    for name, home in ALGORITHMS.items():
+        for made in home.presets:
+            if choice == f"{name}_{made}":
+                return getattr(_imported(home.config), made)()
+    if choice not in ALGORITHMS:
+        raise unknown_choice("algo", choice, choices())
+    return _imported(ALGORITHMS[choice].config)()
+
+
+def make_algorithm(
+    algo: AlgoConfig, action: ActionConfig, env: EnvConfig, device: torch.device | str = "cpu"
+) -> Algorithm:
+    """Build the algorithm of the options ``algo`` and ``action`` for what ``env`` lets it observe, on ``device``."""
+    from izoo.envs.mdp.frame import observation_names
+
+    build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device)
+    return action.algorithm(build, algo, len(observation_names(env)), env)
+
+
+def _imported(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)

@@ -1,0 +1,261 @@
+"""Options of ``python -m izoo.benchmarks.generalization``, and what its scales stand for."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from izoo.algos.registry import DRIVER_NAMES, choices
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError, check_range, unknown_choice
+
+T = TypeVar("T", bound="GeneralizationConfig")
+SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
+"""Weights of the reward that a trade-off sweeps over (:class:`izoo.envs.config.RewardConfig`)."""
+RESIDUAL_SUFFIX, FLOOR_INFIX = "_residual", "glide_floor"
+SET_BY = {
+    **{"algo": "algos", "action": "algos", "seed": "seeds", "total_frames": "frames or episodes"},
+    **{"contexts": "protocol, train and form", "num_workers": "train_workers", "run_dir": "out", "resume": "out"},
+    "env.horizon_s": "horizon_s or train_horizon_s",
+}
+"""Options of ``izoo.train`` that the benchmark sets itself, and by which of its own."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a scale sets where an option is null.
+
+    Attributes:
+        seeds: training seeds per algorithm.
+        episodes: training episodes per run.
+        horizon_s: length of an episode.
+        eval_seeds: paired episodes per test context.
+        test_limit: test contexts; ``None``: all.
+        train_workers: environments that a run trains on.
+        num_workers: processes that evaluate; 0: this one, which spares short evaluations the start of others.
+    """
+
+    seeds: int
+    episodes: int
+    horizon_s: float
+    eval_seeds: int
+    test_limit: int | None
+    train_workers: int
+    num_workers: int
+
+
+SCALES = {
+    "smoke": Scale(seeds=2, episodes=11, horizon_s=200.0, eval_seeds=3, test_limit=4, train_workers=1, num_workers=0),
+    "small": Scale(
+        seeds=4, episodes=100, horizon_s=1000.0, eval_seeds=3, test_limit=32, train_workers=2, num_workers=2
+    ),
+    "paper": Scale(
+        seeds=4, episodes=5000, horizon_s=1000.0, eval_seeds=3, test_limit=None, train_workers=10, num_workers=10
+    ),
+}
+"""``smoke``: minutes on two cores, shows that everything works and nothing else. ``small``: hours. ``paper``: the
+published scale (5,000 episodes, 4 seeds, every test context)."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is compared: a trained algorithm, or a policy that needs no training.
+
+    Attributes:
+        name: in tables and folders.
+        kind: ``trained`` or ``scripted``.
+        algo: preset of the algorithm (a choice of ``algo=``), or ``None``.
+        action: ``direct`` or ``residual``, or ``None``.
+        policy: the scripted driver's name or ``module:function``, or ``None``.
+        floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
+        options: more options of ``izoo.train`` for this entry alone.
+    """
+
+    name: str
+    kind: Literal["trained", "scripted"]
+    algo: str | None = None
+    action: str | None = None
+    policy: str | None = None
+    floor_mps: float | None = None
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class GeneralizationConfig:
+    """Options of the generalization benchmark.
+
+    Attributes:
+        protocol: ``in_distribution``: train and test in one city; ``productivity``: train in one city, test zero-shot
+            in another; ``systematicity``: train on wide procedural ranges, test inside a box they exclude.
+        scale: ``smoke`` (minutes), ``small`` (hours) or ``paper`` (the published scale); sets what is null below.
+        algos: what is compared: presets of ``algo`` (``ppo``, ``ddpg``, ``mappo``, ``gcrl``, ``ppo_paper``, ...), with
+            ``_residual`` appended for ``action=residual``; scripted drivers (``glide``, ``uncommanded``, ...;
+            ``glide_floor3`` is glide that never slows below 3 m/s); or ``module:function``.
+        train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
+            ``salt_lake_city``. Not for systematicity.
+        test: where to test, for productivity; null: ``atlanta``.
+        form: ``split``: train, validation and test share out the intersections 80/10/10; ``paper``: train and test on
+            all.
+        weather: ``published`` or ``county``; null: published where the city has it.
+        test_set: of systematicity: ``grid``, the 128 published contexts, or ``sample``, 128 drawn ones.
+        seeds: training seeds per algorithm, 0 to ``seeds - 1``; null: the scale's.
+        episodes: training episodes per run; null: the scale's.
+        frames: environment steps per run, instead of ``episodes``.
+        horizon_s: length of an episode, in training and in evaluation; null: the scale's.
+        train_horizon_s: length of a training episode, where it differs from ``horizon_s``: shorter ones show more
+            contexts in the same number of frames.
+        train_warmup_s: warm-up of a training episode, where it differs from the evaluation's: short episodes would
+            otherwise show little but roads that are still filling.
+        eval_seeds: paired episodes per test context, 3 or more; null: the scale's.
+        test_limit: most test contexts, drawn reproducibly; null: the scale's; 0: all.
+        select: which weights of a run are tested: ``last``, or ``best`` on the validation split, which is measured
+            beside training and takes time; the last where a run was too short to be validated.
+        train_options: more options of ``izoo.train`` for every trained entry, such as
+            ``["algo.gamma=0.98","env.reward.eta=0.5"]``.
+        train_workers: environments that a run trains on, each in a process of its own; 1 trains in this process;
+            null: the scale's.
+        num_workers: processes that evaluate, each with one simulator; 0: this one; null: the scale's.
+        out: the results folder; an interrupted benchmark goes on there. null: a folder named after protocol and scale
+            in ``results`` of the current folder.
+        cache: folder of the cached human episodes; null: the user's cache folder.
+    """
+
+    protocol: Literal["in_distribution", "productivity", "systematicity"] = "in_distribution"
+    scale: Literal["smoke", "small", "paper"] = "smoke"
+    algos: tuple[str, ...] = ("ppo", "ddpg", "mappo", "gcrl", "glide", "uncommanded")
+    train: str | None = None
+    test: str | None = None
+    form: Literal["split", "paper"] = "split"
+    weather: Literal["published", "county"] | None = None
+    test_set: Literal["grid", "sample"] = "grid"
+    seeds: int | None = None
+    episodes: int | None = None
+    frames: int | None = None
+    horizon_s: float | None = None
+    train_horizon_s: float | None = None
+    train_warmup_s: float | None = None
+    eval_seeds: int | None = None
+    test_limit: int | None = None
+    select: Literal["last", "best"] = "last"
+    train_options: tuple[str, ...] = ()
+    train_workers: int | None = None
+    num_workers: int | None = None
+    out: str | None = None
+    cache: str | None = None
+
+    def __post_init__(self) -> None:
+        ranges: dict[str, tuple[float, float]] = {
+            "seeds": (1, 1000),
+            "episodes": (1, 10**8),
+            "frames": (1, 10**12),
+            "horizon_s": (30, 86400),
+            "train_horizon_s": (30, 86400),
+            "train_warmup_s": (0, 86400),
+            "eval_seeds": (3, 10**6),
+            "test_limit": (0, 10**7),
+            "train_workers": (1, 1024),
+            "num_workers": (0, 1024),
+        }
+        for name, (low, high) in ranges.items():
+            if getattr(self, name) is not None:
+                check_range(name, getattr(self, name), low, high)
+        if self.frames is not None and self.episodes is not None:
+            raise IzooError("episodes and frames are both given; give one of them.")
+        self._check_places()
+        self._check_train_options()
+        names = [parse_entry(name).name for name in self.algos]
+        if not names or len(names) > len(set(names)):
+            raise IzooError(
+                f"algos is {list(self.algos)}; give one or more names, each once (of module:function, function counts)."
+            )
+        for name in ("train", "test", "out", "cache"):
+            value = getattr(self, name)
+            if value is not None and (name in ("out", "cache") or is_folder(value)):
+                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
+
+    def _check_train_options(self) -> None:
+        for word in self.train_options:
+            name = word.lstrip("+~").partition("=")[0].partition("@")[0]
+            found = name if name in SET_BY else "contexts" if name.startswith("contexts.") else None
+            if found is not None:
+                raise IzooError(f"train_options holds {word!r}, which the benchmark sets itself: by {SET_BY[found]}.")
+
+    def _check_places(self) -> None:
+        if self.protocol == "systematicity" and (self.train or self.test):
+            raise IzooError("protocol=systematicity has procedural contexts of its own; leave train and test out.")
+        if self.protocol == "in_distribution" and self.test is not None:
+            raise IzooError("protocol=in_distribution tests where it trains; leave test out or take productivity.")
+
+    def resolved(self: T) -> T:
+        """Return the options with the scale's values for what is null; ``test_limit`` 0 stands for all."""
+        scale = SCALES[self.scale]
+        changes: dict[str, Any] = {
+            field.name: getattr(scale, field.name)
+            for field in dataclasses.fields(scale)
+            if field.name != "episodes" and getattr(self, field.name) is None
+        }
+        if self.frames is None and self.episodes is None:
+            changes["episodes"] = scale.episodes
+        changes["test_limit"] = changes.get("test_limit", self.test_limit) or 0
+        if self.protocol != "systematicity":
+            changes["train"] = self.train or "salt_lake_city"
+        if self.protocol == "productivity":
+            changes["test"] = self.test or "atlanta"
+        return dataclasses.replace(self, **changes)
+
+    @property
+    def total_frames(self) -> int:
+        """Environment steps of a training run; of resolved options."""
+        if self.frames is not None:
+            return self.frames
+        return (self.episodes or 0) * self.train_episode().control_steps
+
+    def train_episode(self) -> EnvConfig:
+        """Return an environment with the length and warm-up of a training episode; of resolved options."""
+        env = EnvConfig(horizon_s=self.train_horizon_s or self.horizon_s or 0.0)
+        return env if self.train_warmup_s is None else dataclasses.replace(env, warmup_s=self.train_warmup_s)
+
+    def entries(self) -> list[Entry]:
+        """Return what :attr:`algos` names, policies without training first."""
+        return sorted((parse_entry(name) for name in self.algos), key=lambda entry: entry.kind)
+
+
+def is_folder(place: str) -> bool:
+    """Whether a place is a folder of intersections rather than the name of a city."""
+    return "/" in place or Path(place).expanduser().is_dir()
+
+
+def parse_entry(name: str) -> Entry:
+    """Return the entry that a name means.
+
+    Raises:
+        IzooError: neither an algorithm nor a driver.
+    """
+    if ":" in name:
+        return Entry(name.rpartition(":")[2], "scripted", policy=name)
+    if name in DRIVER_NAMES and name != "human":
+        return Entry(name, "scripted", policy=name)
+    if name.startswith(FLOOR_INFIX):
+        return Entry(name, "scripted", policy="glide", floor_mps=_floor(name))
+    presets = choices()
+    action = "residual" if name.endswith(RESIDUAL_SUFFIX) else "direct"
+    preset = name.removesuffix(RESIDUAL_SUFFIX)
+    if preset not in presets:
+        drivers = [driver for driver in DRIVER_NAMES if driver != "human"]
+        residual = [f"{preset}{RESIDUAL_SUFFIX}" for preset in presets]
+        raise unknown_choice(
+            "entry of algos", name, [*presets, *residual, *drivers, f"{FLOOR_INFIX}NUMBER", "module:function"]
+        )
+    return Entry(name, "trained", algo=preset, action=action)
+
+
+def _floor(name: str) -> float:
+    text = name.removeprefix(FLOOR_INFIX)
+    try:
+        floor_mps = float(text)
+    except ValueError:
+        raise IzooError(f"{name!r} is no entry; write glide with a floor of 3 m/s as {FLOOR_INFIX}3.") from None
+    check_range(f"the floor of {name}", floor_mps, 0.1, 60.0, "m/s")
+    return floor_mps

@@ -1,0 +1,88 @@
+"""What a simulator must do: play episodes behind frames.
+
+A :class:`Backend` owns the simulations of one or several environments and writes their frames
+(:mod:`izoo.envs.mdp.frame`); TorchRL's face (:mod:`izoo.envs.env`) and the other views drive it, and nothing above may
+ask which one it is. To say who is where, a backend has one :class:`~izoo.envs.mdp.episode.Episode` per environment,
+which turns that into observations, rewards and metrics, or calls the compiled functions below it for many at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.errors import IzooError
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
+
+
+class Play(NamedTuple):
+    """An episode to be played: its context, its seed, and its number in the schedule (-1: it has none)."""
+
+    context: Context
+    seed: int
+    number: int
+
+
+class Backend(Protocol):
+    """The simulations behind ``N`` frames; environment ``k`` writes row ``k``."""
+
+    @property
+    def started(self) -> bool:
+        """Whether every environment has begun an episode."""
+
+    def begin(self, plays: Mapping[int, Play]) -> None:
+        """Begin episodes in some environments, play their warm-up, and write their first frames.
+
+        Raises:
+            IzooError: a context cannot be simulated, or its intersection does not fit the frame.
+            RuntimeError: a simulation was lost, again and again.
+        """
+
+    def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
+        """Take the commands from the frames, simulate one step of every environment, and write the next frames.
+
+        Args:
+            meanwhile: may be called once while a simulation is waited for.
+
+        Returns:
+            Environments whose simulation was lost and replaced in this step; their frames are not to be read, and they
+            need :meth:`begin`.
+
+        Raises:
+            IzooError: an episode has ended.
+        """
+
+    def scene(self, index: int = 0) -> Scene:
+        """Return the present state of an environment."""
+
+    def close(self) -> None:
+        """End all simulations."""
+
+
+def scene_from_frame(config: EnvConfig, context: Context, frame: dict[str, np.ndarray]) -> Scene:
+    """Return the present state of an environment as its frame tells it, for simulations in other processes.
+
+    Raises:
+        IzooError: the frame holds no vehicles or no signals.
+    """
+    missing = {"vehicles", "signal"} - set(config.emit)
+    if missing:
+        raise IzooError(f"EnvConfig.emit lacks {', '.join(sorted(missing))}; the state cannot be told without.")
+    road = read_road(build_net(context.intersection))
+    flags = dict(zip(VEHICLE_FLAGS, frame["vehicle_flags"].T.astype(bool), strict=True))
+    there = flags["present"]
+    columns = dict(zip(VEHICLE_FLOATS, frame["vehicle_floats"].T, strict=True))
+    columns |= zip(VEHICLE_INTS, frame["vehicle_ints"].T, strict=True)
+    vehicles = {name: column[there] for name, column in (columns | flags).items()}
+    p, q = road.movement_turn.shape
+    steps = config.warmup_steps + round(float(frame["episode_metrics"][EPISODE_METRIC["steps"]]))
+    colour, metrics = frame["signal_colour"][:p, :q].copy(), frame["approach_metrics"].astype(float)
+    return Scene(context, road, steps * config.step_s, vehicles, colour, metrics)

@@ -1,0 +1,236 @@
+"""One episode of one environment: its tables, and the few things that happen to them outside compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from izoo.compiling import compiling_once
+from izoo.contexts.context import ENGINES, Context
+from izoo.emissions.kernel import KernelWeights
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
+from izoo.envs.mdp.motion import road_arrays
+from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.slots import enter, leave
+from izoo.envs.mdp.state import (
+    AGENT,
+    APPROACH,
+    EXIT,
+    IS_CV,
+    JUNCTION_M,
+    VEHICLE_FLAGS,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
+    YIELDING,
+)
+from izoo.envs.mdp.step import give_orders, make_frame
+from izoo.envs.mdp.tally import book_unfinished
+from izoo.envs.mdp.world import MEMBERS, PHASE, SUSPECTS, Frame, demand_arrays, empty_tables, grown, hold, rules_of
+from izoo.errors import IzooError
+from izoo.networks.road import RoadNet
+from izoo.traffic.sampling import Traffic
+
+Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""
+
+
+class Orders(NamedTuple):
+    """What a simulator is told for the coming step.
+
+    Attributes:
+        command: rows whose speed is commanded anew; a command holds until the next one.
+        target_mps: the speeds.
+        release: rows that are no longer commanded.
+    """
+
+    command: np.ndarray
+    target_mps: np.ndarray
+    release: np.ndarray
+
+
+class Ending(NamedTuple):
+    """Vehicles that had not entered the region when the episode ended, by their numbers in the demand.
+
+    Attributes:
+        due: all whose departure was due.
+        dropped: dropped by the simulator before they entered the network.
+        waiting: still waiting to enter the network.
+        outside: under way to the region.
+        early: had been in the region when the warm-up ended.
+    """
+
+    due: Sequence[int]
+    dropped: Sequence[int]
+    waiting: Sequence[int]
+    outside: Sequence[int]
+    early: Sequence[int]
+
+
+class Episode:
+    """The tables of an episode, bound to the frame that it writes.
+
+    Args:
+        config: the environment's settings.
+        frame: the arrays of one environment's frame (:func:`izoo.envs.mdp.frame.map_frames`, one row).
+        weights: the emission surrogates.
+        context, seed, number: what is played.
+        road, traffic: the context's net, and the vehicles of the episode.
+
+    Raises:
+        IzooError: the intersection has more approaches or exits than the frame has rows.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        frame: dict[str, np.ndarray],
+        weights: KernelWeights,
+        context: Context,
+        seed: int,
+        number: int,
+        road: RoadNet,
+        traffic: Traffic,
+    ) -> None:
+        ways = max(road.movement_turn.shape)
+        if ways > config.num_approaches:
+            raise IzooError(
+                f"{context.name} has {len(road.approaches)} approaches and {len(road.exits)} exits, but "
+                f"env.num_approaches is {config.num_approaches}; set it to {ways} or more."
+            )
+        self.config, self.frame = config, frame
+        self.context, self.seed, self.number, self.road, self.traffic = context, seed, number, road, traffic
+        self.steps = 0
+        self._started_s = 0.0
+        self._yielding = 0
+        self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
+        self._demand, self._lanes = demand_arrays(traffic), road_arrays(road)
+        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road)
+        self.tables = empty_tables(config, len(road.lane_ids))
+        with compiling_once(make_frame):
+            self._bind()
+            self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
+
+    def _bind(self) -> None:
+        """Hand the present tables to compiled code."""
+        self.world = hold(self.tables, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return self._started_s + self.steps * self.config.step_s
+
+    @property
+    def over(self) -> bool:
+        """Whether the horizon is reached."""
+        return self.steps >= self.config.control_steps
+
+    @property
+    def members(self) -> np.ndarray:
+        """Rows of the vehicles in the region, ``[n]``, in the order in which they came."""
+        return self.tables.members[: self.tables.cursor[MEMBERS]]
+
+    # The methods below change the tables; they come in the order of a step.
+
+    def enter(self, number: int, accel_mps2: float, counted: bool = True) -> int:
+        """Give a vehicle that has come a row, and a CV a slot; return the row (:func:`izoo.envs.mdp.slots.enter`)."""
+        row = int(enter(self.world, number, accel_mps2, counted))
+        if row < 0:
+            self.tables = grown(self.tables)
+            self._bind()
+            return self.enter(number, accel_mps2, counted)
+        if not counted:
+            # It may be in the junction already, or behind it: the way that it has come is known from its exit.
+            approach, leaving = self.tables.ints[row, APPROACH], self.tables.ints[row, EXIT]
+            way = (self.road.lane_approach == approach) & (self.road.lane_exit == leaving)
+            self.tables.floats[row, JUNCTION_M] = self.road.inside_length_m[way].max(initial=0.0)
+        return row
+
+    def is_agent(self, row: int) -> bool:
+        """Whether the vehicle of a row has an agent slot."""
+        return bool(self.tables.ints[row, AGENT] >= 0)
+
+    def begin(self, reading: Reading, started_s: float) -> None:
+        """Write the first frame, from the positions of those who entered during the warm-up."""
+        self._started_s = started_s
+        make_frame(self.world, reading, started_s, False)
+        self._write_context()
+        for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
+            self.frame[name][:] = 0
+
+    def orders(self) -> Orders:
+        """Return what the frame's actions order for the coming step.
+
+        Raises:
+            IzooError: the episode has ended.
+        """
+        if self.over:
+            raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
+        tables = self.tables
+        commands, releases = give_orders(self.world)
+        return Orders(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases])
+
+    def leave(self, row: int) -> None:
+        """Remove a vehicle that has left the region from the members."""
+        leave(self.world, row)
+
+    def collide(self, row: int) -> None:
+        """Count a collision whose rear vehicle is that of a row."""
+        column = METRIC["collisions_cv" if self.tables.flags[row, IS_CV] else "collisions_hdv"]
+        self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
+        self.tables.episode[EPISODE_METRIC["collisions"]] += 1
+
+    def observe(self, reading: Reading) -> np.ndarray:
+        """Write the frame after a step, from the members' present positions.
+
+        Returns:
+            Rows of agents on a lane that does not lead to their exit: :meth:`give_way` says which of them are slowed.
+        """
+        self.steps += 1
+        make_frame(self.world, reading, self.time_s, True)
+        return self.tables.suspects[: self.tables.cursor[SUSPECTS]]
+
+    def give_way(self, rows: Sequence[int]) -> None:
+        """Say which agents the simulator slows for a lane change; they are left to it in the next step."""
+        if self._yielding:
+            self.tables.flags[:, YIELDING] = 0
+        self.tables.flags[rows, YIELDING] = 1
+        self._yielding = len(rows)
+
+    def finish(self, ending: Ending) -> None:
+        """Truncate everybody who is still there, and complete the metrics."""
+        tables, frame = self.tables, self.frame
+        book_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
+        for name, numbers in ending._asdict().items():
+            np.add.at(tables.sums[:, METRIC[name]], self.traffic.approach[np.asarray(numbers, np.int64)], 1.0)
+        frame["agent_truncated"][:] = frame["mask"]
+        frame["agent_done"][:] |= frame["mask"]
+        frame["truncated"][:] = frame["done"][:] = 1
+        frame["approach_metrics"][:] = tables.sums
+
+    def scene(self) -> Scene:
+        """Return copies of the present state."""
+        tables, rows = self.tables, self.members
+        columns = dict(zip(VEHICLE_FLOATS, tables.floats[rows].T, strict=False))
+        columns |= zip(VEHICLE_INTS, tables.ints[rows].T, strict=False)
+        columns |= zip(VEHICLE_FLAGS, tables.flags[rows].T.astype(bool), strict=False)
+        return Scene(self.context, self.road, self.time_s, columns, self.clock.now.copy(), tables.sums.copy())
+
+    def _write_context(self) -> None:
+        context, frame = self.context, self.frame
+        frame["context_values"][:] = (
+            context.adoption,
+            context.temperature_c,
+            context.humidity_pct,
+            ENGINES.index(context.engine),
+        )
+        frame["context_ids"][:] = (self.number, -1 if context.context_id is None else context.context_id, self.seed)
+        frame["approach_mask"][:] = 0
+        frame["approach_mask"][: len(self.road.approaches)] = 1
+        if "signal" in self.config.emit:
+            p, q = self.clock.now.shape
+            frame["signal_colour"][:], frame["signal_time_left_s"][:] = 2, 0.0
+            frame["signal_colour"][:p, :q], frame["signal_time_left_s"][:p, :q] = self.clock.now, self.clock.time_left_s

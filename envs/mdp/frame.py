@@ -1,0 +1,100 @@
+"""Where every number of a frame lies: one block of memory for any number of environments.
+
+A *frame* is what one environment emits in one step. All arrays of a frame share one buffer, which a worker process
+and its parent both map; the worker writes its row in place and the parent copies what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.observation import observation_columns
+from izoo.envs.mdp.reward import REWARD_VECTOR
+from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+
+METRIC = {name: column for column, name in enumerate(APPROACH_METRICS)}
+EPISODE_METRIC = {name: column for column, name in enumerate(EPISODE_METRICS)}
+TOTALS = "totals"
+"""Array ``[E + P * M]``: the episode's metrics, then those of each approach; also mapped as two arrays."""
+CONTEXT_VALUES = ("adoption", "temperature_c", "humidity_pct", "engine")
+CONTEXT_IDS = ("episode", "context_id", "seed")
+
+
+def observation_names(config: EnvConfig) -> tuple[str, ...]:
+    """Names of the ``F`` columns of ``("agents", "observation")``, in order."""
+    return tuple(column.name for column in observation_columns(config.neighbours, config.observed))
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of a frame: its name, element type and shape for one environment."""
+
+    name: str
+    dtype: np.dtype
+    shape: tuple[int, ...]
+
+
+def frame_fields(config: EnvConfig) -> Iterator[Field]:
+    """Yield the arrays of a frame; the action arrays are written by the parent, all others by the simulator."""
+    a, v, p = config.num_agents, config.num_vehicles, config.num_approaches
+    f = len(observation_names(config))
+    f32, i32, i64, u8 = (np.dtype(t) for t in (np.float32, np.int32, np.int64, np.uint8))
+    yield Field("action", f32, (a,))
+    yield Field("defer", u8, (a,))
+    yield Field("lane_change", i64, (a,))
+    yield Field("observation", f32, (a, f))
+    yield Field("reward", f32, (a,))
+    yield Field("mask", u8, (a,))
+    yield Field("agent_terminated", u8, (a,))
+    yield Field("agent_truncated", u8, (a,))
+    yield Field("agent_done", u8, (a,))
+    yield Field("agent_vehicle", i64, (a,))
+    yield Field("terminated", u8, (1,))
+    yield Field("truncated", u8, (1,))
+    yield Field("done", u8, (1,))
+    yield Field("reward_vector", f32, (a, len(REWARD_VECTOR)))
+    yield Field("vehicle_floats", f32, (v, len(VEHICLE_FLOATS)))
+    yield Field("vehicle_ints", i32, (v, len(VEHICLE_INTS)))
+    yield Field("vehicle_flags", u8, (v, len(VEHICLE_FLAGS)))
+    yield Field("signal_colour", i32, (p, p))
+    yield Field("signal_time_left_s", f32, (p, p))
+    yield Field(TOTALS, f32, (len(EPISODE_METRICS) + p * len(APPROACH_METRICS),))
+    yield Field("approach_mask", u8, (p,))
+    yield Field("context_values", f32, (len(CONTEXT_VALUES),))
+    yield Field("context_ids", i64, (len(CONTEXT_IDS),))  # episode number, context id or -1, seed
+
+
+def frame_bytes(config: EnvConfig, num_envs: int) -> int:
+    """Size of the buffer that holds the frames of ``num_envs`` environments."""
+    return sum(_padded(field, num_envs) for field in frame_fields(config))
+
+
+def map_frames(buffer: Any, config: EnvConfig, num_envs: int) -> dict[str, np.ndarray]:
+    """Return the arrays ``[num_envs, *shape]`` by name, all of them views of ``buffer``."""
+    arrays: dict[str, np.ndarray] = {}
+    offset = 0
+    for field in frame_fields(config):
+        shape = (num_envs, *field.shape)
+        arrays[field.name] = np.ndarray(shape, field.dtype, buffer, offset)
+        offset += _padded(field, num_envs)
+    episode, approach = np.split(arrays[TOTALS], [len(EPISODE_METRICS)], axis=1)
+    arrays["episode_metrics"] = episode
+    arrays["approach_metrics"] = approach.reshape(num_envs, config.num_approaches, len(APPROACH_METRICS))
+    return arrays
+
+
+def row_of(frames: dict[str, np.ndarray], index: int) -> dict[str, np.ndarray]:
+    """Return the arrays of one environment."""
+    return {name: array[index] for name, array in frames.items()}
+
+
+def _padded(field: Field, num_envs: int) -> int:
+    """Bytes of one array, rounded up to cache lines so that rows of different arrays never share one."""
+    size = int(np.prod((num_envs, *field.shape))) * field.dtype.itemsize
+    return -(-size // 64) * 64

@@ -1,0 +1,155 @@
+"""Who drives ahead of whom, and behind: vehicles sorted by lane, searches along routes, leaders."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.motion import ROUTE_LIMIT
+from izoo.envs.mdp.observation import FAR_M
+from izoo.envs.mdp.state import (
+    EXIT,
+    GAP,
+    HAS_LEADER,
+    LANE_POSITION,
+    LEADER_SPEED,
+    LENGTH,
+    PLACE,
+    REGION_LANE,
+    SPEED,
+    TTC,
+)
+from izoo.networks.road import LEAVING
+
+NO_TTC = np.inf
+LONGEST_VEHICLE_M = 30.0
+
+
+@compiled
+def sort_lanes(rows, floats, ints, num_lanes, order, start):  # type: ignore[no-untyped-def]
+    """Fill ``order [n]`` with rows by lane and position, and ``start [num_lanes + 1]`` with where each lane begins."""
+    n = rows.shape[0]
+    count = np.zeros(num_lanes + 1, np.int64)
+    for j in range(n):
+        count[ints[rows[j], REGION_LANE] + 1] += 1
+    start[0] = 0
+    for k in range(num_lanes):
+        start[k + 1] = start[k] + count[k + 1]
+    fill = start[:num_lanes].copy()
+    for j in range(n):
+        r = rows[j]
+        k = ints[r, REGION_LANE]
+        slot = fill[k]
+        # Insertion within the lane: lanes hold few vehicles.
+        while slot > start[k] and floats[order[slot - 1], LANE_POSITION] > floats[r, LANE_POSITION]:
+            order[slot] = order[slot - 1]
+            slot -= 1
+        order[slot] = r
+        fill[k] += 1
+
+
+@compiled(forceinline=True)
+def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped-def]
+    """Return the place in ``order`` of the first vehicle on ``lane`` at or beyond ``position`` (its end if none)."""
+    low, high = start[lane], start[lane + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if floats[order[middle], LANE_POSITION] < position:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@compiled(forceinline=True)
+def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+    """Return who turns off to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
+
+    Of several it is the one whose rear is farthest back; row -1 means that nobody is there. Exits are not looked at:
+    who drives there may have come from elsewhere.
+    """
+    found, nearest = -1, FAR_M
+    for q in range(road.next_lane.shape[1]):
+        beyond, turn = 0.0, road.next_lane[lane, q]
+        while q != exit_ and turn >= 0 and road.lane_location[turn] != LEAVING and beyond < LONGEST_VEHICLE_M:
+            if start[turn] < start[turn + 1]:
+                other = order[start[turn]]
+                behind = beyond + floats[other, LANE_POSITION] - floats[other, LENGTH]
+                if other != me and behind < 0.0:
+                    gap = road.lane_length[lane] - position + behind
+                    if gap < nearest:
+                        found, nearest = other, gap
+                break
+            beyond += road.lane_length[turn]
+            turn = road.next_lane[turn, q]
+    return found, nearest
+
+
+@compiled(forceinline=True)
+def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+    """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
+
+    Whoever turns off to another exit counts until its rear has left ``lane``. ``first`` is the place in ``order`` where
+    the search on ``lane`` begins. The gap in m is from ``position`` to the other's rear bumper. Row -1 means that
+    nobody is there.
+    """
+    if first < start[lane + 1]:
+        other = order[first]
+        return other, floats[other, LANE_POSITION] - floats[other, LENGTH] - position
+    travelled = road.lane_length[lane] - position
+    turning, rear = rear_on(lane, position, exit_, me, floats, order, start, road)
+    for _ in range(ROUTE_LIMIT):
+        lane = road.next_lane[lane, exit_]
+        if lane < 0:
+            break
+        if start[lane] < start[lane + 1]:
+            other = order[start[lane]]
+            if other != me:
+                gap = travelled + floats[other, LANE_POSITION] - floats[other, LENGTH]
+                return (other, gap) if turning < 0 or gap <= rear else (turning, rear)
+        travelled += road.lane_length[lane]
+    return turning, rear
+
+
+@compiled(forceinline=True)
+def find_behind(lane, position, last, length, approach, me, floats, order, start, road):  # type: ignore[no-untyped-def]
+    """Return the row of the first vehicle behind ``position`` along the way from ``approach`` and its gap.
+
+    ``last`` is the place in ``order`` where the search on ``lane`` begins, backwards. The gap in m is from the rear
+    bumper of a vehicle of ``length`` at ``position`` to the other's front bumper.
+    """
+    if last >= start[lane]:
+        other = order[last]
+        return other, position - length - floats[other, LANE_POSITION]
+    travelled = position
+    for _ in range(ROUTE_LIMIT):
+        lane = road.prev_lane[lane, approach]
+        if lane < 0:
+            break
+        if start[lane] < start[lane + 1]:
+            other = order[start[lane + 1] - 1]
+            if other != me:
+                return other, travelled + road.lane_length[lane] - floats[other, LANE_POSITION] - length
+        travelled += road.lane_length[lane]
+    return -1, FAR_M
+
+
+@compiled
+def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore[no-untyped-def]
+    """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s, infinite when not closing."""
+    for k in range(rows.shape[0]):
+        r = order[k]
+        ints[r, PLACE] = k
+        lane, position = ints[r, REGION_LANE], floats[r, LANE_POSITION]
+        leader, gap = find_ahead(lane, position, k + 1, ints[r, EXIT], r, floats, order, start, road)
+        floats[r, TTC] = NO_TTC
+        flags[r, HAS_LEADER] = leader >= 0
+        if leader >= 0:
+            floats[r, GAP] = gap
+            floats[r, LEADER_SPEED] = floats[leader, SPEED]
+            closing = floats[r, SPEED] - floats[leader, SPEED]
+            if closing > 0.0:
+                floats[r, TTC] = max(gap, 0.0) / closing
+        else:
+            floats[r, GAP] = 0.0
+            floats[r, LEADER_SPEED] = 0.0

@@ -1,0 +1,202 @@
+"""What a CV observes: every column declared once, with its name, unit, scale and where it comes from.
+
+An observation is the ego columns, then the neighbour columns of each neighbour that is seen, then the observed context
+features of the ego's movement. Names, specs and the layout page follow from the declarations here, and so does the
+compiled code (:mod:`izoo.envs.mdp.observe`), which holds each value divided by its scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from izoo.contexts.context import ENGINES, Context
+from izoo.contexts.features import BY_NAME, scales
+from izoo.envs.mdp.state import (
+    APPROACH,
+    BLINKER_LEFT,
+    BLINKER_RIGHT,
+    EXIT,
+    LOCATION,
+    MOVEMENT,
+    REGION_LANE,
+    SPEED,
+    STOP_LINE,
+)
+from izoo.networks.clock import GREEN, RED, YELLOW
+from izoo.networks.road import APPROACHING, INSIDE, LEAVING, LEFT, RIGHT, STRAIGHT, RoadNet
+
+FAR_M = 1000.0
+"""Distance of a neighbour that is not there; its speed, blinkers and flag ``present`` are 0."""
+SPEED_SCALE_MPS, DISTANCE_SCALE_M, TIME_SCALE_S = 15.0, 250.0, 100.0
+NEIGHBOURS = ("leader", "follower", "left_leader", "left_follower", "right_leader", "right_follower")
+"""Whom a CV can see: ahead of it and behind it, on its own lane, the one to the left and the one to the right."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the observation.
+
+    Attributes:
+        name: its name; a neighbour's column has the neighbour's name before it.
+        unit: of the value before it is divided by the scale; empty for flags and shares.
+        scale: the observation holds ``value / scale``.
+        value: gives the value; it is compiled. An ego column's is ``value(r, vehicles, road, clock)`` for the vehicle
+            in row ``r`` of the tables ``vehicles`` (``floats``, ``ints``, ``flags``:
+            :mod:`izoo.envs.mdp.state`), the arrays of the road and the state of the signals. A neighbour column's is
+            ``value(other, gap_m, lane_exists, vehicles)``, where row ``other`` is -1 and the gap :data:`FAR_M` if
+            nobody is there.
+        meaning: what a reader needs to know beside that.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    value: Callable[..., float]
+    meaning: str = ""
+
+
+def _speed(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    return vehicles.floats[r, SPEED]
+
+
+def _stop_line(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    return vehicles.floats[r, STOP_LINE]
+
+
+def _lane(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    lane = vehicles.ints[r, REGION_LANE]
+    siblings = road.lane_siblings[lane]
+    return road.lane_index[lane] / (siblings - 1) if siblings > 1 else 0.0
+
+
+def _time_left(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    return clock.time_left_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+
+
+def _second_green(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    return clock.until_second_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+
+
+def _third_green(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+    return clock.until_third_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+
+
+def _located(where: int) -> Callable[..., float]:
+    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+        return 1.0 if vehicles.ints[r, LOCATION] == where else 0.0
+
+    return value
+
+
+def _turning(turn: int) -> Callable[..., float]:
+    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+        return 1.0 if vehicles.ints[r, MOVEMENT] == turn else 0.0
+
+    return value
+
+
+def _shows(colour: int) -> Callable[..., float]:
+    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
+        return 1.0 if clock.now[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]] == colour else 0.0
+
+    return value
+
+
+EGO_COLUMNS = (
+    Column("speed", "m/s", SPEED_SCALE_MPS, _speed),
+    Column("stop_line_distance", "m", DISTANCE_SCALE_M, _stop_line, "negative before the line, 0 in the junction"),
+    Column("location_approaching", "", 1.0, _located(APPROACHING)),
+    Column("location_inside", "", 1.0, _located(INSIDE)),
+    Column("location_leaving", "", 1.0, _located(LEAVING)),
+    Column("lane", "", 1.0, _lane, "0 for the rightmost lane of the edge, 1 for the leftmost"),
+    Column("intention_right", "", 1.0, _turning(RIGHT)),
+    Column("intention_straight", "", 1.0, _turning(STRAIGHT)),
+    Column("intention_left", "", 1.0, _turning(LEFT)),
+    Column("signal_green", "", 1.0, _shows(GREEN), "of the vehicle's own movement, as are those that follow"),
+    Column("signal_yellow", "", 1.0, _shows(YELLOW)),
+    Column("signal_red", "", 1.0, _shows(RED)),
+    Column("signal_time_left", "s", TIME_SCALE_S, _time_left, "until the colour changes"),
+    Column("signal_second_green", "s", TIME_SCALE_S, _second_green, "until the second green; a current one is first"),
+    Column("signal_third_green", "s", TIME_SCALE_S, _third_green, "until the third green"),
+)
+
+
+def _other_speed(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return vehicles.floats[other, SPEED] if other >= 0 else 0.0
+
+
+def _other_distance(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return gap_m
+
+
+def _other_blinker_left(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return float(vehicles.flags[other, BLINKER_LEFT]) if other >= 0 else 0.0
+
+
+def _other_blinker_right(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return float(vehicles.flags[other, BLINKER_RIGHT]) if other >= 0 else 0.0
+
+
+def _other_present(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return 1.0 if other >= 0 else 0.0
+
+
+def _lane_exists(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+    return 1.0 if lane_exists else 0.0
+
+
+NEIGHBOUR_COLUMNS = (
+    Column("speed", "m/s", SPEED_SCALE_MPS, _other_speed),
+    Column("distance", "m", DISTANCE_SCALE_M, _other_distance, f"bumper to bumper; {FAR_M:g} m if nobody is there"),
+    Column("blinker_left", "", 1.0, _other_blinker_left),
+    Column("blinker_right", "", 1.0, _other_blinker_right),
+    Column("present", "", 1.0, _other_present),
+    Column("lane_exists", "", 1.0, _lane_exists),
+)
+
+EGO_FEATURES = tuple(column.name for column in EGO_COLUMNS)
+NEIGHBOUR_FEATURES = tuple(column.name for column in NEIGHBOUR_COLUMNS)
+
+FEATURE_VALUES: dict[str, Callable[[Context, RoadNet], Any]] = {
+    "adoption": lambda context, road: context.adoption,
+    "green_s": lambda context, road: road.clock.green_s,
+    "red_s": lambda context, road: road.clock.red_s,
+    "temperature_c": lambda context, road: context.temperature_c,
+    "humidity_pct": lambda context, road: context.humidity_pct,
+    "engine": lambda context, road: float(ENGINES.index(context.engine)),
+    "lane_count": lambda context, road: road.lane_count[:, None],
+    "lane_length_m": lambda context, road: road.lane_length_m[:, None],
+    "speed_limit_mps": lambda context, road: road.speed_limit_mps[:, None],
+}
+"""Where each observed context feature comes from: what broadcasts to ``[P, Q]``."""
+
+
+def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.ndarray:
+    """Return ``[P, Q, O]`` scaled values of the named features for every movement of the net."""
+    shape = road.movement_turn.shape
+    columns = [np.broadcast_to(np.asarray(FEATURE_VALUES[name](context, road), float), shape) for name in names]
+    if not columns:
+        return np.zeros((*shape, 0))
+    return np.stack(columns, axis=-1) / np.array(scales(names))
+
+
+def observation_columns(neighbours: Sequence[str], observed: Sequence[str]) -> list[Column]:
+    """Return the ``F`` columns of ``("agents", "observation")`` under their full names, in order.
+
+    Args:
+        neighbours: whom a CV sees, of :data:`NEIGHBOURS`.
+        observed: the context features that it observes.
+    """
+    seen = [
+        Column(f"{neighbour}_{column.name}", column.unit, column.scale, column.value, column.meaning)
+        for neighbour in neighbours
+        for column in NEIGHBOUR_COLUMNS
+    ]
+    features = [
+        Column(f"context_{name}", BY_NAME[name].unit, BY_NAME[name].scale, FEATURE_VALUES[name]) for name in observed
+    ]
+    return [*EGO_COLUMNS, *seen, *features]

@@ -1,0 +1,90 @@
+"""The reward in compiled code: the terms of :mod:`izoo.envs.mdp.reward`, summed for every agent that acted."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig, RewardTerm
+
+NUM_TERMS, NUM_SHARED = len(INDIVIDUAL), len(SHARED)
+_MOST = np.array([term.most for term in SHARED.values()], np.float64)
+_NUMBERS = tuple(field.name for field in fields(RewardConfig) if field.name not in TERMS)
+Numbers: Any = namedtuple("Numbers", _NUMBERS)  # type: ignore[misc]
+"""What terms may depend on: the numbers of :class:`~izoo.envs.mdp.reward.RewardConfig` that are no weights."""
+
+
+def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray]:
+    """Return the numbers of a configuration, and the weights of its individual and of its shared terms."""
+    numbers = Numbers(**{name: getattr(config, name) for name in _NUMBERS})
+    individual, shared = ([getattr(config, option) for option in terms] for terms in (INDIVIDUAL, SHARED))
+    return numbers, np.array(individual, np.float64), np.array(shared, np.float64)
+
+
+def _evaluator(terms: Sequence[RewardTerm]) -> Any:
+    """Compile terms into one function that writes their values for a vehicle, a statement for each of them."""
+    names = {f"value_{k}": njit(term.value, inline="always") for k, term in enumerate(terms)}
+    lines = [f"    out[{k}] = value_{k}(r, floats, numbers)" for k in range(len(terms))]
+    exec("\n".join(["def evaluate(r, floats, numbers, out):", *lines, "    return"]), names)
+    return njit(names["evaluate"])
+
+
+_evaluate, _evaluate_shared = _evaluator([*INDIVIDUAL.values()]), _evaluator([*SHARED.values()])
+
+
+@compiled
+def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[no-untyped-def]
+    """Evaluate all terms for the vehicles of ``rows``.
+
+    The fleet means of an empty region are 0, and what is shared there is what it is at most.
+
+    Args:
+        terms: ``[C, NUM_TERMS]`` individual terms, written for ``rows``.
+        fleet: ``[NUM_TERMS]`` output, their means over ``rows``.
+        shared: ``[NUM_SHARED]`` output, the smallest value of each shared term.
+    """
+    fleet[:] = 0.0
+    mine = np.empty(NUM_SHARED)
+    for s in range(NUM_SHARED):
+        shared[s] = _MOST[s]
+    n = rows.shape[0]
+    for j in range(n):
+        r = rows[j]
+        _evaluate(r, floats, numbers, terms[r])
+        _evaluate_shared(r, floats, numbers, mine)
+        for c in range(NUM_TERMS):
+            fleet[c] += terms[r, c]
+        for s in range(NUM_SHARED):
+            shared[s] = min(shared[s], mine[s])
+    if n > 0:
+        for c in range(NUM_TERMS):
+            fleet[c] /= n
+
+
+@compiled
+def pay(acting_row, terms, fleet, shared, numbers, weights, shared_weights, reward, vector, empty):  # type: ignore[no-untyped-def]
+    """Write ``reward [A]`` and ``vector [A, R]`` for every slot that acted; slots that did not (row -1) get 0.
+
+    A leaver's row still holds its last individual terms. In an empty region everybody's reward is 0.
+    """
+    for a in range(acting_row.shape[0]):
+        r = acting_row[a]
+        reward[a] = 0.0
+        vector[a, :] = 0.0
+        if r < 0 or empty:
+            continue
+        total = 0.0
+        for s in range(NUM_SHARED):
+            total += shared_weights[s] * shared[s]
+            vector[a, 2 * NUM_TERMS + s] = shared[s]
+        for c in range(NUM_TERMS):
+            total += weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * terms[r, c])
+            vector[a, c] = terms[r, c]
+            vector[a, NUM_TERMS + c] = fleet[c]
+        reward[a] = total / numbers.scale

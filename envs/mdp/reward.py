@@ -1,0 +1,137 @@
+"""The reward: its terms, each declared once, and their weights.
+
+A term is a field of :class:`RewardConfig` made by :func:`term`: the field's name is the option of its weight, and from
+its declaration follow that option with its default and help, the columns of ``("agents", "reward_vector")``, the specs,
+and the compiled code (:mod:`izoo.envs.mdp.pay`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from izoo.envs.mdp.state import ACCEL, EMISSION, PREV_ACCEL, SPEED, TTC
+from izoo.errors import IzooError, check_range
+
+TTC_CAP_S = 10.0
+_TERM = "reward term"
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """One term of the reward.
+
+    Attributes:
+        name: of its column in the reward vector, with its unit.
+        unit: its unit.
+        value: ``value(r, floats, config) -> float`` for the vehicle in row ``r`` of the tables after the step, where
+            ``config`` holds the numbers of :class:`RewardConfig` that are no weights. It is compiled.
+        most: ``None``: an individual term, with the fleet's mean beside it. A number: a term that all agents share,
+            the smallest value over all vehicles, at most this.
+    """
+
+    name: str
+    unit: str
+    value: Callable[[int, Any, Any], float]
+    most: float | None = None
+
+
+def term(
+    weight: float, name: str, unit: str, value: Callable[[int, Any, Any], float], help: str, most: float | None = None
+) -> Any:
+    """Return a field of :class:`RewardConfig` that holds a term's weight.
+
+    Args:
+        weight: its default.
+        name, unit, value, most: see :class:`RewardTerm`.
+        help: what ``--help`` says of the weight.
+    """
+    return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, most), "help": help})
+
+
+def _speed_mps(r: int, floats: Any, config: Any) -> float:
+    return floats[r, SPEED]
+
+
+def _stopped(r: int, floats: Any, config: Any) -> float:
+    v = floats[r, SPEED]
+    if v >= config.tau_mps:
+        return 0.0
+    return (config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0
+
+
+def _emission_g(r: int, floats: Any, config: Any) -> float:
+    return floats[r, EMISSION]
+
+
+def _comfort(r: int, floats: Any, config: Any) -> float:
+    return -abs(floats[r, ACCEL])
+
+
+def _realism(r: int, floats: Any, config: Any) -> float:
+    return -abs(floats[r, ACCEL] - floats[r, PREV_ACCEL])
+
+
+def _ttc_s(r: int, floats: Any, config: Any) -> float:
+    return floats[r, TTC]
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weights of the reward, ``r_i = (sum of w_k (eta mean_j(x_jk) + (1 - eta) x_ik) + sum of w_s y_s) / scale``.
+
+    ``x_ik`` are the individual terms of vehicle ``i`` after the step: its speed in m/s, whether it is stopped, its CO2
+    in g, comfort ``-|a_t|`` and kinematic realism ``-|a_t - a_{t-1}|`` in m/s^2. The mean is over all vehicles in the
+    region, human-driven ones too. ``y_s`` are terms that all share: the smallest time to collision.
+
+    Attributes:
+        eta: share of the fleet mean; 1 pays every CV the same.
+        tau_mps: below this speed a vehicle counts as stopped.
+        scale: the sum is divided by it.
+        soft_stop: the released code's softened stop term ``(tau - v) / tau`` instead of the paper's indicator.
+    """
+
+    eta: float = 1.0
+    speed: float = term(1.0, "speed_mps", "m/s", _speed_mps, "weight of speed.")
+    alpha: float = term(-35.0, "stopped", "1", _stopped, "weight of stopping.")
+    beta: float = term(-3.0, "emission_g", "g", _emission_g, "weight of emission.")
+    tau_mps: float = 1.0
+    scale: float = 15.0
+    soft_stop: bool = False
+    comfort: float = term(0.0, "comfort", "m/s^2", _comfort, "weight of the comfort term.")
+    realism: float = term(0.0, "realism", "m/s^2", _realism, "weight of the kinematic-realism term.")
+    safety: float = term(
+        0.0,
+        "min_ttc_s",
+        "s",
+        _ttc_s,
+        "weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.",
+        most=TTC_CAP_S,
+    )
+
+    def __post_init__(self) -> None:
+        check_range("reward.eta", self.eta, 0.0, 1.0)
+        check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
+        check_range("reward.scale", self.scale, 1e-6, 1e9)
+        for option in TERMS:
+            if not math.isfinite(getattr(self, option)):
+                raise IzooError(f"reward.{option} is {getattr(self, option)}; give a finite number, 0 to leave it out.")
+
+
+TERMS: dict[str, RewardTerm] = {
+    field.name: field.metadata[_TERM] for field in dataclasses.fields(RewardConfig) if _TERM in field.metadata
+}
+"""All terms by the option of their weight, in the order in which they are added up."""
+INDIVIDUAL = {option: declared for option, declared in TERMS.items() if declared.most is None}
+SHARED = {option: declared for option, declared in TERMS.items() if declared.most is not None}
+REWARD_COLUMNS = tuple(declared.name for declared in INDIVIDUAL.values())
+"""Individual columns of ``("agents", "reward_vector")``."""
+REWARD_VECTOR = (
+    *REWARD_COLUMNS,
+    *(f"fleet_{name}" for name in REWARD_COLUMNS),
+    *(declared.name for declared in SHARED.values()),
+)
+"""All columns of ``("agents", "reward_vector")``: the individual ones, their fleet means, and the shared ones."""

@@ -1,0 +1,54 @@
+"""The signal clock in compiled code."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.networks.clock import NEVER_S, SignalClock
+
+
+class ClockArrays(NamedTuple):
+    """Tables of :class:`~izoo.networks.clock.SignalClock`, and the clock's present state ``[P, Q]``."""
+
+    cycle_s: float
+    offset_s: float
+    phase_begin_s: np.ndarray
+    colour: np.ndarray
+    legal_on_red: np.ndarray
+    change_s: np.ndarray
+    second_green_s: np.ndarray
+    third_green_s: np.ndarray
+    now: np.ndarray
+    time_left_s: np.ndarray
+    until_second_s: np.ndarray
+    until_third_s: np.ndarray
+
+
+def clock_arrays(clock: SignalClock) -> ClockArrays:
+    """Return the arrays of a clock, whose state is still to be read."""
+    shape = clock.colour.shape[:2]
+    tables: dict[str, Any] = {name: getattr(clock, name) for name in ClockArrays._fields[:8]}
+    state: dict[str, Any] = {name: np.zeros(shape) for name in ClockArrays._fields[9:]}
+    return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
+
+
+@compiled
+def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
+    """Evaluate a :class:`ClockArrays` at ``time_s`` for all movements ``[P, Q]``; return the phase.
+
+    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``,
+    at most ``NEVER_S``.
+    """
+    in_cycle = (time_s - clock.offset_s) % clock.cycle_s
+    phase = np.searchsorted(clock.phase_begin_s, in_cycle + 1e-6, side="right") - 1
+    elapsed = in_cycle - clock.phase_begin_s[phase]
+    for p in range(clock.now.shape[0]):
+        for q in range(clock.now.shape[1]):
+            clock.now[p, q] = clock.colour[p, q, phase]
+            clock.time_left_s[p, q] = min(max(clock.change_s[p, q, phase] - elapsed, 0.0), NEVER_S)
+            clock.until_second_s[p, q] = min(max(clock.second_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
+            clock.until_third_s[p, q] = min(max(clock.third_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
+    return phase

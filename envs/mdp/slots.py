@@ -1,0 +1,110 @@
+"""Rows for vehicles and slots for agents, in compiled code.
+
+A vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. What is freed in
+a step is handed out again from the next step on, so that a newcomer never stands in a leaver's place; the lowest free
+number goes first.
+"""
+
+from __future__ import annotations
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.state import (
+    ACCEL,
+    AGENT,
+    APPROACH,
+    COUNTED,
+    ELECTRIC,
+    ENTRY_M,
+    EXIT,
+    FRESH,
+    IS_CV,
+    LENGTH,
+    MOVES_CLASS,
+    NUMBER,
+    PRESENT,
+)
+from izoo.envs.mdp.tally import book_entry
+from izoo.envs.mdp.world import LEAVERS, MEMBERS
+
+_UNSLOTTED = EPISODE_METRIC["unslotted"]
+
+
+@compiled
+def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+    """Give a vehicle that has come a row, and a CV a slot among the agents; return the row, -1 if all are taken.
+
+    A CV that finds no slot, or whose row is not among those emitted, is left to its own driver and counted.
+
+    Args:
+        world: the :class:`~izoo.envs.mdp.world.World`.
+        number: of the vehicle in the episode's demand.
+        accel_mps2: its acceleration in the last step.
+        counted: whether it came while the episode was measured.
+    """
+    tables, demand = world.tables, world.demand
+    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    row, capacity = 0, flags.shape[0]
+    while row < capacity and flags[row, PRESENT]:
+        row += 1
+    if row == capacity:
+        return -1
+    flags[row, :] = 0
+    floats[row, :] = 0.0
+    is_cv, approach = demand.is_cv[number], demand.approach[number]
+    flags[row, PRESENT], flags[row, FRESH] = 1, 1
+    flags[row, IS_CV], flags[row, COUNTED] = is_cv, counted
+    flags[row, ELECTRIC] = is_cv and world.rules.electric
+    floats[row, LENGTH], floats[row, ACCEL] = demand.length_m[number], accel_mps2
+    floats[row, ENTRY_M] = -world.road.lane_length_m[approach]
+    ints[row, NUMBER], ints[row, MOVES_CLASS] = number, demand.moves_class[number]
+    ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
+    ints[row, AGENT] = -1
+    tables.members[tables.cursor[MEMBERS]] = row
+    tables.cursor[MEMBERS] += 1
+    book_entry(row, floats, ints, flags, tables.sums)
+    if is_cv:
+        _give_slot(row, tables, world.rules.num_vehicles)
+    return row
+
+
+@compiled
+def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
+    if row < num_vehicles:
+        for slot in range(tables.agent_row.shape[0]):
+            if tables.agent_row[slot] < 0:
+                tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
+                return
+    tables.episode[_UNSLOTTED] += 1
+
+
+@compiled
+def leave(world, row):  # type: ignore[no-untyped-def]
+    """Remove the vehicle of a row from the members; its row and slot stay taken until the step is concluded."""
+    tables = world.tables
+    kept = 0
+    for j in range(tables.cursor[MEMBERS]):
+        member = tables.members[j]
+        if member != row:
+            tables.members[kept] = member
+            kept += 1
+    tables.cursor[MEMBERS] = kept
+    tables.leavers[tables.cursor[LEAVERS]] = row
+    tables.cursor[LEAVERS] += 1
+
+
+@compiled
+def release(tables, terminated, done):  # type: ignore[no-untyped-def]
+    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done."""
+    for slot in range(terminated.shape[0]):
+        terminated[slot] = 0
+        done[slot] = 0
+    for j in range(tables.cursor[LEAVERS]):
+        row = tables.leavers[j]
+        slot = tables.ints[row, AGENT]
+        tables.flags[row, :] = 0
+        if slot >= 0:
+            tables.agent_row[slot] = -1
+            terminated[slot] = 1
+            done[slot] = 1
+    tables.cursor[LEAVERS] = 0

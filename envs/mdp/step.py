@@ -1,0 +1,203 @@
+"""One step of the MDP in compiled code: orders before the simulator moves, and the next frame after it has.
+
+:func:`make_frame` joins the three parts for a simulator of one environment, which saves two calls per step; one of many
+environments calls :func:`settle` and :func:`conclude` for each of them, and computes CO2 for all of them in between.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.emissions.kernel import emission_rate_kernel
+from izoo.envs.mdp.motion import place
+from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
+from izoo.envs.mdp.observe import observe
+from izoo.envs.mdp.orders import plan_commands
+from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms
+from izoo.envs.mdp.signals import read_clock
+from izoo.envs.mdp.slots import release
+from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
+from izoo.envs.mdp.tally import account, sum_episode
+from izoo.envs.mdp.world import MEMBERS, PHASE, SUSPECTS
+
+
+@compiled
+def give_orders(world):  # type: ignore[no-untyped-def]
+    """Turn the frame's actions into orders for the coming step; return how many commands and releases there are."""
+    tables, frame = world.tables, world.frame
+    for a in range(tables.agent_row.shape[0]):
+        tables.acting[a] = tables.agent_row[a]
+    return plan_commands(
+        tables.agent_row,
+        frame.action,
+        frame.defer,
+        world.rules.step_s,
+        tables.floats,
+        tables.ints,
+        tables.flags,
+        tables.sums,
+        tables.command,
+        tables.release,
+        tables.target_mps,
+    )
+
+
+@compiled
+def settle(world, reading):  # type: ignore[no-untyped-def]
+    """Write where the members are into the tables, sort them, and find their leaders.
+
+    Args:
+        world: the :class:`~izoo.envs.mdp.world.World`.
+        reading: tuple of ``[n]`` arrays, in the order of the members: region lane, lane position in m, speed in m/s,
+            signal bits.
+    """
+    tables, road = world.tables, world.road
+    rows = tables.members[: tables.cursor[MEMBERS]]
+    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    lane, position, speed, signals = reading
+    place(rows, lane, position, speed, signals, floats, ints, flags, road, world.rules.step_s)
+    sort_lanes(rows, floats, ints, tables.lane_start.shape[0] - 1, tables.order, tables.lane_start)
+    find_leaders(rows, floats, ints, flags, tables.order, tables.lane_start, road)
+
+
+@compiled
+def emit_co2(world):  # type: ignore[no-untyped-def]
+    """Write each member's CO2 of the step in g; electric CVs emit nothing."""
+    tables, rules = world.tables, world.rules
+    rows = tables.members[: tables.cursor[MEMBERS]]
+    changed = np.empty(rows.shape[0], np.int64)
+    n = 0
+    for r in rows:
+        if not tables.flags[r, STEADY]:
+            changed[n] = r
+            n += 1
+    inputs = np.empty((3, n), np.float32)
+    classes = np.empty(n, np.int64)
+    active = np.empty(n, np.uint8)
+    rate = np.empty(n, np.float32)
+    for j in range(n):
+        r = changed[j]
+        inputs[0, j] = tables.floats[r, SPEED]
+        inputs[1, j] = tables.floats[r, ACCEL]
+        inputs[2, j] = tables.floats[r, GRADE]
+        classes[j] = tables.ints[r, MOVES_CLASS]
+        active[j] = tables.flags[r, ELECTRIC] == 0
+    emission_rate_kernel(
+        inputs[0], inputs[1], inputs[2], classes, active, rules.temperature_c, rules.humidity_pct, world.surrogate, rate
+    )
+    for j in range(n):
+        tables.floats[changed[j], EMISSION] = rate[j] * rules.step_s
+
+
+@compiled
+def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
+    """Count the step, pay the agents, and write the next frame.
+
+    Args:
+        world: the :class:`~izoo.envs.mdp.world.World`, settled, with the members' CO2.
+        time_s: simulated time after the step.
+        measured: whether the step counts (the first frame of an episode does not).
+    """
+    tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame
+    rows = tables.members[: tables.cursor[MEMBERS]]
+    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    if measured:
+        phase = tables.cursor[PHASE]
+        before, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
+        account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
+    tables.cursor[PHASE] = read_clock(time_s, clock)
+    fleet, shared = np.empty(NUM_TERMS), np.empty(NUM_SHARED)
+    reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared)
+    pay(
+        tables.acting,
+        tables.terms,
+        fleet,
+        shared,
+        rules.reward,
+        rules.weights,
+        rules.shared_weights,
+        out.reward,
+        out.reward_vector,
+        rows.shape[0] == 0,
+    )
+    release(tables, out.agent_terminated, out.agent_done)
+    observe(
+        tables.agent_row,
+        tables,
+        world.road,
+        clock,
+        rules.features,
+        rules.neighbours,
+        rules.sensor_range_m,
+        out.observation,
+    )
+    if measured:
+        sum_episode(rows, tables.acting, floats, ints, flags, out.reward, rules.step_s, tables.sums, tables.episode)
+    _emit(world)
+    _find_suspects(rows, tables)
+
+
+@compiled
+def make_frame(world, reading, time_s, measured):  # type: ignore[no-untyped-def]
+    """Turn what a simulator reported into the next frame: :func:`settle`, :func:`emit_co2`, :func:`conclude`."""
+    settle(world, reading)
+    emit_co2(world)
+    conclude(world, time_s, measured)
+
+
+@compiled
+def _find_suspects(rows, tables):  # type: ignore[no-untyped-def]
+    """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
+    count = 0
+    for r in rows:
+        if tables.flags[r, WRONG_LANE] and tables.ints[r, AGENT] >= 0:
+            tables.suspects[count] = r
+            count += 1
+    tables.cursor[SUSPECTS] = count
+
+
+@compiled
+def _emit(world):  # type: ignore[no-untyped-def]
+    """Copy to the frame what its groups hold."""
+    tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame
+    for a in range(tables.agent_row.shape[0]):
+        out.mask[a] = tables.agent_row[a] >= 0
+        out.agent_vehicle[a] = max(tables.agent_row[a], 0)
+    if rules.emit_vehicles:
+        emit_vehicles(tables.floats, tables.ints, tables.flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
+    if rules.emit_signal:
+        _copy_into(out.signal_colour, clock.now)
+        _copy_into(out.signal_time_left_s, clock.time_left_s)
+    for k in range(tables.episode.shape[0]):
+        out.episode_metrics[k] = tables.episode[k]
+    if rules.emit_metrics:
+        _copy_into(out.approach_metrics, tables.sums)
+
+
+@compiled
+def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type: ignore[no-untyped-def]
+    """Copy the emitted columns of the first ``V`` rows; rows without a vehicle are zero."""
+    for v in range(floats_out.shape[0]):
+        if v < flags.shape[0] and flags[v, PRESENT]:
+            for c in range(floats_out.shape[1]):
+                floats_out[v, c] = floats[v, c]
+            for c in range(ints_out.shape[1]):
+                ints_out[v, c] = ints[v, c]
+            for c in range(flags_out.shape[1]):
+                flags_out[v, c] = flags[v, c]
+        else:
+            floats_out[v, :] = 0.0
+            ints_out[v, :] = 0
+            flags_out[v, :] = 0
+
+
+@compiled
+def _copy_into(target, source):  # type: ignore[no-untyped-def]
+    """Copy a table to the upper left corner of one that is no smaller.
+
+    A slice assignment would compile the text of an error message that never comes: 2 s each.
+    """
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]

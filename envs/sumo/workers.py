@@ -1,0 +1,163 @@
+"""Several environments on SUMO at once: a process each, frames in memory that all share, one wait per step."""
+
+from __future__ import annotations
+
+import logging
+import mmap
+import os
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+
+from izoo.emissions.weights import load_weights
+from izoo.envs.backend import Play, scene_from_frame
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.scene import Scene
+from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
+from izoo.errors import IzooError
+
+_log = logging.getLogger("izoo")
+
+
+class SumoWorkers:
+    """A :class:`~izoo.envs.backend.Backend` of ``N`` environments, each simulated by a process of its own.
+
+    The parent stays awake for its workers only where it has a core for that. A worker that dies or hangs is replaced
+    alone; the others do not notice. Workers start with their first episode.
+
+    Args:
+        config: the environments' settings.
+        num_workers: ``N``.
+        awake: stay awake for them, where there is a core for that.
+
+    Attributes:
+        frames: the arrays ``[N, ...]`` that workers and parent share.
+        restarts: how many workers were replaced because they were lost.
+    """
+
+    def __init__(self, config: EnvConfig, num_workers: int, awake: bool = True) -> None:
+        if num_workers < 1:
+            raise IzooError(f"num_workers is {num_workers}; one worker or more is needed.")
+        self.config, self.num_workers, self.restarts = config, num_workers, 0
+        self._memory = shared_memory_file(frame_bytes(config, num_workers))
+        self.frames = map_frames(mmap.mmap(self._memory, 0), config, num_workers)
+        self._workers: list[Worker | None] = [None] * num_workers
+        self._plays: list[Play | None] = [None] * num_workers
+        self._awake_s = [AWAKE_S * (awake and stays_awake(index, num_workers)) for index in range(num_workers)]
+        self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
+
+    @property
+    def started(self) -> bool:
+        """Whether every environment has begun an episode."""
+        return self._finalizer.alive and None not in self._plays
+
+    def _worker(self, index: int) -> Worker:
+        worker = self._workers[index]
+        if worker is not None and worker.episodes >= self.config.recycle_episodes:
+            worker.close()
+            worker = None
+        if worker is None:
+            setup = (self.config, index, self.num_workers, load_weights())
+            worker = self._workers[index] = Worker(self._memory, setup, self.config.watchdog_s)
+        return worker
+
+    def begin(self, plays: Mapping[int, Play]) -> None:
+        """Begin episodes side by side; a worker that is lost meanwhile gets a second try."""
+        if not self._finalizer.alive:
+            raise IzooError("this environment is closed; make another one.")
+        for attempt in range(2):
+            lost: dict[int, WorkerLost] = {}
+            try:
+                for index, play in plays.items():
+                    self._plays[index] = None
+                    try:
+                        self._worker(index).begin(play)
+                    except WorkerLost as error:
+                        lost[index] = error
+                self._collect([index for index in plays if index not in lost], lost)
+            except BaseException:
+                self._end_busy()
+                raise
+            for index in plays.keys() - lost.keys():
+                self._plays[index] = plays[index]
+            for index, reason in lost.items():
+                self._replace(index, reason)
+            for index, reason in lost.items():
+                if attempt == 1:
+                    number = plays[index].number
+                    raise RuntimeError(f"worker {index} was lost twice while starting episode {number}: {reason}")
+            plays = {index: plays[index] for index in lost}
+
+    def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
+        """Simulate one step of every environment; return those whose worker was lost."""
+        lost: dict[int, WorkerLost] = {}
+        waiting: list[int] = []
+        try:
+            # The first is asked last: it may have to wait for this core, which is given up with the first wait.
+            for index in reversed(range(self.num_workers)):
+                try:
+                    self._workers[index].step()  # type: ignore[union-attr]
+                    waiting.insert(0, index)
+                except WorkerLost as error:
+                    lost[index] = error
+            self._collect(waiting, lost, meanwhile)
+        except BaseException:
+            self._end_busy()
+            raise
+        for index, reason in lost.items():
+            self._replace(index, reason)
+        return tuple(lost)
+
+    def _end_busy(self) -> None:
+        """End the workers that still owe an answer where a step or reset breaks off, as at Ctrl-C."""
+        for index, worker in enumerate(self._workers):
+            if worker is not None and worker.busy:
+                worker.kill()
+                self._workers[index] = self._plays[index] = None
+
+    def _collect(
+        self, waiting: list[int], lost: dict[int, WorkerLost], meanwhile: Callable[[], None] | None = None
+    ) -> None:
+        """Wait for every worker, also when one of them fails; then raise the first failure."""
+        failures: list[Exception] = []
+        for index in waiting:
+            try:
+                self._workers[index].wait(self._awake_s[index], meanwhile)  # type: ignore[union-attr]
+            except WorkerLost as error:
+                lost[index] = error
+            except (IzooError, RuntimeError) as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
+
+    def _replace(self, index: int, reason: Exception) -> None:
+        _log.warning("simulation worker %d is replaced: %s", index, reason)
+        worker = self._workers[index]
+        if worker is not None:
+            worker.kill()
+        self._workers[index] = None
+        self.restarts += 1
+        self._worker(index)
+
+    def scene(self, index: int = 0) -> Scene:
+        """Return the present state of an environment, from its frame."""
+        play = self._plays[index]
+        if play is None:
+            raise IzooError("no episode has begun; call reset() first.")
+        return scene_from_frame(self.config, play.context, row_of(self.frames, index))
+
+    def close(self) -> None:
+        """End all workers."""
+        self._finalizer()
+        self._plays[:] = [None] * self.num_workers
+
+
+def _close(workers: list[Worker | None], memory: int) -> None:
+    for worker in workers:
+        if worker is not None:
+            worker.dismiss()
+    for index, worker in enumerate(workers):
+        if worker is not None:
+            worker.close()
+            workers[index] = None
+    os.close(memory)

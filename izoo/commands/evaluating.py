@@ -1,0 +1,122 @@
+"""What ``python -m izoo.evaluate`` does once its options are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from izoo.conf.context_choices import ContextsConfig
+from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.conf.mapping import to_mapping
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.evaluation.playing import Policy
+from izoo.evaluation.policies import as_candidate
+from izoo.evaluation.runner import evaluate_policy
+from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+from izoo.evaluation.show import print_summary
+from izoo.evaluation.summary import summarise
+from izoo.training import checkpoint, runs
+
+EPISODE_LENGTH = ("horizon_s", "warmup_s")
+"""Settings that training may shorten; evaluations play full episodes unless these options are given."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is evaluated, and on what: resolved options."""
+
+    name: str
+    policy: Policy
+    contexts: ContextsConfig
+    env: EnvConfig
+    folder: Path
+    source: str | Path
+
+
+def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Evaluate as ``config`` says, print the summary, and return the folder of the results.
+
+    Args:
+        config: the options.
+        given: names of the options that were written on the command line; matters where a run is given.
+    """
+    subject = resolve(config, given)
+    contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
+    print(f"Evaluating {subject.name}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
+    table = evaluate_policy(
+        subject.policy,
+        contexts,
+        seeds,
+        subject.env,
+        num_workers=config.num_workers,
+        executor=config.executor,
+        out_dir=out,
+        name=subject.name,
+        uncommanded=config.uncommanded,
+        cache=config.cache,
+        source=subject.source,
+    )
+    print_summary(summarise(table))
+    print(f"Results: {out}", flush=True)
+    return out
+
+
+def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
+    """Return what to evaluate.
+
+    Raises:
+        IzooError: neither or both of ``run`` and ``policy``, or a run that observes something else than ``env`` says.
+    """
+    if (config.run is None) == (config.policy is None):
+        raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
+    if config.policy is not None:
+        name = config.policy.rpartition(":")[2]
+        policy = as_candidate(config.policy, config.env, name).policy
+        return Subject(name, policy, config.contexts, config.env, Path.cwd(), config.policy)
+    path = checkpoint.find(Path(config.run or ""), config.checkpoint)
+    folder = checkpoint.run_of(path)
+    algorithm, trained, _ = runs.load_algorithm(path)
+    full = {name: getattr(EnvConfig(), name) for name in EPISODE_LENGTH}
+    env = merge_env(dataclasses.replace(trained.env, **full), config.env, given)
+    there, given_names = observation_names(trained.env), observation_names(env)
+    if there != given_names:
+        changed = [f"+{name}" for name in given_names if name not in there]
+        changed += [f"-{name}" for name in there if name not in given_names]
+        raise IzooError(
+            f"the run {folder} was trained on other observations than the env options describe "
+            f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
+        )
+    own = not any(name.split(".")[0] == "contexts" for name in given)
+    contexts = trained.contexts if own else config.contexts
+    name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
+    return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
+
+
+def merge_env(trained: EnvConfig, chosen: EnvConfig, given: frozenset[str]) -> EnvConfig:
+    """Return the environment ``trained`` with the ``env`` options that were given, those of its groups one by one."""
+    merged: Any = trained
+    for path in sorted(name.split(".")[1:] for name in given if name.startswith("env.")):
+        merged = _with_option(merged, chosen, path)
+    return merged
+
+
+def _with_option(base: Any, chosen: Any, path: list[str]) -> Any:
+    """Return the dataclass ``base`` with the option at ``path`` taken from ``chosen``."""
+    name, *rest = path
+    value = getattr(chosen, name)
+    return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
+
+
+def _label(subject: Subject, config: EvaluateConfig) -> str:
+    """Name a folder after what decides its content, so that the same command goes on where it stopped."""
+    parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed]
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
+    return f"{subject.contexts.name}-{digest}"

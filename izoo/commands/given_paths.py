@@ -1,0 +1,85 @@
+"""Paths on the command line that cannot be used are refused here, before anything slow is imported."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo.algos.registry import DRIVER_NAMES
+from izoo.contexts.cities.rebuilt import city_name
+from izoo.errors import IzooError, unknown_choice
+from izoo.files import check_folder
+from izoo.training import checkpoint
+
+if TYPE_CHECKING:
+    from izoo.conf.evaluate_options import EvaluateConfig
+    from izoo.conf.report_options import ReportConfig
+    from izoo.conf.train_options import CollectConfig, TrainConfig
+
+RESULTS = "give one that izoo.evaluate, izoo.train or a benchmark has written"
+
+
+def check_train(config: TrainConfig) -> None:
+    """Refuse a folder to resume that is not a run, or contexts in a folder that is not there."""
+    if config.resume is not None:
+        _check_run(Path(config.resume))
+    else:
+        _check_contexts(config.contexts)
+
+
+def check_evaluate(config: EvaluateConfig) -> None:
+    """Refuse a run without the checkpoint, a module that is not installed, or contexts in a missing folder."""
+    if config.run is not None:
+        checkpoint.find(Path(config.run), config.checkpoint)
+    elif config.policy is not None and ":" in config.policy:
+        _check_module(config.policy)
+    _check_contexts(config.contexts)
+
+
+def check_collect(config: CollectConfig) -> None:
+    """Refuse a missing ``out``, a policy that is neither a driver nor a run, or contexts in a missing folder."""
+    if config.out is None:
+        raise IzooError("out is missing; name a new folder for the data: out=DIR.")
+    # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
+    drivers = [name for name in DRIVER_NAMES if name != "human"]
+    if config.policy not in drivers and not Path(config.policy).expanduser().exists():
+        error = unknown_choice("policy", config.policy, drivers)
+        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
+    _check_contexts(config.contexts)
+
+
+def check_benchmark(config: Any) -> None:
+    """Refuse places for training and testing that are neither a folder nor a city."""
+    for name in ("train", "test"):
+        place = getattr(config, name)
+        if place is not None and not Path(place).is_dir():
+            if Path(place).is_absolute():
+                raise IzooError(f"{name}={place} is no folder; give one of intersections, or one of the ten cities.")
+            city_name(place)
+
+
+def check_report(config: ReportConfig) -> None:
+    """Refuse results that are not a folder."""
+    check_folder(Path(str(config.results)).expanduser(), RESULTS)
+
+
+def _check_contexts(contexts: Any) -> None:
+    """Let contexts that lie in a folder check it; others have nothing to check."""
+    check = getattr(contexts, "check", None)
+    if check is not None:
+        check()
+
+
+def _check_run(folder: Path) -> None:
+    if not folder.exists():
+        raise IzooError(f"{folder} does not exist; give the folder of a training run.")
+
+
+def _check_module(policy: str) -> None:
+    """Refuse a policy of a package that is not there; what lies inside it is imported later."""
+    package = policy.partition(":")[0].partition(".")[0]
+    if package.isidentifier() and importlib.util.find_spec(package) is None:
+        raise IzooError(
+            f"policy={policy}: there is no module {package!r} here; install it, or add its folder to PYTHONPATH."
+        )

@@ -1,0 +1,113 @@
+"""What ``python -m izoo.leaderboard`` does: check leaderboard files, and merge them into one."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from izoo import __version__
+from izoo.commands.subcommands import Subcommand, SubcommandCommand
+from izoo.errors import IzooError
+from izoo.files import os_reason, write_json
+
+EXIT_MARKED = 1
+
+
+def _validate_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", type=Path, nargs="+", help="submissions, or folders that hold some (*.json)")
+
+
+def _validate(options: argparse.Namespace) -> int:
+    """Say what is wrong with each file; return 1 where something was found to mark."""
+    checked = _checked(options.files)
+    for item in checked:
+        _print_checked(item)
+    return EXIT_MARKED if any(item.marks for item in checked) else 0
+
+
+def _merge_arguments(parser: argparse.ArgumentParser) -> None:
+    _validate_arguments(parser)
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file")
+
+
+def _merge(options: argparse.Namespace) -> None:
+    checked = _checked(options.files)
+    from izoo.reporting import submissions
+
+    merged = submissions.merge(checked)
+    try:
+        write_json(options.out, merged)
+    except OSError as error:
+        raise IzooError(f"cannot write {options.out}: {os_reason(error)}; choose another file with --out.") from error
+    _print_leaderboard(merged)
+    print(f"Leaderboard: {options.out}", flush=True)
+
+
+def _checked(files: Sequence[Path]) -> list[Any]:
+    print(f"izoo {__version__} leaderboard", flush=True)
+    paths = _submissions(files)
+    from izoo.evaluation.provenance import versions
+    from izoo.reporting import submissions
+
+    reference = versions()
+    return [submissions.check(submissions.read_submission(path), str(path), reference) for path in paths]
+
+
+def _submissions(paths: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob("*.json")) if path.is_dir() else [path]
+        if not inside:
+            raise IzooError(f"{path} holds no leaderboard file; a benchmark writes them into leaderboard/.")
+        if not inside[0].exists():
+            raise IzooError(f"{path} does not exist; give leaderboard files, or folders that hold some.")
+        found += inside
+    return found
+
+
+def _print_checked(item: Any) -> None:
+    print(f"{item.source}: " + ("marked" if item.marks else "in order"))
+    for word, texts in (("mark", item.marks), ("note", item.notes)):
+        for text in texts:
+            print(f"  {word}: {text}")
+
+
+def _print_leaderboard(merged: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from izoo.evaluation.show import percent
+    from izoo.reporting.submissions import headline
+
+    console = Console()
+    for group in merged["groups"]:
+        protocol = group["protocol"]
+        title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
+        table = Table(title=title, title_justify="left")
+        for column in ("rank", "policy", "mean benefit, exact gate", "approaches", "training seeds"):
+            table.add_column(column, justify="left" if column == "policy" else "right")
+        for line in [*group["ranked"], *group["marked"]]:
+            n = line["n"]
+            table.add_row(
+                str(line.get("rank", "-")),
+                line["policy"]["name"],
+                percent(headline(line)),
+                str(n["approaches"]),
+                str(n["train_seeds"]),
+            )
+        console.print(table)
+        for line in [*group["ranked"], *group["marked"]]:
+            for text in [*line["marks"], *line["notes"]]:
+                console.print(f"  {line['policy']['name']} ({line['source']}): {text}", highlight=False, soft_wrap=True)
+
+
+LEADERBOARD = SubcommandCommand(
+    "leaderboard",
+    "Check and merge leaderboard files.",
+    (
+        Subcommand("validate", "say what is wrong with each file", _validate_arguments, _validate),
+        Subcommand("merge", "rank the files, by protocol", _merge_arguments, _merge),
+    ),
+)

@@ -1,0 +1,172 @@
+"""Commands whose options are written ``option=value``: the first line, options, help, and sweeps over several values.
+
+This module imports nothing heavy, so that a command says something at once; PyTorch and SUMO follow.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pkgutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from izoo import __version__
+from izoo.commands.help_page import help_text, to_yaml
+from izoo.console import EXIT_BAD_INPUT, exit_code, stop_requested, unheard
+from izoo.errors import IzooError, unknown_choice
+
+FOLDERS = ("run_dir", "out")
+"""Options that name where a command's results go."""
+FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
+
+
+@dataclass(frozen=True)
+class OptionCommand:
+    """A command ``python -m izoo.<name>``.
+
+    Attributes:
+        name: also the name of its YAML file in ``izoo/conf``, where its options have choices.
+        summary: one sentence for ``--help``.
+        examples: command lines for ``--help``, without ``python -m``.
+        config: ``module:name`` of the dataclass of the options.
+        work: ``module:name`` of what does the work: called with the options and the set of the names of those that were
+            written on the command line, once they are known to be good.
+        check: ``module:name`` of what refuses paths that cannot be used, called with the options before ``work`` is
+            imported; it imports nothing slow.
+        place: an option that is given without its name, as in ``izoo.report FOLDER``.
+        literal: options whose values are taken as they are written, whatever signs they hold.
+    """
+
+    name: str
+    summary: str
+    examples: tuple[str, ...]
+    config: str
+    work: str
+    check: str | None = None
+    place: str | None = None
+    literal: tuple[str, ...] = ()
+
+    def main(self, argv: Sequence[str] | None = None) -> int:
+        """Run the command and return its exit code: 0, 2 for input that cannot be used, 130 when it was stopped."""
+        words = list(sys.argv[1:] if argv is None else argv)
+        # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
+        os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+        os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
+        return exit_code(self.name, lambda: self._run(words))
+
+    def config_class(self) -> type:
+        """Import and return the dataclass of the options."""
+        return pkgutil.resolve_name(self.config)
+
+    def options(self, words: Sequence[str]) -> list[str]:
+        """Return words that are no flags as ``option=value``.
+
+        Raises:
+            IzooError: words without a name, and not one for the option that is given so.
+        """
+        if self.place is not None:
+            # Folders may contain "=": what exists is a folder.
+            nameless = [word for word in words if "=" not in word or Path(word).exists()]
+            if len(nameless) != 1:
+                what = self.place.upper()
+                raise IzooError(f"give one folder {what}, not {len(nameless)}: python -m izoo.{self.name} {what}.")
+            words = [f"{self.place}={word}" if word in nameless else word for word in words]
+        return [_quoted(word) if word.partition("=")[0] in self.literal else word for word in words]
+
+    def _run(self, words: Sequence[str]) -> int:
+        print(f"izoo {__version__} {self.name}", flush=True)
+        flags = [word for word in words if word.startswith("-")]
+        for flag in flags:
+            if flag not in FLAGS:
+                raise unknown_choice("flag", flag, FLAGS)
+        if "--version" in flags:
+            return 0
+        config_class = self.config_class()
+        from izoo.conf import compose
+
+        if "--help" in flags or "-h" in flags:
+            print(help_text(self, config_class, compose.choices()))
+            return 0
+        options = self.options([word for word in words if not word.startswith("-")])
+        if "-m" in flags or "--multirun" in flags:
+            return _multirun(self, config_class, options)
+        config: Any = compose.compose_config(self.name, config_class, options)
+        if "--cfg" in flags:
+            print(to_yaml(config), end="")
+            return 0
+        self._check(config)
+        with unheard():
+            self._work(config, _given(options))
+        return 0
+
+    def _check(self, config: Any) -> None:
+        if self.check is not None:
+            pkgutil.resolve_name(self.check)(config)
+
+    def _work(self, config: Any, given: frozenset[str]) -> None:
+        pkgutil.resolve_name(self.work)(config, given)
+
+
+def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]) -> int:
+    """Run once for each combination, through Hydra's launcher; the first bad input stops the sweep."""
+    import hydra
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import DictConfig
+
+    from izoo.conf import compose
+
+    overrides = compose.parse(options, multirun=True)
+    compose.register(command.name, config_class)
+    compose.check_names(command.name, overrides)
+    combinations: list[Any] = compose.check_combinations(command.name, config_class, overrides)
+    given = _given(options)
+    for name in FOLDERS:
+        folders = [folder for config in combinations if (folder := getattr(config, name, None)) is not None]
+        if len(set(folders)) < len(folders):
+            raise IzooError(
+                f"{len(folders)} runs would share the folder {folders[0]}; make {name} differ by an option that does, "
+                f"as in {name}='{folders[0]}/${{seed}}'."
+            )
+    for config in combinations:
+        command._check(config)
+    stop_requested.clear()
+
+    def job(composed: DictConfig) -> None:
+        try:
+            config: Any = compose.to_dataclass(composed, config_class)
+            if getattr(config, "run_dir", "") is None:
+                output = HydraConfig.get().runtime.output_dir
+                config = dataclasses.replace(config, run_dir=output)
+            compose.clear()  # the work may compose options, too
+            with unheard():
+                command._work(config, given)
+        except IzooError as error:
+            print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
+            raise SystemExit(EXIT_BAD_INPUT) from None
+        if stop_requested.is_set():
+            raise KeyboardInterrupt
+
+    compose.clear()
+    arguments = sys.argv
+    sys.argv = [command.name, *(override.input_line or "" for override in overrides), "--multirun"]
+    try:
+        hydra.main(version_base="1.3", config_path=f"pkg://{compose.CONFIG_MODULE}", config_name=command.name)(job)()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    finally:
+        sys.argv = arguments
+    return 0
+
+
+def _given(options: Sequence[str]) -> frozenset[str]:
+    return frozenset(word.partition("=")[0].lstrip("+~") for word in options)
+
+
+def _quoted(word: str) -> str:
+    name, _, value = word.partition("=")
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return word if value == "null" else f"{name}='{escaped}'"

@@ -1,0 +1,111 @@
+"""How functions are compiled: once per version of the sources, by one process at a time.
+
+numba's cache looks at the file of the function that was called, not at those of the functions and constants that were
+compiled into it. So compiled code lies in a folder that is named by a digest of all these sources: what was compiled
+from others is never found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.util
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import filelock
+import numba
+
+from izoo.files import cache_root
+
+SOURCES = {
+    "izoo.algos": ("acting.py",),
+    "izoo.contexts": ("features.py",),
+    "izoo.emissions": ("*.py",),
+    "izoo.envs": ("config.py", "mdp/*.py", "twin/*.py"),
+    "izoo.metrics": ("definitions.py",),
+    "izoo.networks": ("clock.py", "road.py"),
+}
+"""Files whose functions are compiled, or whose constants are compiled into them, by their package."""
+_PATIENCE_S = 120.0
+MESSAGE = "Compiling the environment: ten to thirty seconds, once per installation."
+
+
+def sources() -> list[Path]:
+    """Return the files that compiled code and its constants come from."""
+    found = []
+    for package, patterns in SOURCES.items():
+        spec = importlib.util.find_spec(package)
+        for folder in (spec.submodule_search_locations or ()) if spec else ():
+            found += [path for pattern in patterns for path in sorted(Path(folder).glob(pattern))]
+    return found
+
+
+@functools.cache
+def folder() -> Path:
+    """Return where compiled code of the present sources lies: beside this file, or else in the user's cache.
+
+    Folders of older sources beside this file are removed.
+    """
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources())).hexdigest()[:16]
+    beside = Path(__file__).parent / "__pycache__"
+    here = beside / f"compiled-{digest}"
+    try:
+        here.mkdir(parents=True, exist_ok=True)
+        (here / "writable").touch()
+    except OSError:
+        return cache_root() / here.name
+    for old in beside.glob("compiled-*"):
+        if old != here:
+            shutil.rmtree(old, ignore_errors=True)
+    return here
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """``numba.njit`` with a cache on disk, in :func:`folder` unless ``NUMBA_CACHE_DIR`` says where."""
+    if function is None:
+        return functools.partial(compiled, **options)
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = before or str(folder())
+    try:
+        return numba.njit(cache=True, **options)(function)
+    finally:
+        settings.CACHE_DIR = before
+
+
+@contextlib.contextmanager
+def compiling_once(kernel: Any) -> Iterator[None]:
+    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
+
+    Where files cannot be locked, everybody compiles. A kernel from another machine, which numba will not use, is not
+    recognised as such.
+
+    Args:
+        kernel: numba's dispatcher, called for the first time within the context.
+    """
+    where, name = Path(kernel.stats.cache_path), kernel.py_func.__qualname__
+    version = "".join(map(str, sys.version_info[:2]))
+
+    def is_there() -> bool:
+        return bool(kernel.signatures) or any(where.glob(f"*.{name}-*.py{version}*.nbi"))
+
+    if is_there():
+        yield
+        return
+    lock = filelock.FileLock(where / f"{name}.lock")
+    with contextlib.suppress(OSError, NotImplementedError, filelock.Timeout):
+        lock.acquire(_PATIENCE_S)
+    try:
+        if is_there():
+            lock.release()
+        else:
+            with contextlib.suppress(OSError):  # nobody may read it
+                print(MESSAGE, file=sys.stderr)
+        yield
+    finally:
+        lock.release()

@@ -1,0 +1,65 @@
+"""Options of ``python -m izoo.evaluate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from izoo.algos.registry import DRIVER_NAMES
+from izoo.conf.built_in import CityContexts
+from izoo.conf.context_choices import ContextsConfig
+from izoo.envs.config import EnvConfig
+from izoo.errors import check_choice, check_range
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Options of an evaluation.
+
+    Attributes:
+        run: folder of a training run, or one of its checkpoint files.
+        checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
+        policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``random``, ``glide``), or
+            ``module:function``.
+        contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
+        env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
+            length of an episode and its warm-up, which training may shorten and which are full here unless given.
+        num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
+        seeds: paired episodes per context; 3 or more for the tested gate to mean something.
+        seed: base of the episode seeds and of the drawn contexts.
+        out: folder of the results; an evaluation that was interrupted goes on there. null: a folder named after the
+            options, in ``evaluations`` of the run's folder or of the current one.
+        num_workers: worker processes, each with one simulator.
+        executor: where they are: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS
+            names, or else one on this machine).
+        uncommanded: also play the controlled vehicles that nobody commands.
+        cache: folder of the cached human episodes; null: the user's cache folder.
+    """
+
+    run: str | None = None
+    checkpoint: str = "last"
+    policy: str | None = None
+    contexts: ContextsConfig = field(default_factory=CityContexts)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    num_contexts: int | None = None
+    seeds: int = 3
+    seed: int = 0
+    out: str | None = None
+    num_workers: int = 2
+    executor: Literal["processes", "ray"] = "processes"
+    uncommanded: bool = True
+    cache: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.num_contexts is not None:
+            check_range("num_contexts", self.num_contexts, 1, 10**7)
+        check_range("seeds", self.seeds, 1, 10**6)
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        check_range("num_workers", self.num_workers, 0, 1024)
+        if self.policy is not None and ":" not in self.policy:
+            check_choice("policy", self.policy, [*DRIVER_NAMES, "module:function"])
+        for name in ("run", "out", "cache"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))

@@ -1,0 +1,234 @@
+"""What commands show and how they end: progress with the time left, exit codes, Ctrl-C, output that nobody reads.
+
+Nothing slow is imported here, so that a command says something at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import resource_tracker
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, TextIO
+
+from izoo.errors import IzooError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+LINE_EVERY_S = 10.0
+"""How often a line reports progress where there is no terminal for a bar."""
+SPEED_OVER = 20
+"""Updates that the time left is estimated from."""
+stop_requested = threading.Event()
+"""Set by work that a first Ctrl-C ends in good order: a sweep then begins no other run."""
+
+
+def exit_code(name: str, main: Callable[[], int]) -> int:
+    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
+    try:
+        code = main()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except IzooError as error:
+        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        if not _is_unread(sys.stdout):
+            raise
+        # Whoever read the output, such as `head`, has had enough; what is left to flush must not fail again.
+        _mute(sys.stdout)
+        return 0
+
+
+@contextlib.contextmanager
+def unheard() -> Iterator[None]:
+    """Let work that leaves files continue when nobody reads its output any more."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (None if stream is None else _Unheard(stream) for stream in before)  # type: ignore
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+class _Unheard:
+    """A stream that drops what nobody reads."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write; return how many characters."""
+        try:
+            return self.stream.write(text)
+        except BrokenPipeError:
+            self._give_up()
+            return len(text)
+
+    def flush(self) -> None:
+        """Flush."""
+        try:
+            self.stream.flush()
+        except BrokenPipeError:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        _mute(self.stream)
+        if self.stream is sys.__stdout__ and sys.stderr is not None:
+            print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+def _mute(stream: TextIO) -> None:
+    """Drop what is left to be written to a stream, and what follows."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+def _is_unread(stream: TextIO | None) -> bool:
+    """Whether a stream is a pipe that nobody reads any more."""
+    if stream is None:
+        return False
+    pipe = select.poll()
+    try:
+        pipe.register(stream.fileno(), select.POLLOUT)
+    except OSError:  # not a file at all, as in a notebook
+        return False
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in pipe.poll(0))
+
+
+class Interrupt:
+    """Remembers that Ctrl-C was pressed; a second time raises :class:`KeyboardInterrupt`."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle SIGINT."""
+        if self.requested:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            raise KeyboardInterrupt
+        self.requested = True
+        stop_requested.set()
+        print(
+            "\nFinishing this batch and closing the run in good order. Ctrl-C again stops at once.",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+@contextlib.contextmanager
+def graceful_interrupt() -> Iterator[Interrupt]:
+    """Turn the first Ctrl-C inside the block into ``interrupt.requested``."""
+    interrupt = Interrupt()
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupt
+        return
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def workers_ignore_interrupts() -> Iterator[None]:
+    """Start processes inside the block that a terminal's Ctrl-C does not reach: they end when this process says so.
+
+    Processes inherit that SIGINT is blocked. This process gets one that was sent meanwhile when the block ends.
+    """
+    resource_tracker.ensure_running()  # it unblocks SIGINT when it starts, which it would do at the first process
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class Progress:
+    """How far some work is: a bar on a terminal, a line now and then elsewhere, both with the time left.
+
+    Args:
+        total: pieces of work.
+        done: pieces that were done before.
+        unit: what is counted, in the plural; empty where it goes without saying.
+        file: the stream; ``None`` means standard output.
+        shown: whether anything is shown at all.
+    """
+
+    def __init__(
+        self, total: int, done: int = 0, unit: str = "", file: TextIO | None = None, shown: bool = True
+    ) -> None:
+        self.total, self.unit, self.shown = total, unit, shown and total > 0
+        self._file = sys.stdout if file is None else file
+        self._seen = deque([(time.monotonic(), done)], maxlen=SPEED_OVER)
+        self._last_line = time.monotonic()
+        self._bar: RichProgress | None = None
+        if self.shown and self._file is not None and self._file.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+            columns = BarColumn(), TaskProgressColumn(), TextColumn("{task.description}")
+            self._bar = Progress(*columns, console=Console(file=self._file))
+            self._task = self._bar.add_task("starting", total=total, completed=done)
+
+    def __enter__(self) -> Progress:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, done: int, text: str = "") -> None:
+        """Show that ``done`` pieces are done, followed by ``text``."""
+        self._seen.append((time.monotonic(), done))
+        text = f"{time_left(self._seen, self.total)}  {text}".rstrip()
+        unit = f" {self.unit}" if self.unit else ""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, description=f"{done:,} / {self.total:,}{unit}  {text}")
+        elif self.shown and (time.monotonic() - self._last_line >= LINE_EVERY_S or done >= self.total):
+            self._last_line = time.monotonic()
+            print(f"{done:>10,} / {self.total:,}{unit}  {text}", file=self._file, flush=True)
+
+
+def time_left(seen: Sequence[tuple[float, int]], total: int) -> str:
+    """Return how long work will still take, in words.
+
+    Args:
+        seen: clock in seconds and pieces done by then, oldest first.
+        total: pieces of the whole work.
+    """
+    (start_s, first), (now_s, last) = seen[0], seen[-1]
+    if last >= total:
+        return "done"
+    if last <= first:
+        return "time left unknown"
+    return f"{duration((now_s - start_s) * (total - last) / (last - first))} left"
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: ``80 s``, ``3 min``, ``1.5 h``."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,0 +1,64 @@
+"""One episode of a policy in a context: the lean loop that evaluation runs, and the rows it yields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from izoo.contexts.context import Context
+from izoo.envs.env import EcoDrivingEnv
+from izoo.errors import IzooError
+from izoo.evaluation.table import EPISODE_COLUMNS, features, identity, scored_approaches
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+_SEED_MASK = 2**63 - 1
+
+
+def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
+    """Play one episode and return a row per scored approach (:mod:`izoo.evaluation.table`).
+
+    Stochastic policies act by their mode, and torch's default generator is seeded from the context and the seed, so
+    that rows depend on neither the worker nor the order.
+
+    Args:
+        env: its frames hold the metrics, whether it emits them or not.
+        policy: reads ``("agents", "observation")`` and ``("agents", "mask")``, writes ``("agents", "action")``.
+        name: the policy's name in the rows.
+    """
+    torch_seed = (int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK
+    with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        torch.manual_seed(torch_seed)
+        play(env, policy, env.reset(context=context, seed=seed))
+    return _rows(env, name, context, seed)
+
+
+def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> None:
+    """Step from a reset to the end of the episode."""
+    while True:
+        result = policy(tensordict)
+        if result is None or ("agents", "action") not in result.keys(include_nested=True):
+            raise IzooError("the policy wrote no ('agents', 'action'); it must return the TensorDict with that key.")
+        if env.step_lean(result).get("done").any():
+            return
+        tensordict = step_mdp(result, exclude_action=True)
+
+
+def _rows(env: EcoDrivingEnv, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
+    road = env.road
+    metrics = env.reader.metrics()
+    approach, episode = metrics.get("approach"), metrics.get("episode")
+    sums = {metric: approach.get(metric).tolist() for metric in APPROACH_METRICS}
+    whole = {
+        column: float(episode.get(metric)) for column, metric in zip(EPISODE_COLUMNS, EPISODE_METRICS, strict=True)
+    }
+    rows = []
+    for leg in scored_approaches(context):
+        p = road.approaches.index(leg)
+        values = {metric: column[p] for metric, column in sums.items()}
+        rows.append({**identity(name, context, seed, leg), **features(context, road, leg), **values, **whole})
+    return rows

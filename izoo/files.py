@@ -1,0 +1,186 @@
+"""Files and folders on disk: whole or absent whoever reads meanwhile, used by one process at a time, and free names.
+
+What is being written lies beside its place under a name of its own (:func:`partial_of`) and is renamed at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+
+from izoo.errors import IzooError
+
+CACHE_ENV = "IZOO_CACHE_DIR"
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)-[0-9a-f]+")
+
+
+@contextlib.contextmanager
+def replacing(path: Path, durable: bool = True) -> Iterator[Path]:
+    """Give a path to write a file to, which takes the place of ``path`` when the block ends without an error.
+
+    Args:
+        path: the file, in a folder that exists.
+        durable: flush the file and its folder to the disk first, so that it survives a loss of power as well. Without
+            that a file may then be empty, which what is only kept to save time can afford.
+    """
+    partial = partial_of(path)
+    try:
+        yield partial
+        if durable:
+            _flush(partial)
+        partial.replace(path)
+        if durable:
+            _flush(path.parent)
+    except OSError as error:
+        if error.filename == str(partial):
+            error.filename = str(path)
+        raise
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes, durable: bool = True) -> None:
+    """Write a file; see :func:`replacing`."""
+    with replacing(path, durable) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: Path, text: str, durable: bool = True) -> None:
+    """Write a text file in UTF-8; see :func:`replacing`."""
+    write_bytes(path, text.encode(), durable)
+
+
+def write_json(path: Path, content: Any, durable: bool = True) -> None:
+    """Write ``content`` as JSON, indented, without NaN; see :func:`replacing`."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n", durable)
+
+
+@contextlib.contextmanager
+def replacing_folder(target: Path) -> Iterator[Path]:
+    """Give an empty folder to fill, which takes the place of ``target`` when the block ends without an error.
+
+    What killed processes left beside ``target`` is removed first.
+    """
+    staging = partial_of(target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        discard_partials(target.parent, target.name)
+        staging.mkdir()
+        yield staging
+        if target.exists():
+            shutil.rmtree(target)
+        staging.replace(target)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def partial_of(path: Path) -> Path:
+    """Return where ``path`` is written until it is whole; a new name at every call."""
+    return path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(4)}")
+
+
+def is_partial(path: Path) -> bool:
+    """Whether a path is one of those that :func:`partial_of` returns."""
+    return _PARTIAL.fullmatch(path.name) is not None
+
+
+def discard_partials(folder: Path, name: str | None = None) -> None:
+    """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it."""
+    for path in folder.iterdir():
+        match = _PARTIAL.fullmatch(path.name)
+        if not match or name not in (None, match["name"]) or _is_running(int(match["pid"])):
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Make ``folder`` and keep other processes out of it, until the end of this one at the latest.
+
+    Raises:
+        IzooError: it cannot be made, or another process works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise IzooError(f"cannot use the folder {folder}: {os_reason(error)}; choose another one.") from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise IzooError(f"another process works in {folder}; wait for it, or choose another out.") from None
+    except OSError:
+        pass  # some network file systems cannot lock a folder
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def ensure_empty(folder: Path, option: str, instead: str = "remove its content") -> None:
+    """Make ``folder``, which ``option`` names; refuse one that holds anything, or that cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        occupied = any(folder.iterdir())
+    except OSError as error:
+        raise IzooError(f"cannot use {option}={folder}: {os_reason(error)}; choose another folder.") from error
+    if occupied:
+        raise IzooError(f"{option}={folder} is not empty; choose another folder, or {instead}.")
+
+
+def check_folder(folder: Path, remedy: str) -> None:
+    """Raise :class:`IzooError`, which ends with what to give instead, unless ``folder`` is one."""
+    if not folder.is_dir():
+        raise IzooError(f"{folder} is {'a file' if folder.exists() else 'no folder'}; {remedy}.")
+
+
+def cache_root() -> Path:
+    """Return the folder of what is kept to save time: ``$IZOO_CACHE_DIR``, or else the user's cache folder."""
+    return Path(os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo"))
+
+
+def os_reason(error: OSError) -> str:
+    """Return why a file or folder could not be made or written, where the system's "File exists" would mislead."""
+    if error.errno == errno.ENOTDIR:
+        return "a folder of its path is a file"
+    if error.errno == errno.EEXIST and error.filename is not None and not Path(error.filename).is_dir():
+        what = "a link that leads nowhere" if Path(error.filename).is_symlink() else "a file"
+        return f"{error.filename} is {what}"
+    return error.strerror or str(error)
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _is_running(pid: int) -> bool:
+    """Whether there is a process of this number, of whomever, other than this one."""
+    if pid == os.getpid():
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

@@ -1,0 +1,198 @@
+"""Leaderboard files: one JSON file per entry of a benchmark, which anyone can check and merge.
+
+A **submission** follows ``leaderboard_schema.json`` beside this module; its rows are its evidence. That the rows were
+really measured, only running the benchmark again can show.
+
+A **leaderboard** (:func:`merge`) groups submissions by protocol. Those with a mark (other versions, another
+environment, missing contexts, a file that was changed by hand) are listed with their marks and get no rank.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jsonschema import Draft202012Validator
+
+from izoo.errors import IzooError
+from izoo.evaluation.across import RUN, aggregate
+from izoo.evaluation.provenance import DECISIVE
+from izoo.files import write_json
+
+FORMAT, MERGED_FORMAT = "izoo-leaderboard-1", "izoo-leaderboard-merged-1"
+SCHEMA_FILE = "leaderboard_schema.json"
+COMPARABLE = ("protocol", "title", "train", "test", "form", "weather", "test_set", "horizon_s", "test_count")
+"""Options of the protocol that submissions of one group share."""
+FULL_TRAIN_SEEDS, FULL_EVAL_SEEDS = 4, 3
+"""Seeds that the protocols ask for."""
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of a submission."""
+    return json.loads((resources.files("izoo.reporting") / SCHEMA_FILE).read_text())
+
+
+def make_submission(
+    policy: Mapping[str, Any],
+    protocol: Mapping[str, Any],
+    versions: Mapping[str, str],
+    eval_seeds: Sequence[int],
+    rows: pd.DataFrame,
+) -> dict[str, Any]:
+    """Return a submission.
+
+    Args:
+        policy, protocol, versions: as in the schema.
+        eval_seeds: episode seeds of the evaluation.
+        rows: of :func:`izoo.evaluation.across.run_rows`, all training seeds one after the other.
+    """
+    columns = list(schema()["properties"]["rows"]["items"]["properties"])
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "policy": dict(policy),
+        "protocol": dict(protocol),
+        "versions": dict(versions),
+        "train_seeds": sorted(int(seed) for seed in rows[RUN].unique()),
+        "eval_seeds": [int(seed) for seed in eval_seeds],
+        "rows": [
+            {name: None if pd.isna(value) else value for name, value in row.items()}
+            for row in rows[columns].to_dict("records")
+        ],
+    }
+    content["aggregates"] = aggregate(rows_of(content))
+    return {**content, "hash": content_hash(content)}
+
+
+def content_hash(submission: Mapping[str, Any]) -> str:
+    """SHA-256 of a submission without its hash: keys sorted, no spaces, numbers as Python's ``repr`` writes them."""
+    content = {key: value for key, value in submission.items() if key != "hash"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def rows_of(submission: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the rows of a submission as :func:`izoo.evaluation.across.aggregate` takes them."""
+    table = pd.DataFrame(submission["rows"])
+    numbers = ("emission_policy_g", "emission_baseline_g", "throughput_benefit", "benefit_exact", "benefit_tested")
+    for name in numbers:
+        table[name] = table[name].astype(float)
+    return table
+
+
+def write_submission(path: Path, submission: Mapping[str, Any]) -> None:
+    """Write a submission, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, submission)
+
+
+def read_submission(path: Path) -> dict[str, Any]:
+    """Read a submission and check its form.
+
+    Raises:
+        IzooError: the file cannot be read, or does not follow the schema; the first place that does not is named.
+    """
+    try:
+        content = json.loads(path.read_text())
+        json.dumps(content, allow_nan=False)  # Python's JSON reads NaN, and 1e999 as infinity
+    except (OSError, ValueError, RecursionError) as error:
+        raise IzooError(f"cannot read {path}: {error}; give a leaderboard file.") from error
+    problems = sorted(Draft202012Validator(schema()).iter_errors(content), key=lambda error: list(map(str, error.path)))
+    if problems:
+        where = "/".join(str(part) for part in problems[0].absolute_path) or "the file"
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise IzooError(f"{path} is no leaderboard submission: {where}: {problems[0].message[:200]}{more}.")
+    return content
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A submission and what is wrong with it.
+
+    Attributes:
+        source: the file's name.
+        submission: its content.
+        marks: why it gets no rank; empty: nothing is wrong.
+        notes: what to know about it, without consequence for its rank.
+    """
+
+    source: str
+    submission: dict[str, Any]
+    marks: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) -> Checked:
+    """Check a well-formed submission against its hash, its protocol and the versions that it is to be compared in.
+
+    Args:
+        versions: the reference, of :data:`izoo.evaluation.provenance.DECISIVE`.
+    """
+    marks = []
+    if content_hash(submission) != submission["hash"]:
+        marks.append("the hash does not match: the file was changed after it was written")
+    for name in DECISIVE:
+        if submission["versions"][name] != versions[name]:
+            old, new = (text[:12] for text in (submission["versions"][name], versions[name]))
+            marks.append(f"other version of {name}: {old}, not {new}")
+    if "env" in submission["protocol"]:
+        marks.append(f"evaluated in another environment: {submission['protocol']['env']}")
+    there, count = len({row["context_hash"] for row in submission["rows"]}), submission["protocol"]["test_count"]
+    if there < count:
+        marks.append(f"{count - there} of {count} test contexts are missing")
+    if len(submission["eval_seeds"]) < FULL_EVAL_SEEDS:
+        marks.append(f"{len(submission['eval_seeds'])} evaluation seed(s); the protocol asks for {FULL_EVAL_SEEDS}")
+    notes = []
+    if submission["policy"]["kind"] == "trained" and len(submission["train_seeds"]) < FULL_TRAIN_SEEDS:
+        notes.append(f"{len(submission['train_seeds'])} training seed(s) of {FULL_TRAIN_SEEDS}")
+    if submission["protocol"]["scale"] != "paper":
+        notes.append(f"trained at scale {submission['protocol']['scale']}")
+    return Checked(source, submission, tuple(marks), tuple(notes))
+
+
+def merge(checked: Sequence[Checked]) -> dict[str, Any]:
+    """Return the leaderboard of several submissions.
+
+    Returns:
+        ``format``, and ``groups``: per protocol its options, ``ranked`` (without marks, best mean benefit under the
+        exact gate first) and ``marked``; each with ``source``, ``policy``, ``versions``, ``n``, ``hash``, ``marks``,
+        ``notes``, ``aggregates``. Two ranked submissions of one name in one group are both kept, and say so.
+    """
+    groups: dict[str, dict[str, Any]] = {}
+    for item in checked:
+        protocol = {name: item.submission["protocol"][name] for name in COMPARABLE}
+        key = json.dumps(protocol, sort_keys=True)
+        group = groups.setdefault(key, {"protocol": protocol, "ranked": [], "marked": []})
+        group["marked" if item.marks else "ranked"].append(_line(item))
+    for group in groups.values():
+        group["ranked"].sort(key=lambda line: -(headline(line)["value"] or 0.0))
+        names = [line["policy"]["name"] for line in group["ranked"]]
+        for rank, line in enumerate(group["ranked"], start=1):
+            line["rank"] = rank
+            if names.count(line["policy"]["name"]) > 1:
+                line["notes"].append("another submission has the same name")
+    return {"format": MERGED_FORMAT, "groups": list(groups.values())}
+
+
+def headline(line: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the number that ranks: the mean benefit under the exact gate, with its interval over intersections."""
+    return line["aggregates"]["all"]["over_intersections"]["exact"]["mean"]
+
+
+def _line(item: Checked) -> dict[str, Any]:
+    content = item.submission
+    kept = {name: content[name] for name in ("policy", "versions", "aggregates", "hash")}
+    return {
+        "source": item.source,
+        **kept,
+        "n": content["aggregates"].get("n", {}),
+        "marks": list(item.marks),
+        "notes": list(item.notes),
+    }

@@ -1,0 +1,302 @@
+"""A training run from its options to its last table."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from izoo.conf.train_options import TrainConfig
+from izoo.console import Progress, graceful_interrupt
+from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+from izoo.training import checkpoint, plots, records, runs
+from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
+from izoo.training.episodes import episode_stats
+from izoo.training.learner import Learner, learner_device
+from izoo.training.past import Pasts
+from izoo.training.validation import Validator
+
+CHANGEABLE = (
+    "total_frames",
+    "num_workers",
+    "device",
+    "collector",
+    "logger",
+    "validation",
+    "evaluation",
+    "checkpoint",
+    "resume",
+)
+"""Options that may differ when a run is resumed; the others are part of what the run is."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""Errors of a disk that is full or has become read-only."""
+MAX_LEARNER_THREADS = 8
+PLOT_EVERY_S = 60.0
+"""Seconds between two drawings of the learning curve while training: each takes half a second."""
+
+
+def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Train as ``config`` says and return the run folder.
+
+    Args:
+        config: the options.
+        given: names of the options that were written on the command line; matters when resuming.
+    """
+    source = None
+    if config.resume is None:
+        # Contexts are read before the folder is made, so that bad input leaves nothing behind.
+        learner_device(config.device)
+        check_collector(config)
+        source = config.contexts.build()
+        run_dir, state = runs.create(config), None
+    else:
+        run_dir, config, state = _resumed(config, given)
+    session = Session(config, run_dir, source or config.contexts.build())
+    if state is not None:
+        session.restore(state)
+    try:
+        session.run()
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        kept = checkpoint.listed(run_dir)
+        raise IzooError(
+            f"cannot write to {run_dir}: {error.strerror}. The last good checkpoint is {kept[-1] if kept else 'none'}; "
+            f"make room, then go on: resume={run_dir}."
+        ) from error
+    return run_dir
+
+
+def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainConfig, dict[str, Any] | None]:
+    """Return the folder, the options and the state of the run to go on with; no state: it had not saved any yet."""
+    for name in sorted(given):
+        if name.split(".")[0] not in CHANGEABLE:
+            raise IzooError(
+                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
+                f"only these can: {', '.join(CHANGEABLE)}."
+            )
+    where = Path(config.resume or "")
+    begun = (where / runs.CONFIG_FILE).is_file() and not checkpoint.listed(where)
+    path = None if begun else checkpoint.find(where)
+    run_dir = where if path is None else checkpoint.run_of(path)
+    stored = runs.read_config(run_dir)
+    changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
+    config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
+    state = None if path is None else checkpoint.load(path)
+    # The last batch of a run that is done may have gone beyond its frames.
+    if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
+        raise IzooError(
+            f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give more, "
+            "or leave total_frames out."
+        )
+    runs.write_config(run_dir, config)
+    return run_dir, config, state
+
+
+class Session:
+    """One stretch of a training run.
+
+    Args:
+        config: options of the run.
+        run_dir: its folder.
+        source: where its contexts come from.
+    """
+
+    def __init__(self, config: TrainConfig, run_dir: Path, source: ContextSource) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self.run_dir, self.source = config, run_dir, source
+        self.features = len(observation_names(config.env))
+        self.learner = Learner(config, learner_device(config.device))
+        self.frames = self.batches = self.episodes = 0
+        self.seconds = 0.0
+        self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
+        self._state: dict[str, Any] | None = None
+        self._saved_at = -1
+        self._plotted_s = 0.0
+        self._threads = torch.get_num_threads()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint: with the weights and draws that it holds, and in the middle of its episodes.
+
+        With another number of environments than before, the episodes in progress are left out.
+        """
+        runs.check_layout(state["features"], self.config, self.run_dir)
+        self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
+        self.seconds, self.first_episode = state["seconds"], state["first_episode"]
+        self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
+        pasts = Pasts.from_state(state["pasts"])
+        if len(pasts.pasts) == len(self.pasts.pasts):
+            self.pasts = pasts
+        else:
+            self.first_episode += pasts.next_episode
+        print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
+
+    def run(self) -> None:
+        """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate."""
+        self.table = records.MetricsTable(self.run_dir / runs.METRICS_FILE, self.frames)
+        self.validator = Validator(self.config, self.run_dir, self.frames)
+        sinks = records.make_sinks(self.config.logger, self.run_dir)
+        print(f"Run folder: {self.run_dir}", flush=True)
+        with graceful_interrupt() as interrupt:
+            try:
+                if self.frames < self.config.total_frames:
+                    self._learn(interrupt, sinks)
+                else:
+                    print(f"All {self.frames:,} frames are there: nothing is left to train.", flush=True)
+                    self._load(None)
+                self._save()
+                self._validate_last(interrupt, sinks)
+                self._plot()
+            finally:
+                self.validator.close()
+                records.close_all(sinks)
+            self._evaluate()
+        if self.frames < self.config.total_frames:
+            done = f"Stopped at {self.frames:,} of {self.config.total_frames:,} frames"
+            print(f"{done}; go on with: python -m izoo.train resume={self.run_dir}", flush=True)
+        print(f"Run folder: {self.run_dir}", flush=True)
+
+    def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+        config = self.config
+        going_on = self.pasts.pasts if self._state is not None else ()
+        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
+        try:
+            self._load(batches)
+            latest: dict[str, float] = {}
+            with Progress(config.total_frames, self.frames) as bar:
+                while self.frames < config.total_frames and not interrupt.requested:
+                    row = {**self._batch(batches), **self.validator.poll()}
+                    self.table.append(row)
+                    records.log_all(sinks, row)
+                    latest |= row
+                    bar.update(self.frames, records.in_short(latest))
+                    if self.batches % config.checkpoint.every_batches == 0:
+                        self._save()
+                        if self.seconds - self._plotted_s >= PLOT_EVERY_S:
+                            self._plot()
+                    if self.validator.due(self.batches):
+                        self._validate()
+        finally:
+            batches.close()
+            torch.set_num_threads(self._threads)
+
+    def _validate(self) -> None:
+        """Let the present weights be validated, if they could be saved."""
+        self._save()
+        if self._saved_at == self.frames:
+            try:
+                self.validator.submit(checkpoint.find(self.run_dir))
+            except OSError as error:
+                print(f"Could not begin a validation: {error}; training goes on.", file=sys.stderr, flush=True)
+
+    def _validate_last(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+        """Validate the last weights, unless the run is to stop, or was too short for any validation."""
+        every = self.config.validation.every_batches
+        if interrupt.requested or every == 0 or self.batches < every:
+            return
+        if float(self.frames) not in self.validator.table.series("frames")[1]:
+            self._validate()
+        if self.validator.busy:
+            print("Validating the last weights. Ctrl-C leaves that out.", flush=True)
+        row = self.validator.wait(interrupt)
+        if row:
+            records.log_all(sinks, {"frames": self.frames, **row})
+
+    def _load(self, batches: BatchSource | None) -> None:
+        """Load what the checkpoint holds of the learner; only now, since making a collector tries the policy out."""
+        if self._state is None:
+            return
+        self.learner.load_state_dict(self._state)
+        if batches is not None:
+            batches.synchronise(self.learner.policy)
+        self._state = None
+
+    def _batch(self, batches: BatchSource) -> dict[str, float]:
+        """Collect one batch, learn from it, and return its row of the table."""
+        start = time.perf_counter()
+        torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
+        batch = batches.next()
+        collected = time.perf_counter()
+        torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
+        stats = episode_stats(batch)
+        self.pasts.add(batch)
+        learned = self.learner.update(batch, self.frames / self.config.total_frames)
+        torch.set_num_threads(1)
+        batches.synchronise(self.learner.policy)
+        seconds = time.perf_counter() - start
+        self.frames += batch.numel()
+        self.batches += 1
+        self.episodes += int(stats.pop("episodes"))
+        self.seconds += seconds
+        return {
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "frames_per_s": batch.numel() / seconds,
+            "episodes": self.episodes,
+            **stats,
+            **learned,
+            "collect_s": collected - start,
+            "update_s": seconds - (collected - start),
+        }
+
+    def _schedule(self) -> Schedule:
+        """Return the training episodes; other numbers of environments have played those that are left out."""
+        schedule: Schedule = RandomSchedule(self.source, self.config.seed)
+        return ShiftedSchedule(schedule, self.first_episode) if self.first_episode else schedule
+
+    def _save(self) -> None:
+        if self._saved_at == self.frames or self.batches == 0:
+            return
+        state = {
+            **self.learner.state_dict(),
+            "features": self.features,
+            "batches": self.batches,
+            "episodes": self.episodes,
+            "seconds": self.seconds,
+            "first_episode": self.first_episode,
+            "pasts": self.pasts.state_dict(),
+        }
+        try:
+            checkpoint.save(self.run_dir, self.frames, state, self.config.checkpoint.keep)
+            self._saved_at = self.frames
+        except OSError as error:
+            kept = checkpoint.listed(self.run_dir)
+            print(
+                f"Could not save a checkpoint: {error}. The last good one is {kept[-1] if kept else 'none'}.",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def _plot(self) -> None:
+        if self.table.rows:
+            title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
+            plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
+            self._plotted_s = self.seconds
+
+    def _evaluate(self) -> None:
+        """Compare briefly with human driving, in episodes as long as those of training; keep that in the run folder."""
+        options = self.config.evaluation
+        if options.contexts == 0 or self.batches == 0:
+            return
+        from izoo.evaluation import evaluate_policy, print_summary, summarise
+
+        contexts = choose_contexts(self.source, options.contexts, self.config.seed)
+        seeds = episode_seeds(self.config.seed + EVALUATION_STREAM, options.seeds)
+        print(f"Comparing with human driving: {describe(contexts, seeds, self.config.env)}.", flush=True)
+        table = evaluate_policy(
+            self.learner.policy,
+            contexts,
+            seeds,
+            self.config.env,
+            num_workers=self.config.num_workers,
+            out_dir=self.run_dir,
+        )
+        print_summary(summarise(table))

@@ -1,0 +1,218 @@
+"""Offline data: what a policy experiences, as memory-mapped TensorDicts in shards, with a manifest."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors import Collector
+from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
+from torchrl.envs.utils import ExplorationType
+
+from izoo import __version__
+from izoo.algos.registry import DRIVER_NAMES
+from izoo.algos.scripted import RandomDriver, make_driver
+from izoo.conf.mapping import to_mapping
+from izoo.conf.train_options import CollectConfig
+from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
+from izoo.contexts.source import RandomSchedule
+from izoo.envs import SumoParallelEnv
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.files import ensure_empty, write_json
+from izoo.training import runs
+from izoo.training.shards import ShardStorage, as_they_are
+
+MANIFEST = "manifest.json"
+FORMAT = "izoo-steps-1"
+SCRIPTED = tuple(name for name in DRIVER_NAMES if name != "human")
+"""Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
+FRAMES_PER_BATCH = 1000
+
+
+def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Step environments with a policy and store every step.
+
+    The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
+    after each of them: what it names is complete, whenever the command is stopped. Shards are written beside and
+    renamed.
+
+    Args:
+        config: the options.
+        given: unused; commands share one signature.
+
+    Returns:
+        The folder.
+
+    Raises:
+        IzooError: ``out`` is missing or not empty, or the policy or the contexts cannot be used.
+    """
+    if config.out is None:
+        raise IzooError("out is missing; name a new folder for the data: out=DIR.")
+    policy = make_policy(config)
+    source = config.contexts.build()
+    out = Path(config.out)
+    ensure_empty(out, "out")
+    with workers_ignore_interrupts():
+        env = SumoParallelEnv(
+            config.num_workers, contexts=RandomSchedule(source, config.seed), config=config.env, seed=config.seed
+        )
+        torch.manual_seed(config.seed)
+        collector = Collector(
+            env,
+            policy,
+            frames_per_batch=-(-FRAMES_PER_BATCH // config.num_workers) * config.num_workers,
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            trust_policy=True,
+            auto_register_policy_transforms=False,
+        )
+    writer = ShardWriter(config, out)
+    try:
+        with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
+            for batch in collector:
+                writer.write(batch.transpose(0, 1).reshape(-1))
+                bar.update(writer.frames)
+                if interrupt.requested or writer.frames >= config.frames:
+                    break
+        writer.finish_shard()
+    except OSError as error:
+        raise IzooError(f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete.") from error
+    finally:
+        writer.discard()
+        collector.shutdown()
+    print(f"Data: {out}", flush=True)
+    return out
+
+
+def make_policy(config: CollectConfig) -> TensorDictModuleBase:
+    """Return the policy that ``config.policy`` names: a scripted driver, or the policy of a training run."""
+    if config.policy == "random":
+        return RandomDriver(seed=config.seed)
+    if config.policy in SCRIPTED:
+        return make_driver(config.policy, config.env)
+    algorithm, trained, _ = runs.load_algorithm(config.policy)
+    if observation_names(trained.env) != observation_names(config.env):
+        raise IzooError(
+            f"the policy of {config.policy} was trained on other observations than env describes; "
+            "set env.observed and env.neighbours as in its config.yaml."
+        )
+    return algorithm.policy
+
+
+def load(folder: Path | str) -> TensorDictBase:
+    """Open a collected data set.
+
+    Returns:
+        Steps ``[frames]``, in the order of collection: worker after worker within a time step. One shard stays
+        memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer` does not do.
+
+    Raises:
+        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
+    """
+    shards = load_shards(folder)
+    return shards[0] if len(shards) == 1 else torch.cat(shards)
+
+
+def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
+    """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
+
+    Args:
+        folder: what ``out=`` named.
+        options: of :class:`torchrl.data.TensorDictReplayBuffer`, such as ``batch_size``, ``sampler`` or ``transform``.
+    """
+    storage = ShardStorage(load_shards(folder))
+    return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options)
+
+
+def load_shards(folder: Path | str) -> list[TensorDictBase]:
+    """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
+    folder = Path(folder).expanduser()
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise IzooError(f"{folder} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
+    try:
+        manifest = json.loads(path.read_text())
+        shards = [(folder / Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
+    except (ValueError, KeyError, TypeError) as error:
+        raise IzooError(f"{path} is damaged; collect the data again.") from error
+    if manifest.get("format") != FORMAT:
+        raise IzooError(f"{path} is of format {manifest.get('format')!r}; this version of izoo reads {FORMAT}.")
+    missing = [shard.name for shard, _ in shards if not shard.is_dir()]
+    if missing or not shards:
+        raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
+    try:
+        # Pickled values would run what a foreign data set holds.
+        opened = [(TensorDict.load_memmap(shard, allow_pickle=False), frames) for shard, frames in shards]
+    except (RuntimeError, OSError, ValueError, KeyError) as error:
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise IzooError(f"{folder} cannot be read: {text}; copy it whole, or collect again.") from error
+    # A collection that Ctrl-C ended leaves room at the end of its last shard.
+    return [steps if len(steps) == frames else steps[:frames] for steps, frames in opened]
+
+
+class ShardWriter:
+    """Writes steps into memory-mapped shards of a given length, and the manifest after each finished one.
+
+    Args:
+        config: options of the collection.
+        out: an empty folder.
+    """
+
+    def __init__(self, config: CollectConfig, out: Path) -> None:
+        self.config, self.out = config, out
+        self.frames = 0
+        self._shards: list[dict[str, Any]] = []
+        self._open: TensorDictBase | None = None
+        self._filled = 0
+
+    def write(self, steps: TensorDictBase) -> None:
+        """Append ``steps [n]``, as far as they are still wanted."""
+        steps = steps[: self.config.frames - self.frames]
+        while len(steps) > 0:
+            if self._open is None:
+                length = min(self.config.shard_frames, self.config.frames - self.frames)
+                self._open = steps[0].expand(length).memmap_like(str(self._partial))
+                self._filled = 0
+            part = steps[: len(self._open) - self._filled]
+            self._open[self._filled : self._filled + len(part)] = part
+            self._filled += len(part)
+            self.frames += len(part)
+            steps = steps[len(part) :]
+            if self._filled == len(self._open):
+                self.finish_shard()
+
+    def finish_shard(self) -> None:
+        """Put the shard that is being filled in its place, and name it in the manifest."""
+        if self._open is None:
+            return
+        name = f"shard-{len(self._shards):05d}"
+        self._open = None
+        self._partial.rename(self.out / name)
+        self._shards.append({"name": name, "frames": self._filled})
+        self._write_manifest()
+
+    def discard(self) -> None:
+        """Remove what was not finished."""
+        shutil.rmtree(self._partial, ignore_errors=True)
+
+    @property
+    def _partial(self) -> Path:
+        return self.out / ".shard.partial"
+
+    def _write_manifest(self) -> None:
+        manifest = {
+            "format": FORMAT,
+            "izoo": __version__,
+            "frames": sum(shard["frames"] for shard in self._shards),
+            "num_workers": self.config.num_workers,
+            "observation_names": list(observation_names(self.config.env)),
+            "shards": self._shards,
+            "options": to_mapping(self.config),
+        }
+        write_json(self.out / MANIFEST, manifest)

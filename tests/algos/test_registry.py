@@ -1,0 +1,112 @@
+"""Algorithms by name: what the registry offers can be chosen, built, and added to in two files."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from izoo.algos import registry
+from izoo.algos.action import DirectAction
+from izoo.algos.registry import ALGORITHMS, Home, choices, make_algorithm, preset
+from izoo.conf import compose
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
+from izoo.training import runs
+
+NEW = '''
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from tensordict.nn import TensorDictModule
+
+from izoo.algos.registry import AlgoConfig
+
+
+@dataclass(frozen=True)
+class CalmConfig(AlgoConfig):
+    """Options of an algorithm that learns nothing.
+
+    Attributes:
+        name: the algorithm.
+        frames_per_batch: environment steps between two updates.
+        accel_mps2: what every vehicle is told.
+    """
+
+    name: Literal["calm"] = "calm"
+    frames_per_batch: int = 100
+    accel_mps2: float = 0.25
+
+    @classmethod
+    def slow(cls):
+        return cls(accel_mps2=0.1)
+
+
+class Calm:
+    def __init__(self, config, features, low, high, device="cpu"):
+        self.accel = torch.nn.Parameter(torch.tensor(config.accel_mps2))
+        act = lambda observation: self.accel.detach().expand(*observation.shape[:-1], 1).clone()
+        self.policy = TensorDictModule(act, [("agents", "observation")], [("agents", "action")])
+
+    def update(self, batch, progress):
+        return {}
+
+    def state_dict(self):
+        return {"accel": self.accel.detach()}
+
+    def load_state_dict(self, state):
+        self.accel.data.copy_(state["accel"])
+'''
+
+
+@pytest.fixture
+def calm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A further algorithm: one file, and one line of the registry."""
+    (tmp_path / "calm_algorithm.py").write_text(NEW)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(ALGORITHMS, "calm", Home("calm_algorithm:Calm", "calm_algorithm:CalmConfig", ("slow",)))
+
+
+@pytest.mark.parametrize("choice", choices())
+def test_every_choice_composes_builds_and_survives_the_file(choice: str) -> None:
+    algo = compose.compose_config("train", TrainConfig, [f"algo={choice}"]).algo
+    assert algo == preset(choice)
+    config = TrainConfig(algo=algo)
+    assert from_mapping(TrainConfig, to_mapping(config)) == config
+    small = dataclasses.replace(algo, hidden=(8,))  # type: ignore[type-var]
+    assert make_algorithm(small, DirectAction(), EnvConfig()).policy is not None
+
+
+def test_unknown_names_are_refused_by_the_legal_ones() -> None:
+    with pytest.raises(IzooError, match="Did you mean 'ppo'"):
+        preset("pppo")
+    with pytest.raises(IzooError, match=r"algo\.name"):
+        from_mapping(TrainConfig, {"algo": {"name": "sarsa"}})
+    with pytest.raises(IzooError, match="group of options"):
+        from_mapping(TrainConfig, {"algo": "ppo"})
+
+
+@pytest.mark.usefixtures("calm")
+def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
+    assert {"calm", "calm_slow"} <= set(compose.choices()["algo"])
+    config = compose.compose_config("train", TrainConfig, ["algo=calm_slow", "algo.frames_per_batch=50"])
+    assert (config.algo.name, config.algo.frames_per_batch) == ("calm", 50)
+    assert getattr(config.algo, "accel_mps2") == 0.1  # noqa: B009
+    with pytest.raises(IzooError, match="It is an option of algo=calm and algo=calm_slow"):
+        compose.compose_config("train", TrainConfig, ["algo.accel_mps2=1"])
+    runs.write_config(tmp_path, config)
+    assert runs.read_config(tmp_path) == config
+    assert make_algorithm(config.algo, config.action, config.env).update(None, 0.0) == {}  # type: ignore[arg-type]
+
+
+def test_names_and_options_come_without_pytorch() -> None:
+    words = "from izoo.algos import registry; [registry.preset(c) for c in registry.choices()]; import sys; "
+    done = subprocess.run([sys.executable, "-c", words + "sys.exit('torch' in sys.modules)"], check=False)
+    assert done.returncode == 0
+    assert registry.DRIVER_NAMES[0] == "human"

@@ -1,0 +1,195 @@
+"""The page on extending izoo: a reward term and an observation column take one file each, and everything follows.
+
+Both are written into a copy of the package with the very code that the page shows; nothing else in the copy changes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from izoo.docs import pages
+from izoo.envs import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import EGO_FEATURES
+from izoo.envs.mdp.reward import REWARD_COLUMNS, REWARD_VECTOR, SHARED
+from tests.docs.blocks import DOCS, ROOT, blocks_of
+
+OBSERVED = observation_names(EnvConfig())
+INSTALLED_INSIDE = ("envs", "algos", "benchmarks")
+
+FACTS = """
+import json
+import torch
+import izoo
+from izoo.docs import pages
+from izoo.envs import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.reward import REWARD_VECTOR
+from izoo.envs.specs import observation_spec
+
+config = EnvConfig(emit=("reward_vector",))
+agents = observation_spec(config, torch.Size())["agents"]
+print(json.dumps({
+    "package": izoo.__file__,
+    "reward_vector": REWARD_VECTOR,
+    "paid_width": agents["reward_vector"].shape[-1],
+    "observation_names": observation_names(config),
+    "observed_width": agents["observation"].shape[-1],
+    "reward_table": pages.reward_table(),
+    "observation_table": pages.observation_table(),
+}))
+"""
+ROLLOUT = """
+import numpy
+import sys
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
+from izoo.envs.mdp.reward import REWARD_VECTOR
+
+reward = RewardConfig(eta=0.25, speed=0.0, alpha=0.0, beta=0.0, power=1.0, scale=2.0)
+config = EnvConfig(horizon_s=100.0, reward=reward, emit=("vehicles", "reward_vector"))
+env = EcoDrivingEnv(procedural_context(adoption=0.5, inflow_vph_per_lane=500.0, approach="all"), config=config, seed=3)
+batch = env.rollout(90)
+after = batch["next"]
+numpy.savez(
+    sys.argv[1],
+    sees=batch["agents", "observation"][..., env.observation_names.index("accel")],
+    acts=batch["agents", "mask"],
+    row=batch["agents", "vehicle"],
+    accel_mps2=batch["vehicles", "accel_mps2"],
+    stays=after["agents", "mask"],
+    row_after=after["agents", "vehicle"],
+    speed_after_mps=after["vehicles", "speed_mps"],
+    accel_after_mps2=after["vehicles", "accel_mps2"],
+    present_after=after["vehicles", "present"],
+    reward=after["agents", "reward"].squeeze(-1),
+    own=after["agents", "reward_vector"][..., REWARD_VECTOR.index("power")],
+    fleet=after["agents", "reward_vector"][..., REWARD_VECTOR.index("fleet_power")],
+)
+env.close()
+"""
+
+
+def shown(beginning: str) -> str:
+    """The block of the page in which a line begins so."""
+    (code,) = {
+        block.code for block in blocks_of(DOCS / "extending.md") if re.search(f"^{beginning}", block.code, re.MULTILINE)
+    }
+    return code
+
+
+def write_before(path: Path, anchor: str, code: str, after: str = "") -> None:
+    """Write code above a place in a file: the first one beyond ``after``."""
+    text = path.read_text()
+    place = text.index(anchor, text.index(after))
+    path.write_text(text[:place] + code + text[place:])
+
+
+def run(package: Path, *words: str) -> str:
+    """What Python prints, with the copy of the package in the place of the installed one."""
+    # Compiled code of the copy is of no further use: it is compiled quickly instead of well.
+    settings = os.environ | {"PYTHONPATH": str(package.parent), "OMP_NUM_THREADS": "1", "NUMBA_OPT": "0"}
+    command = [sys.executable, *words]
+    result = subprocess.run(command, cwd=package.parent, env=settings, capture_output=True, text=True, timeout=550)
+    assert result.returncode == 0, result.stderr[-3000:]
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of izoo with the term and the column of the page."""
+    copy = tmp_path_factory.mktemp("extended") / "izoo"
+    leave_out = shutil.ignore_patterns("__pycache__", "*.png")
+    shutil.copytree(ROOT / "izoo", copy, ignore=leave_out)
+    for name in INSTALLED_INSIDE:
+        shutil.copytree(ROOT / name, copy / name, ignore=leave_out)
+    reward, observation = copy / "envs" / "mdp" / "reward.py", copy / "envs" / "mdp" / "observation.py"
+    write_before(reward, "@dataclass(frozen=True)\nclass RewardConfig:", shown("def _power") + "\n\n")
+    write_before(
+        reward, "\n    def __post_init__", textwrap.indent(shown("power: float"), "    "), "class RewardConfig:"
+    )
+    write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
+    write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
+    return copy
+
+
+@pytest.fixture(scope="module")
+def facts(package: Path) -> dict[str, Any]:
+    """What specs, names and tables of the copy say."""
+    found = json.loads(run(package, "-c", FACTS))
+    assert Path(found["package"]) == package / "__init__.py"
+    return found
+
+
+def test_one_file_each(package: Path) -> None:
+    changed = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if path.read_bytes() != original(path.relative_to(package)).read_bytes()
+    }
+    assert changed == {"envs/mdp/reward.py", "envs/mdp/observation.py"}
+
+
+def original(place: Path) -> Path:
+    return ROOT / place if place.parts[0] in INSTALLED_INSIDE else ROOT / "izoo" / place
+
+
+def test_the_reward_vector_has_the_term(facts: dict[str, Any]) -> None:
+    columns = (*REWARD_COLUMNS, "power")
+    shared = [declared.name for declared in SHARED.values()]
+    assert facts["reward_vector"] == [*columns, *(f"fleet_{name}" for name in columns), *shared]
+    assert facts["paid_width"] == len(REWARD_VECTOR) + 2
+
+
+def test_observations_have_the_column(facts: dict[str, Any]) -> None:
+    own = len(EGO_FEATURES)
+    assert facts["observation_names"] == [*OBSERVED[:own], "accel", *OBSERVED[own:]]
+    assert facts["observed_width"] == len(OBSERVED) + 1
+
+
+def test_the_layout_page_has_both(facts: dict[str, Any]) -> None:
+    """One row more in each table, and no other is lost."""
+    term = "| `power` | m^2/s^3 | `env.reward.power` | 0 | own, and `fleet_power` |"
+    assert set(facts["reward_table"].splitlines()) - set(pages.reward_table().splitlines()) == {term}
+    column = f"| {len(EGO_FEATURES)} | `accel` | m/s^2 | 2.6 | as driven in the last step |"
+    table = facts["observation_table"].splitlines()
+    assert column in table and len(table) == len(pages.observation_table().splitlines()) + 1
+
+
+def test_help_has_the_option(package: Path) -> None:
+    told = run(package, "-m", "izoo.train", "--help")
+    assert re.search(r"env\.reward\.power=0\n +weight of the power that a vehicle draws, per kg\.\n", told)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_rollout_pays_the_term_and_observes_the_column(package: Path, tmp_path: Path) -> None:
+    run(package, "-c", ROLLOUT, str(tmp_path / "steps.npz"))
+    steps = np.load(tmp_path / "steps.npz")
+    acts, stays = steps["acts"], steps["acts"] & steps["stays"]
+    assert stays.sum() > 200
+
+    accel_mps2 = np.take_along_axis(steps["accel_mps2"], steps["row"], axis=1)
+    np.testing.assert_allclose(2.6 * steps["sees"][acts], accel_mps2[acts], rtol=1e-5, atol=1e-6)
+    assert np.ptp(accel_mps2[acts]) > 1.0 and not steps["sees"][~acts].any()
+
+    power = -np.maximum(0.0, steps["speed_after_mps"] * steps["accel_after_mps2"])
+    own = np.take_along_axis(power, steps["row_after"], axis=1)
+    there = steps["present_after"]
+    fleet = np.where(there, power, 0.0).sum(1) / np.maximum(there.sum(1), 1)
+    np.testing.assert_allclose(steps["own"][stays], own[stays], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(steps["fleet"], np.where(acts, fleet[:, None], 0.0), rtol=1e-4, atol=1e-4)
+    expected = (0.25 * steps["fleet"] + 0.75 * steps["own"]) / 2.0
+    np.testing.assert_allclose(steps["reward"][acts], expected[acts], rtol=1e-4, atol=1e-4)
+    assert np.ptp(own[stays]) > 1.0 and not steps["reward"][~acts].any()

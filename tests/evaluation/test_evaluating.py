@@ -1,0 +1,100 @@
+"""``python -m izoo.evaluate`` at toy size, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+import izoo.conf
+from izoo.commands.evaluating import merge_env, resolve
+from izoo.conf.context_choices import PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.contexts.source import ContextList
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.errors import IzooError
+from izoo.evaluate import main
+from izoo.evaluation.selection import choose_contexts
+
+TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
+
+
+def test_command_writes_its_results_and_goes_on_with_more_seeds(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["policy=tests.evaluation.odd_policies:gentle", f"cache={cache}", "num_contexts=1", *TOY]
+    assert main([*words, "seeds=1"]) == 0
+    (folder,) = (tmp_path / "evaluations").iterdir()
+    assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 3
+    assert main([*words, "seeds=2"]) == 0
+    assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 6
+    out = capsys.readouterr().out
+    assert "1 context, 2 seeds each, episodes of 90 s of which the first 25 s are not measured" in out
+    assert "gentle against human (headline)" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["policy=glied"], "Did you mean 'glide'"),
+        ([], "give one of run=RUN_DIR and policy=NAME"),
+        (["run=no/such/run"], "does not exist"),
+        (["polciy=glide"], "Did you mean 'policy'"),
+        (["policy=glide", "seeds=0"], "seeds is 0"),
+        (["policy=glide", "algo=ppo"], "'algo'"),
+        (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
+    ],
+)
+def test_bad_options_are_one_sentence_and_exit_code_2(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, *TOY]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_yaml_equals_dataclass() -> None:
+    values = yaml.safe_load((Path(izoo.conf.__path__[0]) / "evaluate.yaml").read_text())
+    values.pop("defaults")
+    default = EvaluateConfig()
+    plain = {f.name for f in dataclasses.fields(default)} - {"contexts", "env"}
+    assert values == {name: getattr(default, name) for name in plain}
+
+
+def test_a_run_keeps_its_environment_but_for_what_is_given() -> None:
+    trained = EnvConfig(num_agents=7, step_s=1.0)
+    chosen = EnvConfig(num_agents=9, horizon_s=300.0)
+    assert merge_env(trained, chosen, frozenset()) == trained
+    merged = merge_env(trained, chosen, frozenset({"env.horizon_s", "contexts"}))
+    assert merged == EnvConfig(num_agents=7, step_s=1.0, horizon_s=300.0)
+    paid = EnvConfig(reward=RewardConfig(eta=0.5, beta=-1.0))
+    merged = merge_env(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}))
+    assert merged.reward == RewardConfig(eta=0.5, beta=-1.0, alpha=-1.0), "one option of a group leaves the others"
+
+
+def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
+    source = PcgContexts(inflow_vph_per_lane="100..900").build()
+    drawn = choose_contexts(source, None, 0)
+    assert len({context.content_hash for context in drawn}) == len(drawn) == 16
+    assert choose_contexts(source, 3, 0) == choose_contexts(source, 3, 0) != choose_contexts(source, 3, 1)
+    assert choose_contexts(ContextList(contexts), None, 0) == contexts
+    assert choose_contexts(ContextList(contexts), 1, 0)[0] in contexts
+
+
+def test_a_run_and_a_policy_at_once_are_refused() -> None:
+    with pytest.raises(IzooError, match="give one of run=RUN_DIR and policy=NAME"):
+        resolve(EvaluateConfig(run="runs/RUN", policy="glide"), frozenset())
+
+
+def test_an_imported_policy_is_named_after_its_function() -> None:
+    subject = resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:gentle"), frozenset())
+    assert subject.name == "gentle"
+    with pytest.raises(IzooError, match="nobody"):
+        resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:nobody"), frozenset())

@@ -1,0 +1,114 @@
+"""The table and the picture of a sweep, from run folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from matplotlib import image
+
+from izoo import report, train
+from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.ppo_config import PPOConfig
+from izoo.conf.train_options import TrainConfig
+from izoo.reporting import sweeps
+from izoo.training import runs
+from izoo.training.records import MetricsTable
+
+
+def make_run(
+    folder: Path, config: TrainConfig, frames: int, returns: float, benefits: tuple[float, ...], evaluated: float | None
+) -> None:
+    """Write what a run leaves behind."""
+    folder.mkdir(parents=True)
+    runs.write_config(folder, config)
+    table = MetricsTable(folder / runs.METRICS_FILE)
+    table.append({"frames": frames // 2, "seconds": 1800.0, "return": returns})
+    table.append({"frames": frames, "seconds": 3600.0})
+    validation = MetricsTable(folder / "validation.csv")
+    for number, benefit in enumerate(benefits):
+        validation.append({"frames": number + 1, "benefit": benefit})
+    if evaluated is not None:
+        entry = {"headline": "human", "against": {"human": {"all": {"exact": {"mean": {"value": evaluated}}}}}}
+        (folder / "summary.json").write_text(json.dumps({"policies": {"uncommanded": {}, "policy": entry}}))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two algorithms, two seeds each, one of them killed; and a run that was killed before it had options."""
+    for number, (algo, seed) in enumerate([(PPOConfig(), 0), (PPOConfig(), 1), (DDPGConfig(), 0), (DDPGConfig(), 1)]):
+        config = TrainConfig(algo=algo, seed=seed, total_frames=1000)
+        frames = 400 if number == 3 else 1000
+        benefits = (0.01, 0.03, 0.02) if seed == 0 else (0.05,)
+        make_run(tmp_path / f"{number}-run", config, frames, -10.0 * number, benefits, 0.1 if seed == 0 else None)
+    return tmp_path
+
+
+def test_choices_are_averaged_over_their_seeds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report.main([str(folder)]) == 0
+    table = pd.read_csv(folder / sweeps.SWEEP_FILE)
+    assert table["algo.name"].tolist() == ["ppo", "ddpg"], "hyper-parameters that one algorithm lacks do not vary"
+    assert table["runs"].tolist() == [2, 2] and table["finished"].tolist() == [2, 1]
+    assert table["benefit_best_mean"].tolist() == pytest.approx([0.04, 0.04])
+    assert table["benefit_last_mean"].tolist() == pytest.approx([0.035, 0.035])
+    assert table["benefit_evaluation_mean"].tolist() == pytest.approx([0.1, 0.1])
+    assert table["return_mean"].tolist() == pytest.approx([-5.0, -25.0])
+    assert table["frames"].tolist() == [2000, 1400]
+    assert table["hours_per_run"].tolist() == [1.0, 1.0]
+    assert len(pd.read_csv(folder / sweeps.RUNS_FILE)) == 4
+    assert image.imread(folder / sweeps.CURVES_FILE).shape[2] == 4
+    out = capsys.readouterr().out
+    assert "1/2" in out and "3-run: unfinished, 400 frames" in out
+    assert "4.0%" in out
+
+
+def test_options_that_vary_become_columns(folder: Path) -> None:
+    make_run(folder / "4-run", TrainConfig(algo=PPOConfig(lr=1e-3), total_frames=1000), 1000, -1.0, (), None)
+    sweeps.report(folder)
+    table = pd.read_csv(folder / sweeps.SWEEP_FILE)
+    assert list(table.columns[:2]) == ["algo.lr", "algo.name"] or list(table.columns[:2]) == ["algo.name", "algo.lr"]
+    assert len(table) == 3
+    assert pd.isna(table.loc[table["algo.lr"] == 1e-3, "benefit_best_mean"]).all()
+
+
+def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "5-run").mkdir()
+    (folder / "5-run" / runs.CONFIG_FILE).write_text("algo: [")
+    (folder / "0-run" / "summary.json").write_text("{")
+    with (folder / "1-run" / runs.METRICS_FILE).open("a") as file:
+        file.write("20")  # a row cut short by a kill
+    assert report.main([str(folder)]) == 0
+    assert "5-run: cannot read" in capsys.readouterr().out.replace("\n", "")
+    rows = pd.read_csv(folder / sweeps.RUNS_FILE)
+    assert rows["frames"].tolist() == [1000, 1000, 1000, 400, 0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "give one folder"),
+        (["missing"], "missing is no folder"),
+        (["."], "holds no results"),
+        (["--hlep"], "Did you mean '--help'"),
+    ],
+)
+def test_bad_input(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert report.main(words) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["contexts=pcg_easy", "env.horizon_s=75", "algo.hidden=[8]", "evaluation.contexts=0", "total_frames=100"]
+    words += ["collector=single"]
+    sizes = ["algo.frames_per_batch=100", "algo.minibatch_rows=64", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    assert train.main(["-m", *words, *sizes, "algo.lr=1e-3,1e-4", "seed=0"]) == 0
+    assert report.main([str(tmp_path / "sweep")]) == 0
+    table = pd.read_csv(tmp_path / "sweep" / sweeps.SWEEP_FILE)
+    assert table["algo.lr"].tolist() == [1e-3, 1e-4] and table["finished"].tolist() == [1, 1]

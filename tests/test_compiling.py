@@ -1,0 +1,127 @@
+"""Compiled code: found only for the sources that it was compiled from, and compiled by one process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from izoo import compiling
+
+
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """One source file, and a folder of its own for what is compiled from it."""
+    source = tmp_path / "step.py"
+    source.write_text("x = 1")
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiling.py"))
+    monkeypatch.setattr(compiling, "sources", lambda: [source])
+    compiling.folder.cache_clear()
+    yield source
+    compiling.folder.cache_clear()
+
+
+def test_what_was_compiled_from_other_sources_is_not_found_and_goes(sources: Path) -> None:
+    first = compiling.folder()
+    assert first.is_dir() and first.parent.name == "__pycache__"
+    compiling.folder.cache_clear()
+    assert compiling.folder() == first
+    sources.write_text("x = 2")
+    compiling.folder.cache_clear()
+    assert compiling.folder() != first
+    assert not first.exists()
+
+
+def test_a_folder_that_cannot_be_written_is_passed_over(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (sources.parent / "__pycache__").write_text("in the way")
+    monkeypatch.setattr(compiling, "cache_root", lambda: sources.parent / "user")
+    assert compiling.folder().parent == sources.parent / "user"
+
+
+def test_every_compiled_module_is_a_source() -> None:
+    program = """
+import importlib, pathlib, izoo.envs, izoo.compiling as compiling
+importlib.import_module("izoo.envs.mdp.step"), importlib.import_module("izoo.algos.acting")
+known = {str(path) for path in compiling.sources()}
+import sys
+for name, module in list(sys.modules.items()):
+    if name.startswith("izoo") and any(hasattr(value, "py_func") for value in vars(module).values()):
+        assert str(pathlib.Path(module.__file__)) in known, name
+print(len(known))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert int(done.stdout) > 15
+
+
+def kernel(folder: Path, compiled: bool = False) -> SimpleNamespace:
+    def drive() -> None: ...
+
+    if compiled:
+        version = "".join(map(str, sys.version_info[:2]))
+        (folder / f"module.{drive.__qualname__}-1.py{version}.nbi").touch()
+    return SimpleNamespace(py_func=drive, signatures=[], stats=SimpleNamespace(cache_path=str(folder)))
+
+
+def test_who_compiles_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with compiling.compiling_once(kernel(tmp_path)):
+        pass
+    assert "Compiling" in capsys.readouterr().err
+    with compiling.compiling_once(kernel(tmp_path, compiled=True)):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_others_wait_for_the_one_that_compiles_and_not_for_each_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = kernel(tmp_path)
+    waited, together = [], threading.Barrier(3, timeout=20.0)
+
+    def wait() -> None:
+        with compiling.compiling_once(first):
+            waited.append(bool(list(tmp_path.glob("*.nbi"))))
+            together.wait()
+
+    threads = [threading.Thread(target=wait) for _ in range(2)]
+    with compiling.compiling_once(first):
+        for thread in threads:
+            thread.start()
+        time.sleep(0.2)
+        assert waited == []
+        kernel(tmp_path, compiled=True)
+    together.wait()
+    for thread in threads:
+        thread.join()
+    assert waited == [True, True]
+    assert capsys.readouterr().err.count("Compiling") == 1
+
+
+def test_a_failure_while_compiling_frees_the_others(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), compiling.compiling_once(kernel(tmp_path)):
+        raise KeyError
+    with compiling.compiling_once(kernel(tmp_path)):
+        pass
+
+
+def test_nobody_has_to_read_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: str) -> int:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=broken))
+    with compiling.compiling_once(kernel(tmp_path)):
+        pass
+
+
+def test_files_that_cannot_be_locked_stop_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(compiling.filelock.FileLock, "acquire", refuse)
+    with compiling.compiling_once(kernel(tmp_path)):
+        pass

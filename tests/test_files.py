@@ -1,0 +1,80 @@
+"""Files that are whole or absent, folders that one process uses, and reasons in words that are true."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from izoo.files import claimed, discard_partials, os_reason, partial_of, replacing_folder, write_bytes, write_text
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("file", "{0}/file is a file"),
+        ("file/below", "a folder of its path is a file"),
+        ("link", "{0}/link is a link that leads nowhere"),
+        ("folder", "File exists"),
+    ],
+)
+def test_a_path_that_cannot_be_made_says_what_stands_in_the_way(tmp_path: Path, name: str, reason: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OSError) as caught:
+        (tmp_path / name).mkdir()
+    assert os_reason(caught.value) == reason.format(tmp_path)
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_text(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "\ud800")
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_belongs_to_one_process_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    program = "from pathlib import Path; from izoo.files import claimed; "
+    program += f"claimed(Path({str(folder)!r})).__enter__()"
+    with claimed(folder):
+        other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert other.returncode != 0 and "another process works in" in other.stderr
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    with claimed(folder):
+        assert list(folder.iterdir()) == []
+
+
+def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError) as caught:
+        write_bytes(tmp_path / "file" / "below", b"")
+    assert caught.value.filename == str(tmp_path / "file" / "below")
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "target"
+    with replacing_folder(target) as staging:
+        (staging / "one").touch()
+    with pytest.raises(KeyboardInterrupt), replacing_folder(target) as staging:
+        (staging / "two").touch()
+        raise KeyboardInterrupt
+    assert [path.name for path in target.iterdir()] == ["one"]
+    assert [path.name for path in target.parent.iterdir()] == ["target"]
+
+
+def test_what_killed_processes_left_is_removed_and_what_others_write_is_kept(tmp_path: Path) -> None:
+    (tmp_path / ".town.partial-999999999-0a").mkdir()
+    (tmp_path / ".file.partial-999999999-0b").touch()
+    (tmp_path / f".file.partial-{os.getppid()}-0c").touch()
+    discard_partials(tmp_path, "town")
+    assert len(list(tmp_path.iterdir())) == 2
+    discard_partials(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [f".file.partial-{os.getppid()}-0c"]
+    assert partial_of(tmp_path / "file") != partial_of(tmp_path / "file")

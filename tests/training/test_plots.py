@@ -1,0 +1,38 @@
+"""The learning curve can be read: labels stand apart, and legends cover no curve."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from izoo.training.plots import PANELS, VALIDATION_PANELS, draw_learning_curve
+from izoo.training.records import MetricsTable
+
+
+def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:
+    made = MetricsTable(path)
+    for k in range(1, 41):
+        made.append({"frames": k * frames_per_row, **dict.fromkeys(columns, 0.5 + 0.01 * k)})
+    return MetricsTable.read(path)
+
+
+@pytest.mark.parametrize("frames_per_row", [50, 3_900, 1_234_567])
+def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: int) -> None:
+    metrics = table(tmp_path / "m.csv", [name for name, _ in PANELS], frames_per_row)
+    validated = [name for panel in VALIDATION_PANELS for name, _ in panel]
+    figure = draw_learning_curve(metrics, "run", table(tmp_path / "v.csv", validated, frames_per_row))
+    figure.canvas.draw()
+    assert len(figure.axes) == 6
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        shown = [
+            label for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True) if low <= tick <= high
+        ]
+        boxes = [label.get_window_extent() for label in shown]
+        assert len(boxes) > 2
+        assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes)), [s.get_text() for s in shown]
+        legend = axes.get_legend()
+        assert legend is None or not legend.get_window_extent().overlaps(axes.get_window_extent())
+    assert sum(axes.get_legend() is not None for axes in figure.axes) == 2
