@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from izoo import __version__
 from izoo.console import Progress, exit_code
-from izoo.errors import IzooError, os_reason
-from izoo.files import write_json
+from izoo.errors import IzooError
+from izoo.files import os_reason, write_json
 
 if TYPE_CHECKING:
     from izoo.drivers.estimate import Estimate

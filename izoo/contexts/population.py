@@ -80,7 +80,7 @@ def read_population(path: str | Path) -> DriverPopulation:
         raise IzooError(f"{path} is not JSON; give a file that `python -m izoo.drivers calibrate` wrote.") from None
     try:
         classes = [content["classes"][name] for name in DRIVER_CLASSES]
-        means, covariances = ([entry[key] for entry in classes] for key in ("log_mean", "log_cov"))
+        means, covariances = (tuple(entry[key] for entry in classes) for key in ("log_mean", "log_cov"))
         converged = content.get("converged", True)
     except (KeyError, TypeError, AttributeError):
         raise IzooError(

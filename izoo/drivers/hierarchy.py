@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpyro
 import numpyro.distributions as dist
 from jax import Array
+from jax.typing import ArrayLike
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from izoo.drivers.following import Following
@@ -61,9 +62,9 @@ def model(data: Following, pilot: Pilot) -> None:
     numpyro.factor("speeds", -0.5 * squares - jnp.sum(pilot.steps * jnp.log(scale)))
 
 
-def total_noise(log_noise: Array) -> Array:
+def total_noise(log_noise: ArrayLike) -> Array:
     """Return the standard deviation of the acceleration's noise, m/s^2, the floor included."""
-    return jnp.sqrt(jnp.exp(2.0 * log_noise) + NOISE_FLOOR_MPS2**2)
+    return jnp.sqrt(jnp.exp(2.0 * jnp.asarray(log_noise)) + NOISE_FLOOR_MPS2**2)
 
 
 def _mean(pilot: Pilot) -> Array:

@@ -26,6 +26,7 @@ otherwise bind the sampler to the kinks of the IDM."""
 ROUNDS, FITS_PER_ROUND = 12, 4
 
 Arrays = tuple[Array, ...]
+State = tuple[Array, Array, Array, Array]
 """Speed, gap, leader speed, next speed and used, each ``[D, N]``."""
 
 
@@ -65,14 +66,14 @@ def _fit(arrays: Arrays, step_s: float) -> Pilot:
     steps = jnp.sum(arrays[-1], axis=1)
     mean, covariance = jnp.log(jnp.array(TYPICAL)), jnp.eye(size) * FIRST_SPREAD**2
 
-    def one_round(state: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
+    def one_round(state: State, _: None) -> tuple[State, None]:
         theta, noise, mean, covariance = state
         precision = jnp.linalg.inv(covariance)
 
         def improve(fit: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
             return _improve(*fit, noise, mean, precision, arrays, step_s), None
 
-        (theta, _), _ = jax.lax.scan(improve, (theta, jnp.full(count, 1e-3)), None, length=FITS_PER_ROUND)
+        theta = jax.lax.scan(improve, (theta, jnp.full(count, 1e-3)), None, length=FITS_PER_ROUND)[0][0]
         information, _, squares = _curvature(theta, noise, arrays, step_s)
         noise = jnp.maximum(noise * jnp.sqrt(squares / steps), NOISE_FLOOR_MPS2)
         mean = theta.mean(axis=0)
