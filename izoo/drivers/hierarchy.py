@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpyro
 import numpyro.distributions as dist
 from jax import Array
-from jax.typing import ArrayLike
 from jax.scipy.linalg import cho_solve, solve_triangular
+from jax.typing import ArrayLike
 
 from izoo.drivers.following import Following
 from izoo.drivers.pilot import NOISE_FLOOR_MPS2, TYPICAL, Pilot

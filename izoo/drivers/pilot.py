@@ -26,8 +26,9 @@ otherwise bind the sampler to the kinks of the IDM."""
 ROUNDS, FITS_PER_ROUND = 12, 4
 
 Arrays = tuple[Array, ...]
-State = tuple[Array, Array, Array, Array]
 """Speed, gap, leader speed, next speed and used, each ``[D, N]``."""
+State = tuple[Array, Array, Array, Array]
+"""Parameters and noise of the drivers, mean and covariance of their population."""
 
 
 class Pilot(NamedTuple):
@@ -66,7 +67,7 @@ def _fit(arrays: Arrays, step_s: float) -> Pilot:
     steps = jnp.sum(arrays[-1], axis=1)
     mean, covariance = jnp.log(jnp.array(TYPICAL)), jnp.eye(size) * FIRST_SPREAD**2
 
-    def one_round(state: State, _: None) -> tuple[State, None]:
+    def one_round(state: State, nothing: None) -> tuple[State, None]:
         theta, noise, mean, covariance = state
         precision = jnp.linalg.inv(covariance)
 
