@@ -2,7 +2,7 @@
 
 Per data set a population is drawn, the environment simulates its drivers at a signal, ``write_trajectories`` writes
 what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that are
-in the folder are not run again, so the benchmark can be stopped and continued; sets are the same on any machine.
+in the folder are not run again, so the benchmark can be stopped and continued.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from izoo.console import exit_code
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
-from izoo.errors import check_range
+from izoo.errors import IzooError, check_range
 from izoo.files import write_json
 
 LIMIT_MPS = 16.0
@@ -82,7 +82,7 @@ def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_
 def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
     """Simulate and calibrate one data set; return what is true and what was found."""
     from izoo.drivers.estimate import estimate
-    from izoo.drivers.following import ReadConfig, read_following
+    from izoo.drivers.followers import ReadConfig, read_following
 
     population = true_population(number)
     with tempfile.TemporaryDirectory() as folder:
@@ -100,6 +100,8 @@ def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0
         "seconds": time.monotonic() - began,
         "processor_seconds": time.process_time() - worked,
         "converged": result.converged,
+        "not_converged": [quantity.name for quantity in result.quantities if not quantity.converged],
+        "diverging": result.diverging,
         "autocorrelation": result.predictions.autocorrelation,
         "worst_r_hat": max(quantity.r_hat for quantity in result.quantities),
         "least_ess": min(quantity.ess for quantity in result.quantities),
@@ -170,14 +172,17 @@ def run(options: argparse.Namespace) -> int:
     from izoo.drivers.chains import SamplerConfig
 
     chains = SamplerConfig(options.warmup, options.draws)
+    settings = {name: getattr(options, name) for name in ("drivers", "speed_noise", "warmup", "draws")}
     options.out.mkdir(parents=True, exist_ok=True)
     results = []
     for number in range(options.sets):
         path = options.out / f"set-{number:03d}.json"
         if not path.is_file():
-            write_json(path, recover(number, options.drivers, chains, options.speed_noise))
-        results.append(json.loads(path.read_text()))
-        last = results[-1]
+            write_json(path, {"settings": settings, **recover(number, options.drivers, chains, options.speed_noise)})
+        last = json.loads(path.read_text())
+        if last["settings"] != settings:
+            raise IzooError(f"{path} is of other settings, {last['settings']}; give another --out, or those settings.")
+        results.append(last)
         print(
             f"set {number}: {last['seconds']:.0f} s, worst R-hat {last['worst_r_hat']:.3f}, least ESS "
             f"{last['least_ess']:.0f}{'' if last['converged'] else ', not converged'}",

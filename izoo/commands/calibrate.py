@@ -46,7 +46,7 @@ def calibrate(options: argparse.Namespace) -> int:
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise IzooError(f"calibration needs {' and '.join(missing)}: python -m pip install 'izoo[calibrate]'.")
-    from izoo.drivers.following import ReadConfig, read_following
+    from izoo.drivers.followers import ReadConfig, read_following
 
     names = ("step_s", "default_length_m", "heavy_from_m", "max_drivers", "seed")
     read_config = ReadConfig(**{name: getattr(options, name) for name in names})

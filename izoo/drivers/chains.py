@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from numpyro.infer import NUTS, util
 
 from izoo.drivers import hierarchy
-from izoo.drivers.following import Following
+from izoo.drivers.followers import Following
 from izoo.drivers.pilot import Pilot
 from izoo.errors import check_range
 
@@ -24,6 +24,8 @@ PIECE = 20
 """Iterations between two reports of progress."""
 MAX_TREE_DEPTH = 8
 FIRST_STEP = 0.3
+TARGET_ACCEPT = 0.9
+"""Of proposals: the kinks of the IDM want shorter steps than NUTS's usual 0.8."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
         adapt_mass_matrix=False,
         inverse_mass_matrix=ravel_pytree(hierarchy.scales(pilot))[0],
         step_size=FIRST_STEP,
+        target_accept_prob=TARGET_ACCEPT,
         max_tree_depth=MAX_TREE_DEPTH,
     )
 

@@ -12,7 +12,7 @@ from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 
 from izoo.contexts.population import IDM_PARAMETERS
 from izoo.drivers.chains import Draws, SamplerConfig, sample
-from izoo.drivers.following import Following
+from izoo.drivers.followers import Following
 from izoo.drivers.hierarchy import total_noise
 from izoo.drivers.pilot import fit_pilot
 from izoo.drivers.predictive import Predictions, predict

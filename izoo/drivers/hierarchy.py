@@ -23,7 +23,7 @@ from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 from jax.typing import ArrayLike
 
-from izoo.drivers.following import Following
+from izoo.drivers.followers import Following
 from izoo.drivers.pilot import NOISE_FLOOR_MPS2, TYPICAL, Pilot
 from izoo.drivers.update import next_speed
 
@@ -139,11 +139,12 @@ def scales(pilot: Pilot) -> dict[str, Array]:
     row, column = jnp.tril_indices(SIZE, -1)
     spread = noise_spread(pilot) ** 2
     noise_vague = 1.0 / (NOISE_SD_SCALE**-2 + jnp.mean(pilot.noise_information)) / spread
+    noise_worth = pilot.noise_information / (1.0 + spread * pilot.noise_information)
     return {
         "corr_factor": 1.0 / count + 0.15 * jnp.maximum(pilot.vague[row], pilot.vague[column]),
         "log_mean_raw": jnp.ones(SIZE),
         "log_sd_raw": 2.0 / count + pilot.vague,
-        "noise_mean": spread / count,
+        "noise_mean": 1.0 / (NOISE_SPREAD**-2 + jnp.sum(noise_worth)),
         "noise_sd_raw": 2.0 / count + noise_vague,
         "noise_z": jnp.ones(count),
         "z": jnp.ones((count, SIZE)),

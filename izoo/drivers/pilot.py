@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from izoo.drivers.following import Following
+from izoo.drivers.followers import Following
 from izoo.drivers.update import next_speed
 
 TYPICAL = (15.0, 2.0, 1.2, 1.2, 1.6)
@@ -38,7 +38,7 @@ class Pilot(NamedTuple):
         information: ``[D, 5, 5]`` curvature of each driver's log-likelihood around its peak (Gauss-Newton).
         pull: ``[D, 5]``: the quadratic log-likelihood is ``pull @ x - x @ information @ x / 2``.
         log_noise: ``[D]`` log of the residual acceleration's standard deviation, the floor taken out.
-        noise_information: ``[D]`` curvature of the log-likelihood along ``log_noise``.
+        noise_information: ``[D]`` curvature of the log-likelihood along ``log_noise``; 0 where the floor hides it.
         steps: ``[D]`` how many steps each driver has.
         log_mean, log_cov: ``[5]`` and ``[5, 5]`` of a rough population.
         mean_root: ``[5, 5]`` lower triangular root of the posterior covariance of ``log_mean``, were ``log_cov`` known.
@@ -95,7 +95,9 @@ def _fit(arrays: Arrays, step_s: float) -> Pilot:
     vague = jnp.clip(jnp.diag(unknown) / jnp.diag(covariance), 0.0, 1.0)
     above = jnp.maximum(noise**2 - NOISE_FLOOR_MPS2**2, 0.05 * NOISE_FLOOR_MPS2**2)
     # The log of a standard deviation is known with information 2 n; here, of the part that is not the floor.
-    noise_information = 2.0 * steps * (above / noise**2) ** 2
+    # Noise below the floor leaves no trace: the likelihood is flat there.
+    seen = noise > NOISE_FLOOR_MPS2
+    noise_information = jnp.where(seen, 2.0 * steps * (above / noise**2) ** 2, 0.0)
     return Pilot(information, pull, 0.5 * jnp.log(above), noise_information, steps, mean, covariance, mean_root, vague)
 
 

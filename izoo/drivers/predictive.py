@@ -16,8 +16,9 @@ import numpy as np
 from jax import Array
 
 from izoo.drivers.chains import Draws
-from izoo.drivers.following import Following
+from izoo.drivers.followers import Following
 from izoo.drivers.hierarchy import total_noise
+from izoo.drivers.pilot import NOISE_FLOOR_MPS2
 from izoo.drivers.update import SMALLEST_GAP_M, next_speed
 
 REPLICAS = 100
@@ -59,7 +60,7 @@ class Predictions:
     Attributes:
         coverage: per interval of :data:`INTERVALS`, the share of next speeds that it holds.
         ranks: ``[steps]`` of the observed next speed among its predictions, in [0, 1]; uniform if all is well.
-        autocorrelation: of residuals of consecutive steps; the model says 0.
+        autocorrelation: of residuals of consecutive steps; the model says 0; any below the floor count little.
         checks: of whole drives.
         speeds, gaps: ``[R, D, N]`` of the replicas that drove on, before each step.
     """
@@ -88,8 +89,10 @@ def predict(data: Following, draws: Draws, seed: int) -> Predictions:
     residual = data.next_speed_mps - mean.mean(axis=0)
     pairs = data.continues[:, 1:] & used[:, 1:] & used[:, :-1]
     one, other = residual[:, :-1][pairs], residual[:, 1:][pairs]
-    scale = np.sqrt(np.mean(one**2) * np.mean(other**2)) if len(one) else 0.0
-    autocorrelation = float(np.mean(one * other) / scale) if scale > 0.0 else 0.0
+    # Residuals below the floor of the noise are the rounding of a file, and say nothing of its drivers.
+    least = (NOISE_FLOOR_MPS2 * data.step_s) ** 2
+    scale = max(np.sqrt(np.mean(one**2) * np.mean(other**2)), least) if len(one) else least
+    autocorrelation = float(np.mean(one * other) / scale) if len(one) else 0.0
     observed = _summaries(data.speed_mps, data.gap_m, data.next_speed_mps - data.speed_mps, data)
     replicas = [_summaries(s, g, c, data) for s, g, c in zip(speeds, gaps, changes, strict=True)]
     checks = tuple(

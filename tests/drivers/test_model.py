@@ -19,7 +19,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.drivers import hierarchy
 from izoo.drivers.chains import SamplerConfig, sample
 from izoo.drivers.estimate import Estimate, estimate, to_content
-from izoo.drivers.following import Following, ReadConfig, read_following
+from izoo.drivers.followers import Following, ReadConfig, read_following
 from izoo.drivers.pilot import NOISE_FLOOR_MPS2, TYPICAL, Pilot, fit_pilot
 from izoo.drivers.posterior_figure import longest_drive
 from izoo.drivers.predictive import predict

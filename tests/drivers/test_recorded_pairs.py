@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.drivers.following import ReadConfig, read_following
+from izoo.drivers.followers import ReadConfig, read_following
 from izoo.drivers.recorded_pairs import read_pairs
 from izoo.errors import IzooError
 from tests.drivers.platoons import platoon_table
