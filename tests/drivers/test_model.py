@@ -201,11 +201,12 @@ def test_the_longest_drive() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_the_environments_drivers_are_found() -> None:
-    """One data set of the benchmark, in full."""
+    """One data set of the recovery study."""
     from izoo.benchmarks.calibration import recover
 
-    result = recover(0, 50, SamplerConfig())
+    result = recover(0, 30, SamplerConfig(warmup=150, draws=250))
     assert result["converged"]
     table = pd.DataFrame(result["quantities"]).T
     held = (table["low"] <= table["true"]) & (table["true"] <= table["high"])
