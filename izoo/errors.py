@@ -46,7 +46,7 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
         raise unknown_choice(what, value, names)
 
 
-def check_range(what: str, value: float, low: float, high: float, unit: str = "") -> None:
+def check_range(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
     """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise IzooError(f"{what} is {value!r}; it must be a number in [{low:g}, {high:g}]{f' {unit}' if unit else ''}.")
@@ -57,7 +57,7 @@ def check_range(what: str, value: float, low: float, high: float, unit: str = ""
 
 def check_whole(what: str, value: object, low: int, high: int) -> int:
     """Return ``value``; raise :class:`IzooError` unless it is a whole number in ``[low, high]``."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise IzooError(f"{what} is {value!r}; it must be a whole number from {low} to {high}.")
     return int(value)
 
