@@ -61,7 +61,6 @@ from izoo.envs.twin.conflicts import (
     CROSSING,
     MERGING,
     NOWHERE,
-    PARTING,
 )
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.lights import is_major

@@ -45,6 +45,7 @@ ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
 """What SUMO keeps free at the end of a lane for vehicles that must change by two lanes or more."""
 MINOR, EQUAL, STOP, ALLWAY_STOP, MAJOR_GREEN = ord("m"), ord("="), ord("s"), ord("w"), ord("G")
 
+
 @compiled
 def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Insert whoever is due and finds room, per lane in the order of departure."""
