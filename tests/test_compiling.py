@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import numba
+import numpy as np
 import pytest
 
 from izoo import compiling
@@ -125,3 +127,17 @@ def test_files_that_cannot_be_locked_stop_nobody(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(compiling.filelock.FileLock, "acquire", refuse)
     with compiling.compiling_once(kernel(tmp_path)):
         pass
+
+
+def test_a_function_that_only_borrows_may_not_make_an_array() -> None:
+    """Nobody would ever free it."""
+
+    def makes(n: int) -> float:
+        return np.zeros(n).sum()
+
+    def reads(values: np.ndarray) -> float:
+        return values[1:].sum()
+
+    assert compiling.compiled(reads, borrows=True, cache=False)(np.arange(4.0)) == 6.0
+    with pytest.raises(numba.core.errors.NumbaError, match="passed into the function"):
+        compiling.compiled(makes, borrows=True, cache=False)(3)

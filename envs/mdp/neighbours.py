@@ -12,6 +12,7 @@ from izoo.envs.mdp.state import (
     GAP,
     HAS_LEADER,
     LANE_POSITION,
+    LEADER,
     LEADER_SPEED,
     LENGTH,
     PLACE,
@@ -48,7 +49,7 @@ def sort_lanes(rows, floats, ints, num_lanes, order, start):  # type: ignore[no-
         fill[k] += 1
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped-def]
     """Return the place in ``order`` of the first vehicle on ``lane`` at or beyond ``position`` (its end if none)."""
     low, high = start[lane], start[lane + 1]
@@ -61,7 +62,7 @@ def first_from(lane, position, floats, order, start):  # type: ignore[no-untyped
     return low
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return who turns off to another exit than ``exit_`` with its rear still on ``lane``, and the gap to ``position``.
 
@@ -85,7 +86,7 @@ def rear_on(lane, position, exit_, me, floats, order, start, road):  # type: ign
     return found, nearest
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
 
@@ -111,7 +112,7 @@ def find_ahead(lane, position, first, exit_, me, floats, order, start, road):  #
     return turning, rear
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def find_behind(lane, position, last, length, approach, me, floats, order, start, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle behind ``position`` along the way from ``approach`` and its gap.
 
@@ -134,7 +135,7 @@ def find_behind(lane, position, last, length, approach, me, floats, order, start
     return -1, FAR_M
 
 
-@compiled
+@compiled(borrows=True)
 def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore[no-untyped-def]
     """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s, infinite when not closing."""
     for k in range(rows.shape[0]):
@@ -144,6 +145,7 @@ def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore
         leader, gap = find_ahead(lane, position, k + 1, ints[r, EXIT], r, floats, order, start, road)
         floats[r, TTC] = NO_TTC
         flags[r, HAS_LEADER] = leader >= 0
+        ints[r, LEADER] = leader
         if leader >= 0:
             floats[r, GAP] = gap
             floats[r, LEADER_SPEED] = floats[leader, SPEED]

@@ -184,6 +184,12 @@ def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.
     return np.stack(columns, axis=-1) / np.array(scales(names))
 
 
+def neighbour_columns(neighbours: Sequence[str]) -> np.ndarray:
+    """Return ``[6]``, in the order of :data:`NEIGHBOURS`: the first column of each in the observation, -1 if unseen."""
+    first = {name: len(EGO_COLUMNS) + len(NEIGHBOUR_COLUMNS) * j for j, name in enumerate(neighbours)}
+    return np.array([first.get(name, -1) for name in NEIGHBOURS], np.int64)
+
+
 def observation_columns(neighbours: Sequence[str], observed: Sequence[str]) -> list[Column]:
     """Return the ``F`` columns of ``("agents", "observation")`` under their full names, in order.
 

@@ -5,45 +5,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numba import njit
-
-from izoo.compiling import compiled
+from izoo.compiling import compiled, line_writer
 from izoo.envs.mdp.neighbours import find_ahead, find_behind, first_from
 from izoo.envs.mdp.observation import EGO_COLUMNS, FAR_M, NEIGHBOUR_COLUMNS, Column
 from izoo.envs.mdp.state import APPROACH, EXIT, LANE_POSITION, LENGTH, PLACE, REGION_LANE
 
-NUM_EGO, NUM_SEEN = len(EGO_COLUMNS), len(NEIGHBOUR_COLUMNS)
+NUM_SEEN = len(NEIGHBOUR_COLUMNS)
 
 
 def _writer(columns: Sequence[Column], arguments: str) -> Any:
-    """Compile declared columns into one function ``write(ARGUMENTS, line)``, a statement for each of them."""
-    names = {f"value_{k}": njit(column.value, inline="always") for k, column in enumerate(columns)}
-    lines = [f"    line[{k}] = value_{k}({arguments}) / {column.scale}" for k, column in enumerate(columns)]
-    exec("\n".join([f"def write({arguments}, line):", *lines]), names)
-    return njit(names["write"])
+    return line_writer([column.value for column in columns], [column.scale for column in columns], arguments)
 
 
 _write_ego = _writer(EGO_COLUMNS, "r, vehicles, road, clock")
 _write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicles")
 
 
-@compiled
-def observe(agent_row, vehicles, road, clock, features, neighbours, sensor_range_m, out):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def observe(agent_row, vehicles, road, clock, features, columns, sensor_range_m, out):  # type: ignore[no-untyped-def]
     """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
 
     Args:
         agent_row: ``[A]`` rows of the tables ``vehicles`` (``floats``, ``ints``, ``flags``, ``order``, ``lane_start``).
         road, clock: arrays of the road, and the state of the signals.
         features: ``[P, Q, O]`` observed context features of a movement, scaled.
-        neighbours: ``[n]`` which of :data:`~izoo.envs.mdp.observation.NEIGHBOURS` are seen (0 to 5), in this order.
+        columns: ``[6]`` from :func:`~izoo.envs.mdp.observation.neighbour_columns`.
         sensor_range_m: who is farther counts as absent.
     """
-    columns = np.empty(6, np.int64)  # np.full compiles longer
-    columns[:] = -1
-    for j in range(neighbours.shape[0]):
-        columns[neighbours[j]] = NUM_EGO + NUM_SEEN * j
-    first_feature = NUM_EGO + NUM_SEEN * neighbours.shape[0]
+    first_feature = out.shape[1] - features.shape[2]
     for a in range(agent_row.shape[0]):
         r = agent_row[a]
         line = out[a]
@@ -59,7 +48,7 @@ def observe(agent_row, vehicles, road, clock, features, neighbours, sensor_range
             line[first_feature + j] = features[p, q, j]
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def _look(side, r, p, q, columns, vehicles, road, sensor_range_m, line):  # type: ignore[no-untyped-def]
     """Write what vehicle ``r`` sees ahead and behind on a side (0 its own lane, 1 left, 2 right)."""
     floats, order, start = vehicles.floats, vehicles.order, vehicles.lane_start
@@ -79,7 +68,7 @@ def _look(side, r, p, q, columns, vehicles, road, sensor_range_m, line):  # type
         _write_neighbour(other, gap, lane >= 0, vehicles, line[column : column + NUM_SEEN])
 
 
-@compiled(forceinline=True)
+@compiled(borrows=True, forceinline=True)
 def _beside(side, r, vehicles, road):  # type: ignore[no-untyped-def]
     """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), where ``r`` would be on it, and the
     place in ``order`` of the first vehicle ahead."""

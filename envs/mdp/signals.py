@@ -35,7 +35,7 @@ def clock_arrays(clock: SignalClock) -> ClockArrays:
     return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
 
 
-@compiled
+@compiled(borrows=True)
 def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
     """Evaluate a :class:`ClockArrays` at ``time_s`` for all movements ``[P, Q]``; return the phase.
 

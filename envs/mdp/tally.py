@@ -68,7 +68,7 @@ _STILL_S = EPISODE_METRIC["still_s"]
 _GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
-@compiled
+@compiled(borrows=True)
 def account(rows, floats, ints, flags, colour_before, legal_before, step_s, sums):  # type: ignore[no-untyped-def]
     """Add the step to every vehicle's sums; book a vehicle's sums to its approach when it crosses the stop line.
 
@@ -97,7 +97,7 @@ def account(rows, floats, ints, flags, colour_before, legal_before, step_s, sums
             _book_crossing(r, p, floats, flags, step_s, on_red, sums)
 
 
-@compiled
+@compiled(borrows=True)
 def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
     sums[p, _CROSSED] += 1
     sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
@@ -118,7 +118,7 @@ def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[n
         sums[p, _EMISSION_HDV_G] += floats[r, SUM_EMISSION]
 
 
-@compiled
+@compiled(borrows=True)
 def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
     """Start the sums of a vehicle that has just been given row ``r``."""
     floats[r, SUM_EMISSION] = 0.0
@@ -132,7 +132,7 @@ def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
         sums[ints[r, APPROACH], _ENTERED] += 1
 
 
-@compiled
+@compiled(borrows=True)
 def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
     """Report, at the end, the counted vehicles that have not crossed."""
     for j in range(rows.shape[0]):
@@ -142,7 +142,7 @@ def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped
             sums[ints[r, APPROACH], _UNFINISHED_EMISSION_G] += floats[r, SUM_EMISSION]
 
 
-@compiled
+@compiled(borrows=True)
 def sum_episode(rows, acting_row, floats, ints, flags, reward, step_s, sums, episode):  # type: ignore[no-untyped-def]
     """Add the step to the episode's numbers ``episode [E]``, and CVs without a slot to their approach."""
     agents, total, fastest = 0, 0.0, 0.0

@@ -31,6 +31,7 @@ from izoo.envs.twin.arrays import (
     SPEED,
     STATUS,
     TAU,
+    VARIANT,
     WAITING,
 )
 from izoo.envs.twin.best_lanes import find_variant
@@ -166,5 +167,6 @@ def enter(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     floats[v, POSITION] = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     floats[v, SPEED], floats[v, ACCEL] = driver[DEPART_SPEED], 0.0
     state.ints[v, STATUS] = DRIVING
+    state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     place(state, v, lane)
     state.clock[ON_ROAD] += 1

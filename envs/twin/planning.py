@@ -49,7 +49,6 @@ from izoo.envs.twin.arrays import (
     TAU,
     VARIANT,
 )
-from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import limit_by_foes
 from izoo.envs.twin.following import (
@@ -84,7 +83,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     floats, ints = state.floats, state.ints
     driver = traffic.floats[v]
     route = traffic.ints[v, ROUTE]
-    variant = ints[v, VARIANT] = find_variant(net, state, route)
+    variant = ints[v, VARIANT]
     speed, lane = floats[v, SPEED], ints[v, LANE]
     wish = net.lane_floats[lane, LANE_LIMIT]
     fastest = most_speed(driver, speed, step_s)

@@ -8,7 +8,7 @@ import numpy as np
 
 from izoo.envs.mdp.motion import place, road_arrays
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
-from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS
+from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS, neighbour_columns
 from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.envs.mdp.state import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
@@ -89,11 +89,11 @@ class Scene:
         read_clock(time_s, clock)
         shape = clock.now.shape
         features = np.zeros((*shape, 0)) if features is None else features
-        chosen = np.array([NEIGHBOURS.index(name) for name in neighbours], np.int64)
-        width = len(EGO_FEATURES) + len(NEIGHBOUR_FEATURES) * len(chosen) + features.shape[2]
+        width = len(EGO_FEATURES) + len(NEIGHBOUR_FEATURES) * len(neighbours) + features.shape[2]
         out = np.full((len(agents), width), np.nan, np.float32)
         vehicles = Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
-        observe(np.array(agents, np.int64), vehicles, self.lanes, clock, features, chosen, float(range_m), out)
+        columns = neighbour_columns(neighbours)
+        observe(np.array(agents, np.int64), vehicles, self.lanes, clock, features, columns, float(range_m), out)
         return out
 
     def see(self, agent: int, **options: Any) -> dict[str, float]:
