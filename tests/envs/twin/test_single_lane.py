@@ -17,8 +17,9 @@ from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play
 
 pytestmark = pytest.mark.slow
 HORIZON_S = 300.0
-MEASURED_SHARE = 0.4
-"""Least share of the measured single-lane approaches on which a whole episode must hold; 0.45 was measured."""
+MEASURED_SHARE = 0.94
+"""Least share of the measured single-lane approaches on which a whole episode must hold; with nobody commanded 65 of 66
+were measured, with speed commands 63. On the others somebody changes lanes on an exit."""
 
 
 def single_lane(seed: int, **features: Any) -> Case:
@@ -60,10 +61,15 @@ LEFTS = {"inflow_vph_per_lane": 600.0, "phase_count": 2, "lane_length_m": 500.0,
 FAST = {"inflow_vph_per_lane": 500.0, "approach": "B", "speed_limit_mps": 20.0}
 
 
-# LEFTS under commands is not exact yet: one vehicle departs after 93 s.
 @pytest.mark.parametrize(
     ("features", "commands"),
-    [*((features, None) for features in (LIGHT, SHORT, LEFTS, FAST)), (LIGHT, waves), (SHORT, waves), (FAST, waves)],
+    [
+        *((features, None) for features in (LIGHT, SHORT, LEFTS, FAST)),
+        (LIGHT, waves),
+        (SHORT, waves),
+        (LEFTS, waves),
+        (FAST, waves),
+    ],
 )
 def test_whole_episodes(features: dict[str, Any], commands: Any) -> None:
     case, steps = single_lane(7, **features), int(2 * HORIZON_S)
@@ -76,13 +82,16 @@ def test_commands_make_a_difference() -> None:
     assert first_departure(case, play_sumo(case, steps), play_twin(case, steps, waves)) is not None
 
 
-def test_measured_single_lane_approaches(dataset: ContextList) -> None:
+@pytest.mark.parametrize("commands", [None, waves])
+def test_measured_single_lane_approaches(dataset: ContextList, commands: Any) -> None:
     held = []
     for context in dataset:
         road = read_road(build_net(context.intersection))
         p = road.approaches.index(context.approach)
         if road.lane_count[p] == 1 and road.main_lane_count[p] == 1:
             case, steps = Case.of(context, 7, 600.0), 1200
-            held.append(first_departure(case, play_sumo(case, steps), play_twin(case, steps)) is None)
+            held.append(
+                first_departure(case, play_sumo(case, steps, commands), play_twin(case, steps, commands)) is None
+            )
     assert len(held) > 50
     assert np.mean(held) >= MEASURED_SHARE
