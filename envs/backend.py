@@ -47,7 +47,9 @@ class Backend(Protocol):
         """
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Take the commands from the frames, simulate one step of every environment, and write the next frames.
+        """Take the commands from the frames, simulate one decision of every environment, and write the next frames.
+
+        A decision is ``config.hold_steps`` steps, and fewer where the episode ends.
 
         Args:
             meanwhile: may be called once while a simulation is waited for.

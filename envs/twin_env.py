@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.source import Schedule
 from izoo.envs.backend import Play
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
@@ -51,7 +51,7 @@ class TwinEnv(EcoDrivingBase):
         threads: int | None = None,
         surrogate: str = "torch",
     ) -> None:
-        config = config or EnvConfig()
+        config = checked_config(config)
         backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
         super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, 0, num_envs)
         self.num_envs = num_envs

@@ -24,7 +24,7 @@ FLOORS = (
     {"contexts"},
     {"networks"},
     {"traffic"},
-    {"envs"},
+    {"drivers", "envs"},
     {"algos"},
     {"conf"},
     {"evaluation"},

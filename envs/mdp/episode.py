@@ -107,8 +107,8 @@ class Episode:
         self.started_s = 0.0
         self._yielding = 0
         self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
-        self._demand, self._lanes = demand_arrays(traffic), road_arrays(road)
-        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road)
+        self._demand, self._lanes = demand_arrays(traffic, road), road_arrays(road)
+        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
         self.tables = empty_tables(config, len(road.lane_ids), capacity)
         self._bind()
         self.tables.cursor[PHASE] = read_clock(0.0, self.clock)

@@ -113,7 +113,15 @@ class SumoSimulator:
         self.episode.begin(session.read(self.names.members, self._lane_numbers), session.time_s)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Apply the frame's actions, simulate one step, and write the next frame."""
+        """Apply the frame's actions, simulate the steps of one decision, and write the next frame."""
+        self._step()
+        for _ in range(1, self.config.hold_steps):
+            if self.episode.over:
+                break
+            self._step()
+        return ()
+
+    def _step(self) -> None:
         episode, session = self.episode, self.session
         self._pass_on_orders()
         self._advance()
@@ -132,7 +140,6 @@ class SumoSimulator:
         episode.give_way(self._slowed(suspects) if len(suspects) else ())
         if episode.over:
             episode.finish(self._ending())
-        return ()
 
     def _advance(self) -> None:
         """Simulate one step, and note who has departed."""
@@ -155,7 +162,7 @@ class SumoSimulator:
     def _pass_on_lane_changes(self) -> None:
         """Pass lane changes on; a CV that asks to be left to SUMO changes lanes as SUMO has it."""
         frame, tables, session = self.frame, self.episode.tables, self.session
-        asks = (frame["defer"] != 0) | np.isnan(frame["action"])
+        asks = (frame["defer"] != 0) | np.isnan(frame["action"]) | (tables.acting < 0)
         slots = np.flatnonzero(tables.agent_row >= 0).tolist()
         for a, name in zip(slots, self.names.of(tables.agent_row[slots].tolist()), strict=True):
             change = int(frame["lane_change"][a])

@@ -159,7 +159,7 @@ def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[n
         if row < 0:
             continue
         v = tables.ints[row, NUMBER]
-        asks = defer[a] != 0 or np.isnan(action[a])
+        asks = defer[a] != 0 or np.isnan(action[a]) or tables.acting[a] < 0
         state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
         if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
             state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE

@@ -123,26 +123,33 @@ class TwinBackend:
         return prepare(self.config, play)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Simulate one step of every environment."""
+        """Simulate one decision of every environment."""
         if self.frames["done"].any():
             ended = int(np.flatnonzero(self.frames["done"])[0])
             steps = self._run(ended).episode.steps
             raise IzooError(f"the episode ended after {steps} steps; call reset() before the next step.")
-        like, addresses = self._run(0).episode.world, self._addresses
+        like = self._run(0).episode.world
+        self._step(self._addresses, like, meanwhile)
+        for _ in range(1, self.config.hold_steps):
+            # An episode that ends within a decision ends it.
+            self._step(self._addresses[self._left > 0], like)
+        for index in np.flatnonzero(self._left == 0).tolist():
+            self._run(index).finish()
+        return ()
+
+    def _step(self, addresses: np.ndarray, like: Any, meanwhile: Callable[[], None] | None = None) -> None:
+        """Simulate one step of the environments at ``addresses``."""
         lane_change = self.config.lane_change
         self._share_out(
             lambda first, every: drive_all(addresses, first, every, self._step_ms, lane_change, like, self._changed),
             meanwhile,
         )
         if self.surrogate == "torch":
-            self._emit(like)
+            self._emit(addresses, like)
             self._share_out(lambda first, every: conclude_all(addresses, first, every, like))
         else:
             self._share_out(lambda first, every: emit_and_conclude_all(addresses, first, every, like))
-        self._left -= 1
-        for index in np.flatnonzero(self._left == 0).tolist():
-            self._run(index).finish()
-        return ()
+        self._left[self._left > 0] -= 1
 
     def _share_out(self, work: Callable[[int, int], None], meanwhile: Callable[[], None] | None = None) -> None:
         """Do ``work(first, every)`` for all environments, in all threads."""
@@ -154,9 +161,9 @@ class TwinBackend:
         for other in others:
             other.result()
 
-    def _emit(self, like: Any) -> None:
+    def _emit(self, addresses: np.ndarray, like: Any) -> None:
         """Compute the CO2 of all vehicles that emit something else than in the step before, in one call."""
-        count = int(self._changed.sum())
+        count = int(self._changed[: len(addresses)].sum())
         if count > self._room:
             self._room = 2 * count
             self._motion = np.zeros((3, self._room), np.float32)
@@ -164,11 +171,11 @@ class TwinBackend:
             self._classes = np.zeros(self._room, np.int64)
         if count == 0:
             return
-        gather_all(self._addresses, like, self._motion, self._weather, self._classes)
+        gather_all(addresses, like, self._motion, self._weather, self._classes)
         with torch.inference_mode():
             motion, weather = torch.from_numpy(self._motion[:, :count]), torch.from_numpy(self._weather[:, :count])
             rates = self._module(*motion, torch.from_numpy(self._classes[:count]), *weather)
-        scatter_all(self._addresses, like, rates.numpy())
+        scatter_all(addresses, like, rates.numpy())
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]

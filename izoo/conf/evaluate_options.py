@@ -20,8 +20,8 @@ class EvaluateConfig:
     Attributes:
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
-        policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``random``, ``glide``), or
-            ``module:function``.
+        policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
+            ``glide``), or ``module:function``.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.

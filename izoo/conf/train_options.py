@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range
 
 TWIN_ENVS = 64
@@ -89,7 +91,8 @@ class ValidationConfig:
         every_batches: batches between two validations; weights that are due while one is still running wait, or give
             way to newer ones. The last weights of a run of this many batches or more are validated too. 0: never.
         contexts: how many contexts are drawn from the validation split; where contexts have no splits, or too few
-            intersections for one, from the training contexts.
+            intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
+            becoming the best.
         seeds: paired episodes per context, 3 or more.
     """
 
@@ -131,7 +134,8 @@ class TrainConfig:
 
     Attributes:
         algo: the algorithm and its hyper-parameters.
-        action: whether the policy commands accelerations (``direct``) or corrects a scripted driver's (``residual``).
+        action: whether the policy commands accelerations (``direct``), advises the simulator's own driver (``advise``)
+            or corrects a scripted one (``residual``).
         contexts: which contexts episodes are drawn from.
         env: the environment.
         collector: how environments are stepped.
@@ -183,8 +187,22 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
+        if getattr(self.algo, "credit", "agent") == "team":
+            self._credit_the_team()
         for name in ("run_dir", "resume"):
             _make_absolute(self, name)
+
+    def _credit_the_team(self) -> None:
+        """Refuse a reward that is not the team's, and let the environment emit the team's."""
+        if self.env.reward.eta != 1.0:
+            raise IzooError(
+                f"algo.credit=team estimates one advantage for the whole team, but env.reward.eta is "
+                f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
+                "or algo.credit=agent."
+            )
+        if TEAM_REWARD not in self.env.emit:
+            emit = (*self.env.emit, TEAM_REWARD)
+            object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -25,14 +26,25 @@ class _Training(EcoDrivingBase):
 
     Args:
         pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+
+    Attributes:
+        steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
     """
 
     leaves = (TOTALS,)
+    steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step as the environment does, and count it."""
+        stepped = super().step_and_maybe_reset(tensordict)
+        if self.steps_taken is not None:
+            self.steps_taken += 1
+        return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         pasts, self._pasts = self._pasts, ()
@@ -48,12 +60,11 @@ class _Training(EcoDrivingBase):
         names = next((list(script.commands) for script in scripts if script.commands), ["action"])
         episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
         longest = max(len(script) for script in scripts)
-        request = TensorDict({"context": TensorDict({"episode": episodes}, self.batch_size)}, self.batch_size)
-        frame = super()._reset(request)
+        frame = super()._reset(episode=episodes)
         for step in range(longest):
             starting = torch.tensor([len(script) == longest - step for script in scripts])
             if step > 0 and starting.any():
-                frame = super()._reset(request.clone().set("_reset", starting.view(*self.batch_size, 1)))
+                frame = super()._reset(self._only(starting), episode=episodes)
             masks = frame.get(("agents", "mask")).view(-1, slots)
             waits = [longest - len(script) for script in scripts]
             rows = [
@@ -66,9 +77,13 @@ class _Training(EcoDrivingBase):
         # A script without steps belongs to an episode that was about to begin.
         unbegun = torch.tensor([len(script) == 0 for script in scripts])
         if longest > 0 and unbegun.any():
-            frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
+            frame = super()._reset(self._only(unbegun), episode=episodes)
         self._next_episode[:] = [script.episode + self._stride for script in scripts]
         return frame
+
+    def _only(self, chosen: Tensor) -> TensorDict:
+        """Return what resets the environments ``chosen [N]`` alone."""
+        return TensorDict({"_reset": chosen.view(*self.batch_size, 1)}, self.batch_size)
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
@@ -92,7 +107,7 @@ class TrainingTwinEnv(_Training, TwinEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         state, self._left_at = self._left_at, None
-        if state is None:
+        if not state:
             return super()._reset(tensordict, **options)
         self.load_state_dict(state)
         return self.present()

@@ -24,7 +24,7 @@ from izoo.contexts.source import RandomSchedule
 from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError
+from izoo.errors import IzooError, UnfinishedError
 from izoo.files import ensure_empty, write_json
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
@@ -52,6 +52,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Raises:
         IzooError: ``out`` is missing or not empty, or the policy or the contexts cannot be used.
+        UnfinishedError: nothing more can be written.
+        KeyboardInterrupt: after Ctrl-C, once what was collected is a whole data set.
     """
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
@@ -81,11 +83,14 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
                     break
         writer.finish_shard()
     except OSError as error:
-        raise IzooError(f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete.") from error
+        text = f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete"
+        raise UnfinishedError(f"{text}. Make room, then collect the rest into another folder.") from error
     finally:
         writer.discard()
         collector.shutdown()
     print(f"Data: {out}", flush=True)
+    if interrupt.requested:
+        raise KeyboardInterrupt
     return out
 
 

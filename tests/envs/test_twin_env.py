@@ -201,16 +201,11 @@ def test_same_whatever_was_played_before(make: Make, expected: dict[int, str]) -
     """Episodes in another order, begun anew in the middle."""
     env = make(2, schedule())
     env.reset()
-    state = env.reset(_episodes(3, 1))
+    state = env.reset(episode=[3, 1])
     for _ in range(7):
         _, state = env.step_and_maybe_reset(steer(state))
-    frames = play(env, env.config.control_steps, start=env.reset(_episodes(2, 0)))
+    frames = play(env, env.config.control_steps, start=env.reset(episode=[2, 0]))
     assert by_episode(frames) == {number: expected[number] for number in (0, 2)}
-
-
-def _episodes(*numbers: int) -> TensorDict:
-    batch = [len(numbers)]
-    return TensorDict({"context": TensorDict({"episode": torch.tensor(numbers).unsqueeze(-1)}, batch)}, batch)
 
 
 def test_golden(expected: dict[int, str]) -> None:
