@@ -32,7 +32,7 @@ SOURCES = {
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
 _PATIENCE_S = 120.0
-MESSAGE = "Compiling the environment: ten to thirty seconds, once per installation."
+MESSAGE = "Compiling the environment: ten to thirty seconds, the twin one to two minutes, once per installation."
 
 
 def sources() -> list[Path]:
