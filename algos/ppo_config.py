@@ -5,6 +5,8 @@ They are apart from the algorithms so that commands answer before PyTorch is loa
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,6 +15,20 @@ from izoo.errors import IzooError, check_choice, check_range
 
 ACTIVATIONS = ("tanh", "relu", "silu")
 """Names of the activations that networks may have."""
+
+
+MOST_WEIGHTS = 10**8
+"""Weights of a network, in all: 400 MB, and twice as much again for Adam."""
+TYPICAL_FEATURES = 60
+
+
+def check_widths(option: str, widths: Sequence[int]) -> None:
+    """Raise :class:`IzooError` unless these are widths of hidden layers that fit into a memory."""
+    if not widths or min(widths) < 1:
+        raise IzooError(f"{option} is {list(widths)}; it needs one or more positive widths, like [128,128].")
+    weights = sum(before * after for before, after in itertools.pairwise((TYPICAL_FEATURES, *widths)))
+    if weights > MOST_WEIGHTS:
+        raise IzooError(f"{option} is {list(widths)}: {weights:,} weights, more than {MOST_WEIGHTS:,}; give fewer.")
 
 
 @dataclass(frozen=True)
@@ -96,10 +112,7 @@ class PPOConfig(AlgoConfig):
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
         check_choice("algo.activation", self.activation, ACTIVATIONS)
-        if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(
-                f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128]."
-            )
+        check_widths("algo.hidden", self.hidden)
 
     @classmethod
     def paper(cls) -> PPOConfig:

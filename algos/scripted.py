@@ -109,6 +109,24 @@ class ConstantSpeed(ScriptedDriver):
         return (self.speed_mps - speed) / self.decision_s, torch.zeros_like(mask)
 
 
+class ConstantAcceleration(ScriptedDriver):
+    """Every CV asks for one acceleration all the time; its speed limit and the simulator's safety checks hold it back.
+
+    What a policy that has learned nothing does: no benchmark should mistake it for a result.
+
+    Args:
+        accel_mps2: the acceleration.
+    """
+
+    def __init__(self, accel_mps2: float = 2.0) -> None:
+        super().__init__()
+        check_range("accel_mps2", accel_mps2, ACTION_LOW_MPS2, ACTION_HIGH_MPS2, "m/s^2")
+        self.accel_mps2 = accel_mps2
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.full(mask.shape, self.accel_mps2), torch.zeros_like(mask)
+
+
 @dataclass(frozen=True)
 class GlideConfig:
     """Settings of :class:`Glide`; tuned by hand on measured training intersections.
@@ -294,6 +312,7 @@ DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
     "human": lambda config: UncommandedDriver(config.lane_change),
     "uncommanded": lambda config: UncommandedDriver(config.lane_change),
     "constant": ConstantSpeed,
+    "constant_2.0": lambda config: ConstantAcceleration(2.0),
     "random": lambda config: RandomDriver(seed=None),
     "glide": Glide,
 }

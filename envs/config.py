@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
 from izoo.envs.mdp.reward import RewardConfig
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range, check_types
 
 __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
+MAX_WORKERS = 1024
+SIMULATORS = ("sumo", "twin")
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward")
 
 
@@ -61,6 +63,7 @@ class EnvConfig:
     gui: bool = False
 
     def __post_init__(self) -> None:
+        check_types("env", self)
         # Hydra hands over lists; tuples keep the config hashable.
         for name in ("neighbours", "emit"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -123,3 +126,12 @@ class EnvConfig:
     def control_steps(self) -> int:
         """Simulation steps of an episode that are controlled: the horizon without the warm-up."""
         return round(self.horizon_s / self.step_s) - self.warmup_steps
+
+
+def checked_config(config: EnvConfig | None) -> EnvConfig:
+    """Return the settings that a constructor was given; ``None`` stands for the defaults, and nothing else does."""
+    if config is None:
+        return EnvConfig()
+    if not isinstance(config, EnvConfig):
+        raise IzooError(f"config is a {type(config).__name__}; give an izoo.envs.EnvConfig, or None for the defaults.")
+    return config

@@ -67,7 +67,7 @@ def _metrics(config: EnvConfig, batch: torch.Size) -> Composite:
 
 
 def context_spec(batch: torch.Size) -> Composite:
-    """Spec of the context group, part of the observation spec and of the state spec."""
+    """Spec of the context group."""
     one = (*batch, 1)
     columns: dict[str, Unbounded] = {name: Unbounded(one) for name in CONTEXT_VALUES}
     columns |= {name: Unbounded(one, dtype=torch.int64) for name in CONTEXT_IDS}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo import collect, console, train
+from izoo import collect, console, evaluate, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
 from izoo.conf import compose
@@ -268,6 +268,12 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
     assert done.returncode == 0, done.stderr
     assert MISSING[words] in done.stderr and "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
+
+
+def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("All of it.")
+    assert evaluate.main(["policy=glide", f"out={tmp_path}"]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_unknown_nested_option_lists_its_siblings() -> None:

@@ -10,6 +10,9 @@ from izoo.envs.mdp.frame import METRIC
 from izoo.envs.mdp.state import APPROACH, COMMANDED, DEFERRED, LOCATION, SPEED, TARGET, YIELDING
 from izoo.networks.road import INSIDE
 
+LANE_CHANGE_BRAKING_MPS2 = 0.5
+"""A CV is left to its driver while it is on a lane that does not lead to its exit and that driver itself braked it
+harder than this in the last step: it is slowed to find a gap, and a command would override that."""
 _AGENT_STEPS = METRIC["agent_steps"]
 _DEFERRED_STEPS = METRIC["deferred_steps"]
 _NAN_ACTIONS = METRIC["nan_actions"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from izoo.envs.mdp.state import ACCEL, DELAY, EMISSION, PREV_ACCEL, SPEED, TTC
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_range, check_types
 
 TTC_CAP_S = 10.0
 _TERM = "reward term"
@@ -146,6 +146,7 @@ class RewardConfig:
         return dataclasses.replace(cls.fuel(), eta=1.0)
 
     def __post_init__(self) -> None:
+        check_types("reward", self)
         check_range("reward.eta", self.eta, 0.0, 1.0)
         check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
         check_range("reward.scale", self.scale, 1e-6, 1e9)

@@ -71,9 +71,9 @@ PER_ROW = ("floats", "ints", "flags", "terms", "members", "leavers", "suspects",
 """Tables with an entry per row."""
 
 
-def empty_tables(config: EnvConfig, num_lanes: int) -> Tables:
-    """Return tables without vehicles."""
-    c, a = max(MIN_CAPACITY, config.num_vehicles), config.num_agents
+def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables:
+    """Return tables without vehicles, with ``capacity`` rows or more."""
+    c, a = max(MIN_CAPACITY, config.num_vehicles, capacity), config.num_agents
     return Tables(
         floats=np.zeros((c, len(FLOATS))),
         ints=np.zeros((c, len(INTS)), np.int64),
@@ -195,6 +195,7 @@ class Frame(NamedTuple):
 
     action: np.ndarray
     defer: np.ndarray
+    lane_change: np.ndarray
     observation: np.ndarray
     mask: np.ndarray
     agent_vehicle: np.ndarray

@@ -14,9 +14,10 @@ import numpy as np
 from izoo.compiling import compiling_once
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.backend import Play
+from izoo.envs.backend import Play, entry_edges
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.mdp.step import make_frame
@@ -24,12 +25,8 @@ from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from izoo.networks.road import INSIDE, RoadNet, read_road
+from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes
-
-LANE_CHANGE_BRAKING_MPS2 = 0.5
-"""A CV is left to SUMO while it is on a lane that does not lead to its exit and SUMO itself braked it harder than this
-in the last step: SUMO slows it to find a gap, and a command would override that."""
 
 
 class SumoSimulator:
@@ -78,7 +75,7 @@ class SumoSimulator:
         self._load(net, episode)
         self._episode, self.names = episode, Names()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
-        self._entry_edges = _entry_edges(road, context.demand_approaches, config.step_s)
+        self._entry_edges = entry_edges(road, context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in road.lane_ids])
         self._due = _due_by_step(episode.traffic.depart_s, config)
         self._elapsed = 0
@@ -237,14 +234,3 @@ def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:
     begin_s = np.arange(config.warmup_steps + config.control_steps) * config.step_s
     # SUMO reads times in whole milliseconds.
     return np.searchsorted(np.round(depart_s, 3), begin_s + 1e-6, side="right").tolist()  # type: ignore[no-any-return]
-
-
-def _entry_edges(road: RoadNet, approaches: Sequence[str], step_s: float) -> list[str]:
-    """Return the edges on which vehicles are first seen in the region."""
-    entering = [road.approaches.index(name) for name in approaches]
-    edges = [edge for p in entering for edge in road.incoming_edges[p]]
-    # An approach that is passed within a step shows its vehicles inside the junction first.
-    short = [p for p in entering if road.lane_length_m[p] < road.speed_limit_mps[p] * step_s]
-    first_seen = (road.lane_location == INSIDE) & np.isin(road.lane_approach, short)
-    inside = [road.lane_ids[lane].rsplit("_", 1)[0] for lane in np.flatnonzero(first_seen)]
-    return [*edges, *dict.fromkeys(inside)]

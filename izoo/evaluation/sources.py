@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from izoo.contexts.context import Context
+from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.files import write_bytes
+from izoo.files import read_bytes, write_bytes
 
 SOURCES_FILE = "sources.json.gz"
 FORMAT = "izoo-sources-1"
@@ -67,19 +68,21 @@ def read_sources(folder: Path) -> Sources:
     if not path.is_file():
         raise IzooError(f"{folder} has no {SOURCES_FILE}, so its episodes cannot be played again; evaluate once more.")
     try:
-        values = json.loads(gzip.decompress(path.read_bytes()))
+        values = json.loads(gzip.decompress(read_bytes(path)))
         if values["format"] != FORMAT:
             raise IzooError(f"{path} is of another version of izoo; evaluate again into another folder.")
         contexts = [context_from_dict(entry) for entry in values["contexts"]]
         policies = {str(name): None if source is None else str(source) for name, source in values["policies"].items()}
-    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; remove it and evaluate again.") from error
     return Sources({context.content_hash: context for context in contexts}, policies)
 
 
 def context_from_dict(fields: Mapping[str, Any]) -> Context:
     """Rebuild a context from ``dataclasses.asdict``, also after a way through JSON; its hash stays the same."""
-    return Context(**{**fields, "intersection": _spec(fields["intersection"])})
+    drivers = fields.get("drivers")
+    population = None if drivers is None else DriverPopulation(**drivers)
+    return Context(**{**fields, "intersection": _spec(fields["intersection"]), "drivers": population})
 
 
 def _spec(fields: Mapping[str, Any]) -> IntersectionSpec:
