@@ -117,18 +117,29 @@ class PPO:
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
             self.optimiser.zero_grad()
             total.backward()  # type: ignore[union-attr]
-            losses["grad_norm"] = nn.utils.clip_grad_norm_(
-                self.loss.parameters(), self.config.max_grad_norm or float("inf")
-            )
+            losses.update(self._clip())
             self.optimiser.step()
             for key, value in losses.items():
                 totals[key] = totals.get(key, 0.0) + value.detach()
             steps += 1
+            if self.config.target_kl is not None and float(losses["kl_approx"]) > 1.5 * self.config.target_kl:
+                break
         stats = {key: float(value) / steps for key, value in totals.items()}
         self._adapt_kl_weight(stats.get("kl"))
         stats["lr"] = self.optimiser.param_groups[0]["lr"]
-        stats["agent_rows"] = float(len(rows))
+        stats["agent_rows"], stats["gradient_steps"] = float(len(rows)), float(steps)
         return stats
+
+    def _clip(self) -> dict[str, Tensor]:
+        """Bound the gradients; return their norms as they were."""
+        bound = self.config.max_grad_norm or float("inf")
+        if not self.config.separate_clips:
+            return {"grad_norm": nn.utils.clip_grad_norm_(self.loss.parameters(), bound)}
+        networks = {"actor": self.loss.actor_network_params, "critic": self.loss.critic_network_params}
+        return {
+            f"{name}_grad_norm": nn.utils.clip_grad_norm_(list(parameters.values(True, True)), bound)
+            for name, parameters in networks.items()
+        }
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> TensorDict:

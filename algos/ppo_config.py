@@ -60,6 +60,11 @@ class PPOConfig(AlgoConfig):
         kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
         kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
             0.01).
+        target_kl: a batch is learned from no further once a minibatch diverges from the policy that collected by more
+            than one and a half times this (as in Stable-Baselines3; 0.01 to 0.02 is usual); ``null``: all epochs
+            (RLlib, ours).
+        separate_clips: bound the gradients of actor and critic each by itself, so that large value errors do not
+            silence the actor (RLlib, ours: both together).
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
         reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
             are of order 1 and the value function learns within a few batches).
@@ -86,6 +91,8 @@ class PPOConfig(AlgoConfig):
     entropy_coeff: float = 0.0
     kl_coeff: float = 0.0
     kl_target: float = 0.01
+    target_kl: float | None = None
+    separate_clips: bool = False
     max_grad_norm: float | None = 0.5
     reward_scale: float = 0.1
     hidden: tuple[int, ...] = (128, 128)
@@ -98,6 +105,8 @@ class PPOConfig(AlgoConfig):
             check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
         if self.rows_per_epoch is not None:
             check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
+        if self.target_kl is not None:
+            check_range("algo.target_kl", self.target_kl, 1e-6, 100.0)
         for name in ("gamma", "gae_lambda"):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):

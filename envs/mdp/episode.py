@@ -137,6 +137,11 @@ class Episode:
         """Rows of the vehicles in the region, ``[n]``, in the order in which they came."""
         return self.tables.members[: self.tables.cursor[MEMBERS]]
 
+    @property
+    def held_up(self) -> tuple[np.ndarray, np.ndarray]:
+        """What has become of each vehicle of the demand, and how many are held up outside: they change as it goes on."""
+        return self._demand.fate, self._demand.outside
+
     # The methods below change the tables; they come in the order of a step.
 
     def enter(self, number: int, accel_mps2: float, counted: bool = True) -> int:

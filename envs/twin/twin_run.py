@@ -145,6 +145,7 @@ class TwinRun:
         return [
             *self.driving.state,
             *episode.tables,
+            *episode.held_up,
             *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
             *(guests.row_of, guests.begun_s, self._early),
             *(frame[field.name] for field in frame_fields(self.config)),

@@ -262,3 +262,24 @@ def test_loss_reads_per_agent_keys() -> None:
     assert isinstance(ppo.loss, MaskedPPOLoss)
     assert ppo.loss.tensor_keys.advantage == base.ADVANTAGE
     assert ppo.loss.tensor_keys.sample_log_prob == base.LOG_PROB
+
+
+def test_a_batch_that_has_moved_the_policy_far_enough_is_left() -> None:
+    patient, wary = (make_ppo(lr=0.05, anneal_lr=False, epochs=6, target_kl=kl) for kl in (None, 1e-3))
+    batch = act(patient, make_batch())
+    everything, some = (ppo.update(batch, 0.0)["gradient_steps"] for ppo in (patient, wary))
+    assert 1.0 <= some < everything
+
+
+def test_separate_clips_bound_each_network_by_itself() -> None:
+    ppo = make_ppo(separate_clips=True, max_grad_norm=0.1, epochs=1, rows_per_epoch=None, minibatch_rows=1000)
+    batch = act(ppo, make_batch())
+    batch["next", "agents", "reward"] *= 1e4  # large value errors
+    stats = ppo.update(batch, 0.0)
+    assert stats["critic_grad_norm"] > 0.1 and stats["actor_grad_norm"] > 0.0
+    for parameters in (ppo.loss.actor_network_params, ppo.loss.critic_network_params):
+        norm = torch.stack([p.grad.norm() for p in parameters.values(True, True)]).norm()
+        assert float(norm) <= 0.1001
+    assert float(torch.stack([p.grad.norm() for p in ppo.policy.parameters()]).norm()) > min(
+        0.099, 0.99 * stats["actor_grad_norm"]
+    ), "the actor keeps what it is allowed"
