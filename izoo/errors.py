@@ -46,18 +46,18 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
         raise unknown_choice(what, value, names)
 
 
-def check_range(what: str, value: float, low: float, high: float, unit: str = "") -> None:
+def check_range(what: str, value: object, low: float, high: float, unit: str = "") -> None:
     """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):  # numpy's numbers are real ones, too
         raise IzooError(f"{what} is {value!r}; it must be a number in [{low:g}, {high:g}]{f' {unit}' if unit else ''}.")
-    if not low <= value <= high:
+    if not low <= float(value) <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
 
 
 def check_whole(what: str, value: object, low: int, high: int) -> int:
     """Return ``value``; raise :class:`IzooError` unless it is a whole number in ``[low, high]``."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise IzooError(f"{what} is {value!r}; it must be a whole number from {low} to {high}.")
     return int(value)
 
