@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from izoo.algos.base import Algorithm
     from izoo.envs.config import EnvConfig
 
-DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
+DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "glide")
 """Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`)."""
 
 

@@ -20,14 +20,14 @@ from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import MAX_WORKERS, EnvConfig, checked_config
-from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
+from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.errors import IzooError, check_seed, check_whole
+from izoo.errors import IzooError, check_choice, check_seed, check_whole
 from izoo.networks.road import RoadNet
 
 _log = logging.getLogger("izoo")
@@ -76,7 +76,8 @@ class EcoDrivingBase(EnvBase):
         self._first, self._stride = first, stride
         self._restart_episodes()
         views = frames if batch_size else row_of(frames, 0)
-        self.reader = FrameReader(config, views, self.batch_size, self.leaves)
+        leaves = [*self.leaves, *(name for name in (TEAM_REWARD,) if name in config.emit)]
+        self.reader = FrameReader(config, views, self.batch_size, leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -151,6 +152,7 @@ class EcoDrivingBase(EnvBase):
         row["agent_terminated"][:] = 0
         row["reward"][:] = 0.0
         row["reward_vector"][:] = 0.0
+        row[TEAM_REWARD][:] = 0.0
         row["totals"][:] = 0.0
         row["terminated"][:] = 0
         row["truncated"][:] = 1
@@ -229,8 +231,25 @@ def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
     tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
+def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
+    return frames, SumoSimulator(config, row_of(frames, 0), load_weights())
+
+
+def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    from izoo.envs.twin.twin_backend import TwinBackend
+
+    backend = TwinBackend(config, 1)
+    return backend.frames, backend
+
+
+_BACKENDS = {"sumo": _on_sumo, "twin": _on_twin}
+
+
 class EcoDrivingEnv(EcoDrivingBase):
-    """One intersection on SUMO, in this process, which can hold no other; SUMO starts at the first reset.
+    """One intersection, in this process, on SUMO (of which a process can hold only one) or on the twin.
+
+    SUMO starts at the first reset.
 
     Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule; in TorchRL's ``ParallelEnv``, give
     each its ``worker=k`` and ``num_workers=N``, or all play the same. ``reset(episode=3)`` plays a given
@@ -257,16 +276,17 @@ class EcoDrivingEnv(EcoDrivingBase):
         seed: int = 0,
         worker: int | None = None,
         num_workers: int = 1,
+        simulator: str = "sumo",
     ) -> None:
         config = checked_config(config)
+        check_choice("simulator", simulator, SIMULATORS)
         check_whole("num_workers", num_workers, 1, MAX_WORKERS)
         if worker is None:
             _warn_of_doubles(seed)
         else:
             check_whole("worker", worker, 0, num_workers - 1)
-        frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
-        simulator = SumoSimulator(config, row_of(frames, 0), load_weights())
-        super().__init__(contexts, config, seed, [], frames, simulator, worker or 0, num_workers)
+        frames, backend = _BACKENDS[simulator](config)
+        super().__init__(contexts, config, seed, [], frames, backend, worker or 0, num_workers)
 
     def _reset(
         self,

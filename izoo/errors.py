@@ -46,11 +46,12 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
         raise unknown_choice(what, value, names)
 
 
-def check_range(what: str, value: object, low: float, high: float, unit: str = "") -> None:
+def check_range(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
     """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):  # numpy's numbers are real ones, too
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise IzooError(f"{what} is {value!r}; it must be a number in [{low:g}, {high:g}]{f' {unit}' if unit else ''}.")
-    if not low <= float(value) <= high:
+    number: Any = value
+    if not low <= number <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
 

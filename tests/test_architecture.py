@@ -24,7 +24,7 @@ FLOORS = (
     {"contexts"},
     {"networks"},
     {"traffic"},
-    {"envs"},
+    {"drivers", "envs"},
     {"algos"},
     {"conf"},
     {"evaluation"},
@@ -39,7 +39,7 @@ ENV_FLOORS = (
     {"config", "mdp"},
     {"backend"},
     {"sumo", "twin"},
-    {"specs", "reader", "picture", "env"},
+    {"specs", "reader", "picture", "env", "twin_env"},
     {"views"},
 )
 """The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""

@@ -20,6 +20,7 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
+from izoo.envs import RewardConfig
 from izoo.errors import IzooError
 from izoo.reporting.results import read_results
 
@@ -278,3 +279,11 @@ def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None
 def test_unknown_nested_option_lists_its_siblings() -> None:
     with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
         compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
+
+
+def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
+    chosen = compose.compose_config("train", TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
+    assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
+    assert compose.compose_config("train", TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
+    with pytest.raises(IzooError, match=r"env\.reward.*paper, fuel, fuel_team"):
+        compose.compose_config("train", TrainConfig, ["env.reward=fuell"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
@@ -35,6 +36,7 @@ class CityContexts:
         weather: ``county``: by city and season; ``published``: the values of the paper's summer experiments
             (Salt Lake City and Atlanta).
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
     """
 
     name: Literal["city"] = "city"
@@ -47,6 +49,7 @@ class CityContexts:
     approaches: Literal["one", "all"] = "one"
     weather: Literal["county", "published"] = "county"
     cv_vehicle: Literal["paper", "human"] = "paper"
+    drivers: str | None = None
 
     def __post_init__(self) -> None:
         for city in [self.city] if isinstance(self.city, str) else self.city or []:
@@ -58,10 +61,11 @@ class CityContexts:
                 f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
                 "summer; choose contexts.season=summer or contexts.weather=county."
             )
+        resolve_drivers(self)
 
     def build(self) -> ContextSource:
         """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""
-        return catalogue.Scenarios(
+        scenarios = catalogue.Scenarios(
             city=self.city,
             season=self.season,
             hour=self.hour,
@@ -72,6 +76,7 @@ class CityContexts:
             weather=self.weather,
             cv_vehicle=self.cv_vehicle,
         )
+        return with_own_drivers(scenarios, self.drivers)
 
 
 @dataclass(frozen=True)
@@ -83,14 +88,17 @@ class CatalogueContexts:
         ids: ids, and ranges of ids with both ends included: ``[17,100..199]``; ``python -m izoo.contexts list`` finds
             them, ``show ID`` prints one.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
     """
 
     name: Literal["catalogue"] = "catalogue"
     ids: tuple[int | str, ...] = ()
     cv_vehicle: Literal["paper", "human"] = "paper"
+    drivers: str | None = None
 
     def __post_init__(self) -> None:
         self._ranges()
+        resolve_drivers(self)
 
     def build(self) -> ContextSource:
         """Return the scenarios, lazily."""
@@ -99,7 +107,7 @@ class CatalogueContexts:
             raise IzooError(
                 f"contexts.ids is empty; give ids from 0 to {catalogue.SIZE - 1}: contexts.ids=[17,100..199]."
             )
-        return catalogue.by_ids(ranges, self.cv_vehicle)
+        return with_own_drivers(catalogue.by_ids(ranges, self.cv_vehicle), self.drivers)
 
     def _ranges(self) -> list[range]:
         return [_range(item) for item in self.ids]

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
+from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
 from izoo.contexts.distributions import Box, Key, Uniform, Weighted
 from izoo.contexts.procedural import (
     DEFAULTS,
@@ -57,6 +58,7 @@ class PcgContexts:
         humidity_pct: relative humidity.
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
         approach: the leg that demand enters from, A to D, or ``all``.
         exclude: boxes that no context lies in, each with one or more features:
             ``[{lane_count:2,green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the preset's, ``[]`` lifts
@@ -79,11 +81,13 @@ class PcgContexts:
     humidity_pct: Setting = None
     engine: Setting = None
     cv_vehicle: Setting = None
+    drivers: str | None = None
     approach: Setting = None
     exclude: list[dict] | None = None
 
     def __post_init__(self) -> None:
         check_choice("contexts.preset", self.preset, PRESETS)
+        resolve_drivers(self)
 
     def build(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
@@ -103,7 +107,8 @@ class PcgContexts:
         missing: dict[Key, Any] = {name: value for name, value in fixed.items() if name not in known}
         features: dict[Key, Any] = {**missing, **base.features, **changes}
         source = ProceduralSource(features, boxes)
-        return source.interval_ends() if self.preset == "systematicity_grid" else source
+        whole = source.interval_ends() if self.preset == "systematicity_grid" else source
+        return with_own_drivers(whole, self.drivers)
 
 
 ContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from izoo.conf.built_in import Engine, Hour, Season, Split
+from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
 from izoo.contexts.cities.weather import weather
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
@@ -30,6 +31,7 @@ class DatasetContexts:
             is not named after one of the ten cities); ``county``: by city and season.
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
     """
 
     name: Literal["dataset"] = "dataset"
@@ -42,6 +44,7 @@ class DatasetContexts:
     weather: Literal["published", "county"] = "published"
     engine: Engine = "combustion"
     cv_vehicle: Literal["paper", "human"] = "paper"
+    drivers: str | None = None
 
     def __post_init__(self) -> None:
         check_range("contexts.adoption", self.adoption, 0.0, 1.0)
@@ -61,7 +64,7 @@ class DatasetContexts:
         contexts = _load(self, self.path, {})
         if self.weather == "county":
             contexts = ContextList([_with_county_weather(context, self.season) for context in contexts])
-        return contexts
+        return with_own_drivers(contexts, self.drivers)
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class OsmContexts:
         temperature_c, humidity_pct: the weather.
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
     """
 
     name: Literal["osm"] = "osm"
@@ -90,6 +94,7 @@ class OsmContexts:
     humidity_pct: float = 46.0
     engine: Engine = "combustion"
     cv_vehicle: Literal["paper", "human"] = "paper"
+    drivers: str | None = None
 
     def __post_init__(self) -> None:
         check_range("contexts.adoption", self.adoption, 0.0, 1.0)
@@ -109,7 +114,7 @@ class OsmContexts:
         """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
         self.check()
         fields = {"temperature_c": self.temperature_c, "humidity_pct": self.humidity_pct, "season": None}
-        return _load(self, self.path, fields)
+        return with_own_drivers(_load(self, self.path, fields), self.drivers)
 
 
 def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
@@ -157,6 +162,7 @@ def _with_county_weather(context: Context, season: str) -> Context:
 
 
 def _make_absolute(config: DatasetContexts | OsmContexts) -> None:
-    """Resolve the path, so that a run can be resumed and evaluated from another folder."""
+    """Resolve the paths, so that a run can be resumed and evaluated from another folder."""
     if config.path is not None:
         object.__setattr__(config, "path", str(Path(config.path).expanduser().absolute()))
+    resolve_drivers(config)

@@ -9,6 +9,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import IntersectionSpec, hold_floats
 from izoo.errors import check_choice, check_range
 
@@ -35,6 +36,7 @@ class Context:
         temperature_c, humidity_pct: the weather.
         cv_vehicle: ``paper``: every CV has the published CV parameters when nobody commands it; ``human``: the
             driver and length that it would have had as a human-driven vehicle.
+        drivers: the population that human drivers are drawn from; ``None``: the built-in one.
         context_id: the catalogue's integer id, or ``None`` for contexts outside the catalogue.
     """
 
@@ -47,6 +49,7 @@ class Context:
     temperature_c: float = 20.0
     humidity_pct: float = 46.0
     cv_vehicle: str = "paper"
+    drivers: DriverPopulation | None = None
     context_id: int | None = None
 
     def __post_init__(self) -> None:
@@ -88,8 +91,13 @@ class Context:
 
     @functools.cached_property
     def content_hash(self) -> str:
-        """SHA-256 over every field but ``context_id`` and the place of the net file."""
+        """SHA-256 over every field but ``context_id`` and the place of the net file.
+
+        The built-in drivers are left out, so that contexts keep the hash they had before drivers could be chosen.
+        """
         fields = dataclasses.asdict(self)
         fields.pop("context_id")
+        if self.drivers is None:
+            fields.pop("drivers")
         fields["intersection"].pop("net_path")
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from izoo.contexts.context import Context
+from izoo.contexts.population import DriverPopulation
 from izoo.errors import IzooError
 
 
@@ -46,6 +47,44 @@ class ContextList(Sequence[Context]):
     def sample(self, generator: np.random.Generator) -> Context:
         """Draw one context, uniformly."""
         return self[int(generator.integers(len(self)))]
+
+
+class _WithDrivers:
+    """A source whose contexts have other drivers."""
+
+    def __init__(self, source: ContextSource, drivers: DriverPopulation) -> None:
+        self.source, self.drivers = source, drivers
+
+    def sample(self, generator: np.random.Generator) -> Context:
+        """Draw one context."""
+        return self.source.sample(generator).replace(drivers=self.drivers)
+
+
+class _ListWithDrivers(Sequence[Context]):
+    """The contexts of a sequence with other drivers, each made when it is asked for."""
+
+    def __init__(self, contexts: Sequence[Context], drivers: DriverPopulation) -> None:
+        self.contexts, self.drivers = contexts, drivers
+
+    def __len__(self) -> int:
+        return len(self.contexts)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        if isinstance(index, slice):
+            return [self[position] for position in range(*index.indices(len(self)))]
+        return self.contexts[index].replace(drivers=self.drivers)
+
+
+def with_drivers(source: ContextSource, drivers: DriverPopulation | None) -> ContextSource:
+    """Return the source with another population of drivers in every context; ``None`` keeps the built-in one.
+
+    A finite source stays one, in the same order, and is gone through as lazily as before.
+    """
+    if drivers is None:
+        return source
+    if isinstance(source, Sequence):
+        return ContextList(_ListWithDrivers(source, drivers))
+    return _WithDrivers(source, drivers)
 
 
 class Schedule(Protocol):

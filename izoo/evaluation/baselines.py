@@ -36,11 +36,12 @@ class EpisodeCache:
     Args:
         folder: where entries lie; a damaged entry counts as absent.
         config: settings of the environment.
+        simulator: what plays them.
     """
 
-    def __init__(self, folder: Path, config: EnvConfig) -> None:
+    def __init__(self, folder: Path, config: EnvConfig, simulator: str = "sumo") -> None:
         self.folder = folder
-        self._settings = json.dumps(settings(config), sort_keys=True)
+        self._settings = json.dumps(settings(config, simulator), sort_keys=True)
 
     def get(self, driver: str, context: Context, seed: int) -> list[dict[str, Any]] | None:
         """Return the rows of an episode, or ``None`` where it has not been run."""

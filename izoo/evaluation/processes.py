@@ -60,7 +60,11 @@ class EpisodeFailed(RuntimeError):
 
 
 def play_all(
-    tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig, num_workers: int
+    tasks: Sequence[Task],
+    policies: Mapping[str, bytes],
+    config: EnvConfig,
+    num_workers: int,
+    simulator: str = "sumo",
 ) -> Iterator[tuple[Task, Rows]]:
     """Play episodes and yield them as they finish.
 
@@ -69,19 +73,20 @@ def play_all(
         policies: serialised policies by key.
         config: settings of the environments.
         num_workers: worker processes; 0 plays in this process.
+        simulator: ``sumo`` or ``twin``.
 
     Raises:
         IzooError: an episode's input cannot be used (the message names the episode).
         EpisodeFailed: an episode failed otherwise.
     """
     if num_workers == 0:
-        yield from _play_here(tasks, policies, config)
+        yield from _play_here(tasks, policies, config, simulator)
         return
     queue = deque((task, 1) for task in tasks)
     setup = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
     workers: list[_Worker] = []
     try:
-        cloudpickle.dump((dict(policies), config), setup)
+        cloudpickle.dump((dict(policies), config, simulator), setup)
         setup.flush()
         workers.extend(_Worker(setup.fileno(), config.watchdog_s) for _ in range(min(num_workers, len(tasks))))
         while queue or any(worker.current for worker in workers):
@@ -216,8 +221,8 @@ def worker_main(descriptor: int, setup: int) -> None:
 
     torch.set_num_threads(1)
     connection = Connection(descriptor)
-    policies, config = cloudpickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
-    player = Player(policies, config, Pulse(connection, config.watchdog_s / 4.0))
+    policies, config, simulator = cloudpickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
+    player = Player(policies, config, simulator, Pulse(connection, config.watchdog_s / 4.0))
     with contextlib.suppress(EOFError, OSError):
         while message := connection.recv_bytes():
             try:
@@ -230,8 +235,10 @@ def worker_main(descriptor: int, setup: int) -> None:
     player.close()
 
 
-def _play_here(tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig) -> Iterator[tuple[Task, Rows]]:
-    player = Player(policies, config)
+def _play_here(
+    tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig, simulator: str
+) -> Iterator[tuple[Task, Rows]]:
+    player = Player(policies, config, simulator)
     try:
         for task in tasks:
             try:
@@ -271,11 +278,13 @@ class Pulse:
 class Player:
     """An environment and the policies, unpacked when first needed."""
 
-    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig, pulse: Pulse | None = None) -> None:
+    def __init__(
+        self, policies: Mapping[str, bytes], config: EnvConfig, simulator: str, pulse: Pulse | None = None
+    ) -> None:
         # Imported here so that workers come up before torch and SUMO are loaded.
         from izoo.envs.env import EcoDrivingEnv
 
-        self.env = EcoDrivingEnv(config=config)
+        self.env = EcoDrivingEnv(config=config, simulator=simulator)
         self._packed, self._pulse = policies, pulse
         self._policies: dict[str, Any] = {}
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo.contexts.context import Context
+from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.files import read_bytes, write_bytes
@@ -79,7 +80,9 @@ def read_sources(folder: Path) -> Sources:
 
 def context_from_dict(fields: Mapping[str, Any]) -> Context:
     """Rebuild a context from ``dataclasses.asdict``, also after a way through JSON; its hash stays the same."""
-    return Context(**{**fields, "intersection": _spec(fields["intersection"])})
+    drivers = fields.get("drivers")
+    population = None if drivers is None else DriverPopulation(**drivers)
+    return Context(**{**fields, "intersection": _spec(fields["intersection"]), "drivers": population})
 
 
 def _spec(fields: Mapping[str, Any]) -> IntersectionSpec:

@@ -1,22 +1,21 @@
 """How people drive: IDM parameters drawn per driver from a calibrated log-normal population.
 
-``idm_population.json`` holds the mean and covariance of the log of (v0, s0, T, alpha, beta), per vehicle class; its
-``source`` entry says where the numbers come from. v0 is drawn with the others but not used: the speed limit rules.
+The built-in population is ``idm_population.json``, whose ``source`` entry says where the numbers come from. v0 is drawn
+with the others but not used: the speed limit rules.
 """
 
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation, read_population
 from izoo.emissions.classes import LIGHT_COMMERCIAL_TRUCK, TRANSIT_BUS
 
 HEAVY_TYPES = (LIGHT_COMMERCIAL_TRUCK, TRANSIT_BUS)
-PARAMETERS = 5
 
 
 @dataclass(frozen=True)
@@ -37,15 +36,20 @@ class Drivers:
 
 
 @functools.lru_cache(maxsize=1)
-def population() -> tuple[np.ndarray, np.ndarray]:
+def built_in_population() -> DriverPopulation:
+    """Return the population that ships with izoo."""
+    return read_population(Path(__file__).parent / "idm_population.json")
+
+
+@functools.lru_cache(maxsize=8)
+def mean_and_factor(population: DriverPopulation) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean ``[2, 5]`` and Cholesky factor ``[2, 5, 5]`` of the logs, of light (row 0) and heavy drivers."""
-    classes = json.loads((Path(__file__).parent / "idm_population.json").read_text(encoding="utf-8"))["classes"]
-    mean = np.array([classes[name]["log_mean"] for name in ("light", "heavy")])
-    covariance = np.array([classes[name]["log_cov"] for name in ("light", "heavy")])
-    return mean, np.linalg.cholesky(covariance)
+    return np.array(population.log_mean), np.linalg.cholesky(np.array(population.log_cov))
 
 
-def sample_drivers(generator: np.random.Generator, source_type: np.ndarray) -> Drivers:
+def sample_drivers(
+    generator: np.random.Generator, source_type: np.ndarray, population: DriverPopulation | None = None
+) -> Drivers:
     """Draw one driver per vehicle.
 
     Driver ``k`` depends on the generator's state, on ``k`` and on vehicle ``k``'s type alone.
@@ -53,9 +57,10 @@ def sample_drivers(generator: np.random.Generator, source_type: np.ndarray) -> D
     Args:
         generator: source of randomness.
         source_type: ``[N]``; 32 and 42 have heavy drivers, the others light ones.
+        population: what they are drawn from; ``None``: the built-in one.
     """
-    mean, factor = population()
+    mean, factor = mean_and_factor(built_in_population() if population is None else population)
     row = np.isin(source_type, HEAVY_TYPES).astype(np.int64)
-    normal = generator.standard_normal((len(source_type), PARAMETERS))
+    normal = generator.standard_normal((len(source_type), len(IDM_PARAMETERS)))
     _, min_gap, tau, accel, decel = np.exp(mean[row] + np.einsum("nij,nj->ni", factor[row], normal)).T
     return Drivers(min_gap, tau, accel, decel)

@@ -149,7 +149,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     lanes = [min(road.source_lane_count[p].get(kind, 1), int(road.main_lane_count[p])) for kind in SOURCE_KINDS]
     moves_class = sample_classes(stream(_FLEET), count)
     source_type = CLASS_SOURCE_TYPE[moves_class]
-    drivers = sample_drivers(stream(_DRIVERS), source_type)
+    drivers = sample_drivers(stream(_DRIVERS), source_type, context.drivers)
     is_cv = stream(_ADOPTION).random(count) < context.adoption
     parameters = {
         "length_m": lengths_m(source_type),

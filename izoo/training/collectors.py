@@ -6,10 +6,11 @@ import functools
 import gc
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -19,13 +20,13 @@ from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.errors import UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.past import EpisodePast
 
@@ -127,7 +128,8 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        pasts: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`).
+        pasts: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
+        twin: where those of a run on the twin stood (:meth:`environments`).
     """
 
     def __init__(
@@ -136,10 +138,16 @@ class BatchSource:
         policy: TensorDictModuleBase,
         schedule: Schedule,
         pasts: Sequence[EpisodePast] = (),
+        twin: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         frames = frames_per_batch(config)
+        self._twin: TrainingTwinEnv | None = None
         with workers_ignore_interrupts():
-            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
+            if config.simulator == "twin":
+                self._twin = _on_twin(config, schedule, twin)
+                self._collector: BaseCollector = _collector(self._twin, policy, frames)
+            else:
+                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -153,6 +161,15 @@ class BatchSource:
             self._collector.hand_over(policy)
         elif not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
+
+    @property
+    def twin(self) -> TrainingTwinEnv | None:
+        """The environments, where they are on the twin."""
+        return self._twin
+
+    def environments(self) -> dict[str, Any]:
+        """Return where the environments stand after the last batch; nothing where they are not on the twin."""
+        return {} if self._twin is None else self._twin.state_dict()
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
@@ -171,13 +188,15 @@ def check_collector(config: TrainConfig) -> None:
 
 def num_envs(config: TrainConfig) -> int:
     """Return how many environments a batch comes from."""
+    if config.simulator == "twin":
+        return TWIN_ENVS if config.num_envs is None else config.num_envs
     return 1 if config.collector.name == "single" else config.num_workers
 
 
 def frames_per_batch(config: TrainConfig) -> int:
-    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, as a multiple of their number."""
-    workers = num_envs(config)
-    return -(-config.algo.frames_per_batch // workers) * workers
+    """Return the steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number."""
+    count = num_envs(config)
+    return -(-config.algo.frames_per_batch // count) * count
 
 
 def _single(
@@ -199,6 +218,18 @@ def _parallel(
 ) -> Collector:
     env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed, pasts=pasts)
     return _collector(env, policy, frames)
+
+
+def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) -> TrainingTwinEnv:
+    return TrainingTwinEnv(
+        num_envs(config),
+        contexts=schedule,
+        config=config.env,
+        seed=config.seed,
+        threads=config.twin.threads,
+        surrogate=config.twin.surrogate,
+        state=state,
+    )
 
 
 def _multisync(
@@ -265,7 +296,7 @@ def _worker_env(
     counts: Path | None = None,
 ) -> EnvBase:
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
-    done = sum(past.episode * config.env.control_steps + past.steps for past in pasts)
+    done = sum(past.episode * config.env.decisions + past.steps for past in pasts)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
     env = TrainingEnv(
         schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, pasts=pasts

@@ -5,7 +5,7 @@ Metrics matter once per episode, but every leaf of a step costs time in each of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from torchrl.data import Unbounded
 
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
+from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 
@@ -91,6 +92,25 @@ class TrainingEnv(_Training, EcoDrivingEnv):
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
     """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
+
+
+class TrainingTwinEnv(_Training, TwinEnv):
+    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`.
+
+    Args:
+        state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
+    """
+
+    def __init__(self, *args: Any, state: Mapping[str, Any] | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._left_at = state
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        state, self._left_at = self._left_at, None
+        if not state:
+            return super()._reset(tensordict, **options)
+        self.load_state_dict(state)
+        return self.present()
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -153,6 +153,8 @@ class Session:
         self.seconds = 0.0
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
+        self._batches: BatchSource | None = None
+        self._environments: dict[str, Any] = {}
         self._saved_at = -1
         self._plotted_s = 0.0
         self._threads = torch.get_num_threads()
@@ -168,11 +170,18 @@ class Session:
         """
         with runs.fitting(path):
             self.learner.load_state_dict(state)
-            pasts = Pasts.from_state(state["pasts"])
+            environments, pasts = state["environments"], Pasts.from_state(state["pasts"])
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
-        if len(pasts.pasts) == len(self.pasts.pasts):
+        if environments:
+            with runs.fitting(path):
+                episodes, later = environments["episodes"], max(environments["next_episodes"])
+            if len(episodes) == num_envs(self.config):
+                self._environments = environments
+            else:
+                self.first_episode += later
+        elif len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
         else:
             self.first_episode += pasts.next_episode
@@ -227,7 +236,8 @@ class Session:
     def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
         config = self.config
         going_on = self.pasts.pasts if self._state is not None else ()
-        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
+        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
+        self._batches = batches
         try:
             self._load(batches)
             latest: dict[str, float] = {}
@@ -244,7 +254,9 @@ class Session:
                             self._plot()
                     if self.validator.due(self.batches):
                         self._validate()
+            self._environments = batches.environments()
         finally:
+            self._batches = None
             batches.close()
             torch.set_num_threads(self._threads)
 
@@ -287,7 +299,8 @@ class Session:
         collected = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
         stats = episode_stats(batch)
-        self.pasts.add(batch)
+        if self.config.simulator == "sumo":
+            self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
         self._require_finite(learned)
         torch.set_num_threads(1)
@@ -337,6 +350,7 @@ class Session:
             "seconds": self.seconds,
             "first_episode": self.first_episode,
             "pasts": self.pasts.state_dict(),
+            "environments": self._environments if self._batches is None else self._batches.environments(),
         }
         try:
             checkpoint.save(self.run_dir, self.frames, state, self.config.checkpoint.keep)

@@ -30,6 +30,8 @@ CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_
 CHANGEABLE = (
     "total_frames",
     "num_workers",
+    "num_envs",
+    "twin",
     "device",
     "collector",
     "logger",

@@ -6,7 +6,7 @@ import pytest
 
 from izoo.emissions.classes import CLASSES
 from izoo.emissions.tables import moves_file
-from izoo.traffic.drivers import population, sample_drivers
+from izoo.traffic.drivers import built_in_population, mean_and_factor, sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, class_shares, lengths_m, sample_classes
 
 YEAR, SOURCE, FUEL = np.array(CLASSES).T
@@ -64,7 +64,7 @@ def test_lengths_belong_to_the_source_types():
 def test_drivers_follow_their_log_normal(source_type, row):
     drivers = sample_drivers(np.random.default_rng(3), np.full(100_000, source_type))
     logs = np.log([drivers.min_gap_m, drivers.tau_s, drivers.accel_mps2, drivers.decel_mps2])
-    mean, factor = population()
+    mean, factor = mean_and_factor(built_in_population())
     covariance = (factor[row] @ factor[row].T)[1:, 1:]
     scale = np.sqrt(np.diag(covariance))
     assert (np.abs(logs.mean(axis=1) - mean[row, 1:]) < 5 * scale / np.sqrt(100_000)).all()

@@ -1,0 +1,211 @@
+"""Whether calibration finds what it should: ``python -m izoo.benchmarks.calibration --out FOLDER [--sets 20]``.
+
+Per data set a population is drawn, the environment simulates its drivers at a signal, ``write_trajectories`` writes
+what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that are
+in the folder are not run again, so the benchmark can be stopped and continued.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from izoo.console import exit_code
+from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
+from izoo.errors import IzooError, check_range
+from izoo.files import write_json
+
+LIMIT_MPS = 16.0
+LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
+MEDIAN_RANGES = {"s0_m": (1.5, 3.0), "T_s": (0.6, 1.6), "alpha_mps2": (0.8, 1.8), "beta_mps2": (1.2, 2.5)}
+SPREAD_RANGE = (0.1, 0.25)
+KINDS = ("median", "spread", "correlation")
+
+
+def true_population(number: int) -> DriverPopulation:
+    """Draw the population of a data set; v0 is of no effect in the environment, where the limit rules."""
+    generator = np.random.default_rng([number, 0])
+    medians = [LIMIT_MPS, *(generator.uniform(low, high) for low, high in MEDIAN_RANGES.values())]
+    spreads = np.array([0.1, *generator.uniform(*SPREAD_RANGE, len(MEDIAN_RANGES))])
+    factor = generator.standard_normal((len(medians), 3 * len(medians)))
+    covariance = factor @ factor.T
+    scale = spreads / np.sqrt(np.diag(covariance))
+    covariance = scale[:, None] * covariance * scale
+    mean, both = tuple(np.log(medians).tolist()), tuple(map(tuple, covariance.tolist()))
+    return DriverPopulation((mean, mean), (both, both))
+
+
+def truth(population: DriverPopulation) -> dict[str, float]:
+    """Return the true values of what a calibration estimates, as far as the environment's traffic depends on them."""
+    mean, covariance = np.array(population.log_mean[0]), np.array(population.log_cov[0])
+    sd = np.sqrt(np.diag(covariance))
+    names = list(enumerate(IDM_PARAMETERS))
+    found = {f"median {name}": float(np.exp(mean[k])) for k, name in names}
+    found |= {f"spread {name}": float(sd[k]) for k, name in names[1:]}
+    for row, name in names[1:]:
+        for column, other in names[1:row]:
+            found[f"correlation {other} {name}"] = float(covariance[row, column] / (sd[row] * sd[column]))
+    return found
+
+
+def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_mps: float) -> None:
+    """Write the trajectories of human drivers of a population; to every speed, white noise is added."""
+    import pandas as pd
+
+    from izoo.contexts.procedural import procedural_context
+    from izoo.envs import EcoDrivingEnv, EnvConfig
+    from izoo.envs.views.trajectories import write_trajectories
+
+    context = procedural_context(
+        adoption=0.0, inflow_vph_per_lane=INFLOW_VPH, lane_length_m=LANE_M, speed_limit_mps=LIMIT_MPS
+    ).replace(drivers=population)
+    env = EcoDrivingEnv(context, config=EnvConfig(emit=("vehicles",), horizon_s=HORIZON_S), seed=number)
+    try:
+        rollout = env.rollout(env.config.control_steps)
+    finally:
+        env.close()
+    table = pd.read_csv(write_trajectories(rollout, path))
+    generator = np.random.default_rng([number, 1])
+    seen = table["speed_mps"] + speed_noise_mps * generator.standard_normal(len(table))
+    table["speed_mps"] = seen.clip(lower=0.0)
+    table.to_csv(path, index=False)
+
+
+def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
+    """Simulate and calibrate one data set; return what is true and what was found."""
+    from izoo.drivers.estimate import estimate
+    from izoo.drivers.followers import ReadConfig, read_following
+
+    population = true_population(number)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "trajectories.csv")
+        simulate(population, number, path, speed_noise_mps)
+        classes, _ = read_following([path], ReadConfig(max_drivers=drivers, seed=number))
+    data = classes["light"]
+    began, worked = time.monotonic(), time.process_time()
+    result = estimate(data, chains)
+    found = {quantity.name: quantity for quantity in result.quantities}
+    return {
+        "set": number,
+        "drivers": len(data.drivers),
+        "minutes": data.minutes,
+        "seconds": time.monotonic() - began,
+        "processor_seconds": time.process_time() - worked,
+        "converged": result.converged,
+        "not_converged": [quantity.name for quantity in result.quantities if not quantity.converged],
+        "diverging": result.diverging,
+        "autocorrelation": result.predictions.autocorrelation,
+        "worst_r_hat": max(quantity.r_hat for quantity in result.quantities),
+        "least_ess": min(quantity.ess for quantity in result.quantities),
+        "quantities": {
+            name: {"true": value, "mean": found[name].mean, "low": found[name].low, "high": found[name].high}
+            for name, value in truth(population).items()
+        },
+    }
+
+
+def summarise(results: Sequence[Mapping[str, Any]]) -> str:
+    """Return coverage of the 90 % intervals, and errors of the medians, over the data sets."""
+    converged = sum(result["converged"] for result in results)
+    work = np.median([result["processor_seconds"] for result in results])
+    minutes = np.median([result["minutes"] / result["drivers"] for result in results])
+    lines = [
+        f"{len(results)} data sets, {converged} converged; median: {results[0]['drivers']} drivers of {minutes:.1f} "
+        f"minutes behind a leader, {work:.0f} s of processor time",
+        f"{'':34} {'inside 90 %':>12} {'mean error':>11} {'typical error':>14}",
+    ]
+    inside: dict[str, list[bool]] = {kind: [] for kind in KINDS}
+    for name in results[0]["quantities"]:
+        values = [result["quantities"][name] for result in results]
+        held = [value["low"] <= value["true"] <= value["high"] for value in values]
+        inside[name.split()[0]] += held
+        line = f"{name:34} {np.mean(held):12.0%}"
+        errors = np.array([value["mean"] - value["true"] for value in values])
+        if name.startswith("correlation"):
+            line += f" {errors.mean():+11.2f} {np.sqrt(np.mean(errors**2)):14.2f}"
+        else:
+            errors = errors / np.array([value["true"] for value in values])
+            line += f" {errors.mean():+11.1%} {np.sqrt(np.mean(errors**2)):14.1%}"
+        lines.append(line)
+    lines += [
+        f"all {kind}s: {np.mean(held):.1%} of {len(held)} intervals hold the truth" for kind, held in inside.items()
+    ]
+    everything = [value for held in inside.values() for value in held]
+    return "\n".join([*lines, f"all: {np.mean(everything):.1%} of {len(everything)} intervals hold the truth"])
+
+
+def draw(results: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw what was recovered over what is true, with 90 % intervals, as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(MEDIAN_RANGES))
+    for column, parameter in enumerate(MEDIAN_RANGES):
+        for row, kind in enumerate(KINDS[:2]):
+            values = [result["quantities"][f"{kind} {parameter}"] for result in results]
+            true, mean, low, high = (
+                np.array([value[key] for value in values]) for key in ("true", "mean", "low", "high")
+            )
+            axis = axes[row, column]
+            axis.errorbar(true, mean, [mean - low, high - mean], fmt="o", markersize=4, color="#0072b2", linewidth=1)
+            ends = [true.min(), true.max()]
+            axis.plot(ends, ends, color="#333333", linewidth=1)
+            axis.set(title=f"{kind} of {parameter}", xlabel="true", ylabel="calibrated" if column == 0 else "")
+    figure.savefig(path, dpi=90, format="png")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the sets that the folder lacks, and summarise all of it."""
+    check_range("--sets", options.sets, 1, 1000)
+    check_range("--drivers", options.drivers, 5, 200)
+    check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
+    from izoo.drivers.chains import SamplerConfig
+
+    chains = SamplerConfig(options.warmup, options.draws)
+    settings = {name: getattr(options, name) for name in ("drivers", "speed_noise", "warmup", "draws")}
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for number in range(options.sets):
+        path = options.out / f"set-{number:03d}.json"
+        if not path.is_file():
+            write_json(path, {"settings": settings, **recover(number, options.drivers, chains, options.speed_noise)})
+        last = json.loads(path.read_text())
+        if last["settings"] != settings:
+            raise IzooError(f"{path} is of other settings, {last['settings']}; give another --out, or those settings.")
+        results.append(last)
+        print(
+            f"set {number}: {last['seconds']:.0f} s, worst R-hat {last['worst_r_hat']:.3f}, least ESS "
+            f"{last['least_ess']:.0f}{'' if last['converged'] else ', not converged'}",
+            flush=True,
+        )
+    print(summarise(results))
+    draw(results, options.out / "recovery.png")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m izoo.benchmarks.calibration", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results; existing ones are kept")
+    parser.add_argument("--sets", type=int, default=20, help="data sets; default: 20")
+    parser.add_argument("--drivers", type=int, default=50, help="light drivers of each; default: 50")
+    parser.add_argument("--speed-noise", type=float, default=0.0, help="m/s, added to every speed; default: 0")
+    parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
+    parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
+    options = parser.parse_args(argv)
+    print("izoo benchmarks.calibration", flush=True)
+    return exit_code("benchmarks.calibration", lambda: run(options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

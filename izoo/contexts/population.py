@@ -1,0 +1,124 @@
+"""A population of human drivers: the log-normal distribution that every driver's IDM parameters are drawn from.
+
+A context holds the numbers themselves, not the file that they came from. So it is the same context on any machine, and
+another one as soon as a number changes. :mod:`izoo.traffic.drivers` draws from a population.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from izoo.errors import IzooError
+
+DRIVER_CLASSES = ("light", "heavy")
+IDM_PARAMETERS = ("v0_mps", "s0_m", "T_s", "alpha_mps2", "beta_mps2")
+"""Desired speed, standstill gap, time headway, maximal acceleration, comfortable deceleration: the order everywhere."""
+LEGAL_MEDIANS = ((1.0, 70.0), (0.1, 20.0), (0.1, 10.0), (0.05, 10.0), (0.05, 20.0))
+"""Per parameter: outside, a median is a wrong unit rather than a driver."""
+MAX_LOG_SD = 2.0
+"""A driver in twenty would lie more than fifty times above or below the median."""
+MAX_FILE_BYTES = 10_000_000
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class DriverPopulation:
+    """Mean and covariance of the log of the five IDM parameters, per class of drivers.
+
+    Attributes:
+        log_mean: ``[2][5]``; row 0 light drivers, row 1 heavy ones, columns as in :data:`IDM_PARAMETERS`.
+        log_cov: ``[2][5][5]``; symmetric and positive definite.
+    """
+
+    log_mean: tuple[Row, ...]
+    log_cov: tuple[tuple[Row, ...], ...]
+
+    def __post_init__(self) -> None:
+        # Lists come from JSON; equal populations must hash alike whatever they were made from.
+        object.__setattr__(self, "log_mean", tuple(_row(row) for row in self.log_mean))
+        object.__setattr__(self, "log_cov", tuple(tuple(_row(row) for row in rows) for rows in self.log_cov))
+        if not len(self.log_mean) == len(self.log_cov) == len(DRIVER_CLASSES):
+            raise IzooError(
+                f"a population of drivers has {len(self.log_mean)} classes; give {' and '.join(DRIVER_CLASSES)}."
+            )
+        for name, mean, covariance in zip(DRIVER_CLASSES, self.log_mean, self.log_cov, strict=True):
+            _check(name, mean, covariance)
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over the numbers."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+def read_population(path: str | Path) -> DriverPopulation:
+    """Read a population from JSON: ``{"classes": {"light": {"log_mean": [5], "log_cov": [5][5]}, "heavy": ...}}``.
+
+    Other entries, such as those about a calibration, are not read, but for ``"converged": false``: such a file is
+    refused.
+
+    Raises:
+        IzooError: the file cannot be read, or holds no population.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise IzooError(f"{path} has more than {MAX_FILE_BYTES // 10**6} MB; a population of drivers has a few kB.")
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise IzooError(
+            f"cannot read the drivers {path}: {error.strerror}; give a file that `calibrate` wrote."
+        ) from None
+    except (ValueError, RecursionError):
+        raise IzooError(f"{path} is not JSON; give a file that `python -m izoo.drivers calibrate` wrote.") from None
+    try:
+        classes = [content["classes"][name] for name in DRIVER_CLASSES]
+        means, covariances = (tuple(entry[key] for entry in classes) for key in ("log_mean", "log_cov"))
+        converged = content.get("converged", True)
+    except (KeyError, TypeError, AttributeError):
+        raise IzooError(
+            f"{path} holds no drivers: it needs log_mean and log_cov of the classes {' and '.join(DRIVER_CLASSES)}; "
+            "give a file that `python -m izoo.drivers calibrate` wrote."
+        ) from None
+    if converged is not True:
+        raise IzooError(f"the calibration that wrote {path} did not converge; calibrate again with more draws.")
+    try:
+        return DriverPopulation(means, covariances)
+    except IzooError as error:
+        raise IzooError(f"{path}: {error}") from None
+
+
+def _row(values: Any) -> Row:
+    try:
+        return tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        raise IzooError(f"a population of drivers has {values!r} where a list of numbers belongs.") from None
+
+
+def _check(name: str, mean: Row, covariance: Sequence[Row]) -> None:
+    """Raise :class:`IzooError` unless the numbers are a log-normal distribution of drivers."""
+    size = len(IDM_PARAMETERS)
+    if [len(mean), *(len(row) for row in covariance)] != [size] * (size + 1):
+        raise IzooError(f"{name} drivers need {size} numbers in log_mean and {size} x {size} in log_cov.")
+    matrix = np.array(covariance)
+    if not (np.isfinite(mean).all() and np.isfinite(matrix).all()):
+        raise IzooError(f"{name} drivers have a number that is not finite.")
+    for parameter, value, (low, high) in zip(IDM_PARAMETERS, mean, LEGAL_MEDIANS, strict=True):
+        if not np.log(low) <= value <= np.log(high):
+            raise IzooError(
+                f"the median {parameter} of {name} drivers is exp({value:g}); it must lie in [{low:g}, {high:g}]. "
+                "log_mean holds natural logarithms."
+            )
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+        raise IzooError(f"log_cov of {name} drivers is not symmetric.")
+    if np.linalg.eigvalsh(matrix)[0] <= 0.0:
+        raise IzooError(f"log_cov of {name} drivers is not positive definite.")
+    if np.sqrt(np.diag(matrix)).max() > MAX_LOG_SD:
+        raise IzooError(f"log_cov of {name} drivers has a standard deviation above {MAX_LOG_SD:g}.")

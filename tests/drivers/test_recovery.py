@@ -1,0 +1,73 @@
+"""The recovery study's own arithmetic: its populations, its summary, and folders that are continued."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from izoo.benchmarks import calibration
+
+
+def one_set(number: int, **settings: Any) -> dict[str, Any]:
+    """A result as the study writes it: everything 10 % (or 0.1) too large, every third interval beside the truth."""
+    quantities = {}
+    for k, (name, true) in enumerate(calibration.truth(calibration.true_population(number)).items()):
+        mean = true + 0.1 if name.startswith("correlation") else 1.1 * true
+        low = mean - 1e-6 if k % 3 == 0 else true - 1.0
+        quantities[name] = {"true": true, "mean": mean, "low": low, "high": mean + 1.0}
+    about = {"set": number, "drivers": 30, "minutes": 45.0, "seconds": 9.0, "processor_seconds": 8.0}
+    state = {"converged": True, "not_converged": [], "diverging": 0, "autocorrelation": 0.0}
+    used = {"drivers": 30, "speed_noise": 0.0, "warmup": 200, "draws": 400, **settings}
+    return {"settings": used, **about, **state, "worst_r_hat": 1.0, "least_ess": 900.0, "quantities": quantities}
+
+
+def write_sets(folder: Path, count: int, **settings: Any) -> None:
+    for number in range(count):
+        (folder / f"set-{number:03d}.json").write_text(json.dumps(one_set(number, **settings)))
+
+
+def test_populations_are_fixed_by_their_number() -> None:
+    one, other = calibration.true_population(3), calibration.true_population(4)
+    assert one == calibration.true_population(3) != other
+    true = calibration.truth(one)
+    assert len(true) == 5 + 4 + 6
+    for name, (low, high) in calibration.MEDIAN_RANGES.items():
+        assert low <= true[f"median {name}"] <= high
+        assert 0.1 <= true[f"spread {name}"] <= 0.25
+    assert all(-1.0 < value < 1.0 for name, value in true.items() if name.startswith("correlation"))
+    covariance = np.array(one.log_cov[0])
+    assert true["correlation T_s alpha_mps2"] == pytest.approx(
+        covariance[2, 3] / np.sqrt(covariance[2, 2] * covariance[3, 3])
+    )
+
+
+def test_the_summary_counts_intervals_and_averages_errors() -> None:
+    lines = calibration.summarise([one_set(0), one_set(1)]).splitlines()
+    assert lines[0].startswith("2 data sets, 2 converged; median: 30 drivers of 1.5 minutes")
+    by_name = {line[:34].strip(): line[34:].split() for line in lines[2:-4]}
+    assert by_name["median v0_mps"] == ["0%", "+10.0%", "10.0%"]
+    assert by_name["median s0_m"] == ["100%", "+10.0%", "10.0%"]
+    assert by_name["spread T_s"] == ["0%", "+10.0%", "10.0%"]
+    assert by_name["correlation s0_m T_s"] == ["0%", "+0.10", "0.10"]
+    assert lines[-1] == "all: 66.7% of 30 intervals hold the truth"
+
+
+def test_a_folder_that_has_all_sets_is_summed_up_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_sets(tmp_path, 3)
+    monkeypatch.setattr(calibration, "recover", None)  # nothing is left to run
+    assert calibration.main(["--out", str(tmp_path), "--sets", "3", "--drivers", "30"]) == 0
+    assert "3 data sets, 3 converged" in capsys.readouterr().out
+    assert (tmp_path / "recovery.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_sets(tmp_path, 2, speed_noise=0.05)
+    assert calibration.main(["--out", str(tmp_path), "--sets", "2", "--drivers", "30"]) == 2
+    error = capsys.readouterr().err
+    assert "set-000.json is of other settings" in error and "give another --out" in error
