@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from izoo.benchmarks.generalization_options import SWEPT
@@ -17,16 +16,15 @@ from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import code_digest
-from izoo.files import write_text
+from izoo.files import read_text, write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
-from izoo.training.runs import CHANGEABLE
 
 MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
-NOT_THE_RUN = (*CHANGEABLE, "run_dir")
+NOT_THE_RUN = (*runs.CHANGEABLE, "run_dir")
 """Options of a training run in which a run that is there may differ from the one that is wanted."""
 
 
@@ -76,8 +74,8 @@ def _grew(name: str, old: Any, new: Any) -> bool:
 
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
-        stored: Any = OmegaConf.to_container(OmegaConf.load(path))
-    except (OSError, YAMLError, OmegaConfBaseException) as error:
+        stored = runs.plain_yaml(read_text(path, runs.MOST_CONFIG_BYTES))
+    except (OSError, YAMLError, ValueError) as error:
         raise IzooError(f"{path} is damaged: {str(error).splitlines()[0]}; choose another out.") from error
     if not isinstance(stored, dict):
         raise IzooError(f"{path} is damaged: it is no mapping; choose another out.")

@@ -105,7 +105,7 @@ def read_config(run_dir: Path) -> TrainConfig:
         text = read_text(path, MOST_CONFIG_BYTES)
         if not text.endswith("\n"):
             raise ValueError("it is cut short")
-        values = _plain_yaml(text)
+        values = plain_yaml(text)
     except (OSError, ValueError, YAMLError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
         raise IzooError(f"cannot read {path}: {reason}.") from error
@@ -121,7 +121,7 @@ def read_config(run_dir: Path) -> TrainConfig:
     return config
 
 
-def _plain_yaml(text: str) -> Any:
+def plain_yaml(text: str) -> Any:
     """Return what YAML says, without its aliases: a few lines of them stand for more than fits into the memory."""
     loader = getattr(yaml, "CSafeLoader", SafeLoader)  # the fast one may not have been built
     depth = 0
