@@ -15,10 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from izoo.algos.base import ACTIVATIONS
+from izoo.algos.resting import MOST_EXCESS
 from izoo.compiling import compiled
 from izoo.emissions.kernel import fast_tanh
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_MOST_EXCESS = MOST_EXCESS
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
 """Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
 
@@ -114,6 +116,23 @@ def _softplus(x):  # type: ignore[no-untyped-def]
     return x + math.log1p(math.exp(-x)) if x > 0.0 else math.log1p(math.exp(x))
 
 
+@compiled
+def log_cdf(z):  # type: ignore[no-untyped-def]
+    """Return the logarithm of the standard normal distribution function, precise in the lower tail."""
+    if z > -30.0:
+        return math.log(0.5 * math.erfc(-z / math.sqrt(2.0)))
+    return -0.5 * z * z - math.log(-z) - 0.5 * math.log(2.0 * math.pi) + math.log1p(-1.0 / (z * z))
+
+
+@compiled
+def rest_log_prob(loc, scale, dead, guided):  # type: ignore[no-untyped-def]
+    """Return the log-probability of doing nothing (:meth:`izoo.algos.resting.RestingNormal.rest_log_prob`)."""
+    if not guided:
+        return log_cdf((dead - loc) / scale)
+    high, low = log_cdf((dead - abs(loc)) / scale), log_cdf((-dead - abs(loc)) / scale)
+    return high + math.log1p(-math.exp(min(low - high, -1e-6)))
+
+
 @compiled(error_model="numpy")
 def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
     """Return ``[n, O]``: a fully connected network on ``x [n, I]``, with activations between its layers."""
@@ -125,14 +144,18 @@ def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
+def sample(parameters, rows, spread, bounds, dead, guided, noise, out):  # type: ignore[no-untyped-def]
     """Draw for the agents ``rows [r]``; empty slots get median 0, spread 1, action 0 and log-probability 0.
+
+    With ``dead`` of 0 or more, actions are advice (:class:`izoo.algos.resting.RestingNormal`).
 
     Args:
         parameters: ``[r, 2]`` a network's outputs.
         rows: ``[r]`` their places among the ``n`` slots.
         spread: ``(offset, summand, floor)``: the spread is ``max(softplus(output + offset) + summand, floor)``.
         bounds: ``(low, high)`` of the action.
+        dead: half the width of the band of doing nothing; below 0: there is none.
+        guided: ``[n]`` uint8: negative advice means something.
         noise: ``[n]`` standard normal numbers.
         out: ``[4, n]`` outputs: median and spread before the tanh, action, log-probability.
     """
@@ -145,16 +168,26 @@ def sample(parameters, rows, spread, bounds, noise, out):  # type: ignore[no-unt
     for j in range(rows.shape[0]):
         r = rows[j]
         scale = max(_softplus(parameters[j, 1] + offset) + summand, floor)
-        raw = parameters[j, 0] + scale * noise[r]
+        z = noise[r]
+        raw = parameters[j, 0] + scale * z
         out[0, r] = parameters[j, 0]
         out[1, r] = scale
-        out[2, r] = middle + half * math.tanh(raw)
+        if dead >= 0.0:
+            excess = min(abs(raw) - dead, _MOST_EXCESS)
+            if excess <= 0.0 or (raw < 0.0 and not guided[r]):
+                out[3, r] = rest_log_prob(float(parameters[j, 0]), scale, dead, guided[r] != 0)
+                continue
+            out[2, r] = math.copysign(half * math.tanh(excess), raw)
+            z = (math.copysign(excess + dead, raw) - parameters[j, 0]) / scale
+            raw = excess
+        else:
+            out[2, r] = middle + half * math.tanh(raw)
         # log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)), which does not lose precision far from 0.
-        out[3, r] = constant - 0.5 * noise[r] * noise[r] - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
+        out[3, r] = constant - 0.5 * z * z - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
 
 
 @compiled(error_model="numpy")
-def act(observation, mask, weights, biases, activation, spread, bounds, noise, out):  # type: ignore[no-untyped-def]
+def act(observation, mask, weights, biases, activation, spread, bounds, dead, guided, noise, out):  # type: ignore[no-untyped-def]
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
 
     Args:
@@ -162,10 +195,10 @@ def act(observation, mask, weights, biases, activation, spread, bounds, noise, o
         mask: ``[M, A]``, ``n`` in all, uint8: the slot holds an agent.
         weights, biases: tuples of the layers' ``[O, I]`` and ``[O]``; the last layer has two outputs.
         activation: place in :data:`izoo.algos.base.ACTIVATIONS`.
-        spread, bounds, noise, out: see :func:`sample`.
+        spread, bounds, dead, guided, noise, out: see :func:`sample`.
     """
     rows = np.flatnonzero(mask)
-    sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, noise, out)
+    sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, dead, guided, noise, out)
 
 
 @compiled(error_model="numpy")

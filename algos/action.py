@@ -1,10 +1,10 @@
-"""What the action of a learned policy stands for: the options ``action=direct`` and ``action=residual``."""
+"""What the action of a learned policy stands for: the options ``action=direct``, ``advise`` and ``residual``."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
@@ -13,8 +13,38 @@ from izoo.errors import check_range
 if TYPE_CHECKING:
     from izoo.algos.base import Algorithm
 
-Build = Callable[[Any, int, float, float], "Algorithm"]
-"""What builds an algorithm from its options, the length of an observation, and the bounds of its action."""
+Build = Callable[..., "Algorithm"]
+"""What builds an algorithm from its options, the length of an observation, the bounds of its action and, where an
+action of 0 is doing nothing, ``rest=``, a :class:`Rest`."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """That an action of 0 is doing nothing, and how often an untrained policy does something else.
+
+    Attributes:
+        act_share: share of the decisions in which an untrained policy acts, to either side that means something.
+        spread: standard deviation of an untrained normal policy before censoring and tanh.
+        two_sided: whether there are agents for whom both signs mean something; which, the policy is told with each
+            observation. For all others values below 0 are doing nothing, too.
+    """
+
+    act_share: float = 0.08
+    spread: float = 0.35
+    two_sided: bool = False
+
+    def __post_init__(self) -> None:
+        check_range("action.act_share", self.act_share, 1e-6, 0.5)
+        check_range("action.spread", self.spread, 1e-3, 10.0)
+
+    @property
+    def dead(self) -> float:
+        """Half the width of the band of a normal policy that is untrained, and so has median 0."""
+        return self.band(self.spread)
+
+    def band(self, spread: float) -> float:
+        """Return what normal noise with this ``spread`` exceeds with probability ``act_share``."""
+        return spread * NormalDist().inv_cdf(1.0 - self.act_share)
 
 
 @dataclass(frozen=True)
@@ -33,32 +63,79 @@ class DirectAction:
 
 
 @dataclass(frozen=True)
-class ResidualAction:
-    """The policy's action is added to the acceleration of the nominal controller.
+class AdviseAction:
+    """The policy's action is advice to the simulator's own driver: at or below 0 none, above it a lower speed limit.
+
+    So an untrained policy is, but for its exploration, the uncommanded CV.
 
     Attributes:
         name: the action mode.
-        half_width_mps2: the residual lies between plus and minus this. 1 m/s^2 is as much as glide itself commands, so
+        depth: advice caps the speed at no less than 1 minus this, in units of the limit.
+        brake_mps2: it never brakes harder than this.
+        act_share: share of decisions in which an untrained policy that explores advises anything.
+        spread: standard deviation of an untrained policy before censoring and tanh: how strong such advice is.
+    """
+
+    name: Literal["advise"] = "advise"
+    depth: float = 0.8
+    brake_mps2: float = 1.5
+    act_share: float = 0.06
+    spread: float = 0.35
+
+    def __post_init__(self) -> None:
+        check_range("action.depth", self.depth, 0.01, 1.0)
+        check_range("action.brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
+        _ = self.rest
+
+    @property
+    def rest(self) -> Rest:
+        """What doing nothing is."""
+        return Rest(self.act_share, self.spread)
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes for advice."""
+        from izoo.algos.advice import Advised, SpeedCap
+
+        learned = build(config, features, -self.depth, self.depth, rest=self.rest)
+        return Advised(learned, SpeedCap(env, self.brake_mps2))
+
+
+@dataclass(frozen=True)
+class ResidualAction:
+    """The policy's action is taken from the acceleration of the nominal controller, glide; 0 leaves that as it is.
+
+    A CV that glide leaves alone stays with the simulator's driver unless its action is above 0.
+
+    Attributes:
+        name: the action mode.
+        half_width_mps2: the action lies between plus and minus this. 1 m/s^2 is as much as glide itself commands, so
             that it can be overruled where it brakes for nothing, and no more.
-        threshold_mps2: a CV that glide leaves alone stays with the simulator's driver unless its residual is below
-            minus this, so that what is not yet learned disturbs nobody.
+        act_share: share of decisions in which an untrained policy that explores holds a CV back (and, where glide
+            commands, as often lets it go).
+        spread: standard deviation of an untrained policy before censoring and tanh: how strong that is.
     """
 
     name: Literal["residual"] = "residual"
     half_width_mps2: float = 1.0
-    threshold_mps2: float = 0.1
+    act_share: float = 0.08
+    spread: float = 0.35
 
     def __post_init__(self) -> None:
         check_range("action.half_width_mps2", self.half_width_mps2, 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2")
-        check_range("action.threshold_mps2", self.threshold_mps2, 0.0, self.half_width_mps2, "m/s^2")
+        _ = self.rest
+
+    @property
+    def rest(self) -> Rest:
+        """What doing nothing is."""
+        return Rest(self.act_share, self.spread, two_sided=True)
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes for residuals, which start at 0 whatever its options say."""
-        from izoo.algos.residual import NominalDriver, Residual
+        """Return the algorithm that ``build`` makes for corrections."""
+        from izoo.algos.advice import Advised
+        from izoo.algos.residual import Correction, NominalDriver
 
-        config = dataclasses.replace(config, initial_accel_mps2=0.0)
-        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2)
-        return Residual(learned, NominalDriver(env), self.threshold_mps2)
+        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, rest=self.rest)
+        return Advised(learned, Correction(NominalDriver(env)))
 
 
-ActionConfig = DirectAction | ResidualAction
+ActionConfig = DirectAction | AdviseAction | ResidualAction

@@ -16,8 +16,11 @@ OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
 ACTION = ("agents", "action")
 LOG_PROB = ("agents", "action_log_prob")
+GUIDED = ("agents", "guided")
+"""``[*B, A]`` bool: agents for whom an action below 0 means something (:class:`izoo.algos.resting.RestingNormal`)."""
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
+ACTION_VALUE = ("agents", "state_action_value")
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
@@ -73,15 +76,6 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_
     nn.init.orthogonal_(last.weight, gain=last_gain)
     nn.init.zeros_(last.bias)
     return nn.Sequential(*layers, last)
-
-
-def agent_rows(batch: TensorDictBase, keys: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], Tensor]:
-    """Return the valid entries of per-agent leaves: ``[*B, A, ...]`` becomes ``[rows, ...]``.
-
-    Slots that hold no controlled vehicle never reach a loss, a statistic or a log this way.
-    """
-    mask = batch.get(MASK)
-    return {key: batch.get(key)[mask] for key in keys}
 
 
 def next_values(values: Tensor, boundary: Tensor, boundary_values: Tensor) -> Tensor:

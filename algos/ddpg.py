@@ -16,14 +16,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
-from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
+from torchrl.objectives import SoftUpdate
 
 from izoo.algos import acting, base
+from izoo.algos.action import Rest
 from izoo.algos.buffer import ERROR, Replay, transitions
 from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.losses import MaskedDDPGLoss
 from izoo.errors import check_range
-
-ACTION_VALUE = ("agents", "state_action_value")
 
 
 class Squash(nn.Module):
@@ -51,13 +51,16 @@ class ActionValue(nn.Module):
         return self.network(torch.cat([observation, (action - self.middle) / self.half_width], dim=-1))
 
 
-def make_actor(features: int, low: float, high: float, config: DDPGConfig) -> TensorDictModule:
-    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``."""
-    check_range("algo.initial_accel_mps2", config.initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
+def make_actor(
+    features: int, low: float, high: float, config: DDPGConfig, rest: Rest | None = None
+) -> TensorDictModule:
+    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with ``rest``, from 0 on."""
+    initial = config.initial_accel_mps2 if rest is None else 0.0
+    check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
     network = base.mlp(features, config.hidden, 1, config.activation, last_gain=0.01)
     middle, half = (high + low) / 2, (high - low) / 2
     with torch.no_grad():
-        network[-1].bias[0] = math.atanh((config.initial_accel_mps2 - middle) / half)  # type: ignore[operator, index]
+        network[-1].bias[0] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
     squashed = nn.Sequential(network, Squash(low, high))
     return TensorDictModule(squashed, in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
 
@@ -70,20 +73,26 @@ class ExploringPolicy(TensorDictModuleBase):
 
     Args:
         actor: from :func:`make_actor`; shared, not copied.
-        low, high: bounds of the acceleration, m/s^2.
+        low, high: bounds of the action.
         config: hyper-parameters.
+        rest: that actions around 0 are doing nothing: :attr:`quiet_band`. What is stored and learned from is the action
+            itself, so that the critic's gradient leads out of the band.
     """
 
     noise_factor: Tensor
     uniform: Tensor
 
-    def __init__(self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig) -> None:
+    def __init__(
+        self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig, rest: Rest | None = None
+    ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
         self.network = actor.module
         self.arrays = acting.Arrays(self.network)
         self.low, self.high = float(low), float(high)
         self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
+        stationary = self.sigma / math.sqrt(max(1.0 - (1.0 - self.theta) ** 2, 1e-3))
+        self.quiet_band = 0.0 if rest is None else min(rest.band(stationary), 0.5 * self.high)
         # Buffers, so that collectors in other processes receive them with the weights.
         self.register_buffer("noise_factor", torch.tensor(1.0))
         self.register_buffer("uniform", torch.tensor(config.random_frames > 0))
@@ -127,41 +136,39 @@ class ExploringPolicy(TensorDictModuleBase):
         return torch.addcmul(action, self.noise, self.noise_factor).clamp_(self.low, self.high)
 
 
-def make_loss(actor: TensorDictModule, critic: ValueOperator, config: DDPGConfig) -> DDPGLoss:
-    """Return TorchRL's loss for flat transitions: TD(0) targets from target copies of both networks."""
-    loss = DDPGLoss(actor, critic, loss_function=config.value_loss, delay_actor=True, delay_value=True)
-    loss.set_keys(
-        state_action_value=ACTION_VALUE,
-        reward=base.REWARD,
-        done=base.DONE,
-        terminated=base.TERMINATED,
-        priority=ERROR,
-    )
-    loss.make_value_estimator(ValueEstimators.TD0, gamma=config.gamma)
-    return loss
-
-
 class DDPG:
     """The algorithm: actor, critic, replay, optimiser and update.
 
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the acceleration, m/s^2.
+        low, high: bounds of the action: an acceleration in m/s^2, or advice.
         device: where the networks and the replay live.
+        rest: that an action of 0 is doing nothing.
     """
 
     def __init__(
-        self, config: DDPGConfig, features: int, low: float, high: float, device: torch.device | str = "cpu"
+        self,
+        config: DDPGConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Rest | None = None,
     ) -> None:
         self.config = config
-        self.actor = make_actor(features, low, high, config).to(device)
+        self.actor = make_actor(features, low, high, config, rest).to(device)
         self.critic = ValueOperator(
-            ActionValue(features, low, high, config), in_keys=[base.OBSERVATION, base.ACTION], out_keys=[ACTION_VALUE]
+            ActionValue(features, low, high, config),
+            in_keys=[base.OBSERVATION, base.ACTION],
+            out_keys=[base.ACTION_VALUE],
         ).to(device)
-        self.policy = ExploringPolicy(self.actor, low, high, config).to(device)
+        self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
         self.untrained_output = self.actor.module[0][-1].bias.item()
-        self.loss = make_loss(self.actor, self.critic, config).to(device)
+        self.loss = MaskedDDPGLoss(self.actor, self.critic, loss_function=config.value_loss, gamma=config.gamma).to(
+            device
+        )
+        self.loss.set_keys(priority=ERROR)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
         self.parameters = {
             "actor": list(self.loss.actor_network_params.values(True, True)),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from izoo.algos.ppo_config import ACTIVATIONS
+from izoo.algos.ppo_config import ACTIVATIONS, check_widths
 from izoo.algos.registry import AlgoConfig
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import check_choice, check_range
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,7 @@ class DDPGConfig(AlgoConfig):
         if self.noise_frames is not None:
             check_range("algo.noise_frames", self.noise_frames, 1, 10**12)
         check_choice("algo.activation", self.activation, ACTIVATIONS)
-        if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths: [128,128].")
+        check_widths("algo.hidden", self.hidden)
 
     @classmethod
     def paper(cls) -> DDPGConfig:

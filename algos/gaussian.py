@@ -1,4 +1,4 @@
-"""Tanh-squashed normal policies over accelerations: parts that algorithms with a stochastic policy share."""
+"""Tanh-squashed normal policies over accelerations and advice: parts that algorithms with a stochastic policy share."""
 
 from __future__ import annotations
 
@@ -13,13 +13,20 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from izoo.algos import acting, base
+from izoo.algos.action import Rest
+from izoo.algos.resting import RestingNormal
 from izoo.errors import check_range
 
 _LOG_2, _HALF_LOG_2_PI = math.log(2.0), 0.5 * math.log(2.0 * math.pi)
 
 
 def normal_parameters(
-    last: nn.Linear, low: float, high: float, initial_accel_mps2: float, initial_spread: float
+    last: nn.Linear,
+    low: float,
+    high: float,
+    initial_accel_mps2: float,
+    initial_spread: float,
+    rest: Rest | None = None,
 ) -> NormalParamExtractor:
     """Return what turns the two outputs of a network into median and spread before the tanh.
 
@@ -28,21 +35,32 @@ def normal_parameters(
         low, high: bounds of the acceleration, m/s^2.
         initial_accel_mps2: median acceleration of the untrained policy.
         initial_spread: its standard deviation before the tanh.
+        rest: replaces the last two where actions are advice; the untrained median is doing nothing.
     """
+    if rest is not None:
+        return NormalParamExtractor(scale_mapping=f"biased_softplus_{rest.spread}", scale_lb=0.01)
     check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
     with torch.no_grad():
         last.bias[0] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 
-def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float) -> ProbabilisticActor:
-    """Return the policy over accelerations in ``[low, high]`` m/s^2 whose ``(loc, scale)`` ``network`` returns."""
+def tanh_normal(
+    network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float, rest: Rest | None = None
+) -> ProbabilisticActor:
+    """Return the policy over actions in ``[low, high]`` whose ``(loc, scale)`` ``network`` returns.
+
+    With ``rest``, actions are advice, and 0 is doing nothing.
+    """
+    parameters = {"loc": base.LOC, "scale": base.SCALE}
+    if rest is not None and rest.two_sided:
+        parameters["guided"] = base.GUIDED
     return ProbabilisticActor(
         TensorDictModule(network, in_keys=list(in_keys), out_keys=[base.LOC, base.SCALE]),
-        in_keys={"loc": base.LOC, "scale": base.SCALE},
+        in_keys=parameters,
         out_keys=[base.ACTION],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": low, "high": high},
+        distribution_class=TanhNormal if rest is None else RestingNormal,
+        distribution_kwargs={"low": low, "high": high} if rest is None else {"bound": high, "dead": rest.dead},
         return_log_prob=True,
         log_prob_key=base.LOG_PROB,
     )
@@ -56,12 +74,17 @@ class SamplingPolicy(TensorDictModuleBase):
 
     Args:
         actor: whose network is shared.
-        low, high: bounds of the acceleration, m/s^2.
+        low, high: bounds of the action.
+        rest: where actions are advice.
     """
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
+    quiet_band = 0.0
+    """Actions smaller than this are still to be taken for doing nothing."""
+
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
         super().__init__()
         self.in_keys = [base.OBSERVATION]
+        self.dead = -1.0 if rest is None else rest.dead
         self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
         self.network = actor[0].module
         self.bounds = (float(low), float(high))
@@ -76,16 +99,30 @@ class SamplingPolicy(TensorDictModuleBase):
             noise = torch.randn(mask.shape, dtype=observation.dtype, device=observation.device)
         else:
             noise = torch.zeros_like(mask, dtype=observation.dtype)
-        loc, scale, action, log_prob = self.sample(observation, mask, noise).unbind(0)
+        loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("guided", None)).unbind(0)
         one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
         for key, value in (*one.items(), ("action_log_prob", log_prob)):
             agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
         return tensordict
 
-    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
-        """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``.
+
+        Args:
+            observation, mask: ``[*B, A, F]`` and ``[*B, A]``.
+            noise: ``[*B, A]`` standard normal.
+            guided: ``[*B, A]`` bool: negative advice means something.
+        """
         loc, scale = self.parameters_of(observation, mask)
-        sample = squashed_sample(loc.squeeze(-1), scale.squeeze(-1), noise[mask], *self.bounds)
+        if self.dead >= 0.0:
+            distribution = RestingNormal(
+                loc, scale, self.bounds[1], self.dead, None if guided is None else guided[mask]
+            )
+            action = distribution.advice(torch.addcmul(loc, scale, noise[mask].unsqueeze(-1)))
+            parts = (loc.squeeze(-1), scale.squeeze(-1), action.squeeze(-1), distribution.log_prob(action))
+            sample = torch.stack(parts)
+        else:
+            sample = squashed_sample(loc.squeeze(-1), scale.squeeze(-1), noise[mask], *self.bounds)
         padded = observation.new_zeros((4, *mask.shape))
         padded[1].fill_(1.0)
         padded[:, mask] = sample
@@ -99,17 +136,18 @@ class SamplingPolicy(TensorDictModuleBase):
 class CompiledPolicy(SamplingPolicy):
     """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
-        super().__init__(actor, low, high)
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
+        super().__init__(actor, low, high, rest)
         self.arrays = acting.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping
         self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
 
-    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor) -> Tensor:
-        """Return loc, scale, action and log-probability, ``[4, *B, A]``, for standard normal ``noise`` ``[*B, A]``."""
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
         if not acting.compilable(observation):
-            return super().sample(observation, mask, noise)
+            return super().sample(observation, mask, noise, guided)
+        flags = np.zeros(mask.numel(), np.uint8) if guided is None else guided.reshape(-1).numpy().view(np.uint8)
         out, own = np.empty((4, mask.numel()), np.float32), self.arrays
         acting.act(
             observation.reshape(-1, observation.shape[-1]).numpy(),
@@ -118,6 +156,8 @@ class CompiledPolicy(SamplingPolicy):
             own.activation,
             self.spread,
             self.bounds,
+            self.dead,
+            flags,
             noise.reshape(-1).numpy(),
             out,
         )

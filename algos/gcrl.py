@@ -27,9 +27,12 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
 from izoo.algos import base
+from izoo.algos.action import Rest
 from izoo.algos.gaussian import SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.losses import MaskedGraphPPOLoss
 from izoo.algos.ppo_config import GCRLConfig
-from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets, places
+from izoo.algos.set_ppo import SetPPO
+from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, Sets, places
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
@@ -175,15 +178,16 @@ class GraphActor(SetNetwork):
 
     Args:
         features: length ``F`` of an observation.
-        low, high: bounds of the acceleration, m/s^2.
+        low, high: bounds of the action.
         config: hyper-parameters.
+        rest: where actions are advice.
     """
 
-    def __init__(self, features: int, low: float, high: float, config: GCRLConfig) -> None:
+    def __init__(self, features: int, low: float, high: float, config: GCRLConfig, rest: Rest | None = None) -> None:
         super().__init__()
         self.graph = GraphNetwork(features, 2, config, last_gain=0.01)
         last = cast(nn.Linear, self.graph.head[-1])
-        self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread)
+        self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread, rest)
 
     def rows(
         self, observation: Tensor, frame: Tensor, column: Tensor, reach: Tensor | None = None
@@ -195,8 +199,8 @@ class GraphActor(SetNetwork):
 class GraphPolicy(SamplingPolicy):
     """The policy for collection; it acts on whole frames, so it needs the mask."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float) -> None:
-        super().__init__(actor, low, high)
+    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
+        super().__init__(actor, low, high, rest)
         self.in_keys = [base.OBSERVATION, base.MASK]
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -211,16 +215,21 @@ class GCRL(SetPPO):
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy on flat rows of whole frames."""
-        return tanh_normal(RowView(GraphActor(features, low, high, self.config)), ROW, low, high)
+        network = GraphActor(features, low, high, self.config, self.rest)
+        return tanh_normal(RowView(network), ROW, low, high, self.rest)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high)
+        return GraphPolicy(self.actor, low, high, self.rest)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""
         critic = RowView(GraphNetwork(features, 1, self.config, last_gain=1.0))
         return ValueOperator(critic, in_keys=ROW, out_keys=[base.VALUE])
+
+    def make_loss(self) -> MaskedGraphPPOLoss:
+        """Return the loss of ``actor`` and ``critic``."""
+        return MaskedGraphPPOLoss(self.actor, self.critic, **self.loss_options())
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> TensorDict:

@@ -14,8 +14,10 @@ from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos import base
+from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.ppo_config import MAPPOConfig
-from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, SetPPO, Sets
+from izoo.algos.set_ppo import SetPPO
+from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out
 
 COUNT_SCALE = 10.0
 """The number of agents enters the critic divided by this."""
@@ -61,12 +63,38 @@ class SetCritic(SetNetwork):
         return weights.transpose(-2, -1) @ own
 
 
+class TeamCritic(SetCritic):
+    """One value for all agents that form a set; a set without agents has one as well.
+
+    Args:
+        features: length ``F`` of an observation.
+        config: widths.
+    """
+
+    def __init__(self, features: int, config: MAPPOConfig) -> None:
+        super().__init__(features, config)
+        self.value = base.mlp(config.critic_embedding + 1, config.hidden[-1:], 1, config.activation, last_gain=1.0)
+
+    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return values ``[*M, 1]`` of frames ``[*M, A, F]`` with ``mask`` ``[*M, A]``."""
+        own = spread_out(self.embed(observation[mask]), mask)
+        count = mask.sum(-1, keepdim=True).to(own.dtype) / COUNT_SCALE
+        return self.value(torch.cat([self.gather(self.attend(own, mask).flatten(-2)), count], dim=-1))
+
+
 class MAPPO(SetPPO):
     """PPO with a centralised critic; the policy needs one agent's observation alone."""
 
     config: MAPPOConfig
 
     def make_critic(self, features: int) -> ValueOperator:
-        """Return the value function of the set."""
+        """Return the value function of the set: of each agent, or of the team."""
+        if self.config.credit == "team":
+            team = TeamCritic(features, self.config)
+            return ValueOperator(team, in_keys=[base.OBSERVATION, base.MASK], out_keys=[base.VALUE])
         critic = RowView(SetCritic(features, self.config))
         return ValueOperator(critic, in_keys=[base.OBSERVATION, FRAME, COLUMN], out_keys=[base.VALUE])
+
+    def make_loss(self) -> MaskedMAPPOLoss:
+        """Return the loss of ``actor`` and ``critic``."""
+        return MaskedMAPPOLoss(self.actor, self.critic, team=self.config.credit == "team", **self.loss_options())

@@ -5,6 +5,8 @@ They are apart from the algorithms so that commands answer before PyTorch is loa
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,6 +15,20 @@ from izoo.errors import IzooError, check_choice, check_range
 
 ACTIVATIONS = ("tanh", "relu", "silu")
 """Names of the activations that networks may have."""
+
+
+MOST_WEIGHTS = 10**8
+"""Weights of a network, in all: 400 MB, and twice as much again for Adam."""
+TYPICAL_FEATURES = 60
+
+
+def check_widths(option: str, widths: Sequence[int]) -> None:
+    """Raise :class:`IzooError` unless these are widths of hidden layers that fit into a memory."""
+    if not widths or min(widths) < 1:
+        raise IzooError(f"{option} is {list(widths)}; it needs one or more positive widths, like [128,128].")
+    weights = sum(before * after for before, after in itertools.pairwise((TYPICAL_FEATURES, *widths)))
+    if weights > MOST_WEIGHTS:
+        raise IzooError(f"{option} is {list(widths)}: {weights:,} weights, more than {MOST_WEIGHTS:,}; give fewer.")
 
 
 @dataclass(frozen=True)
@@ -87,10 +103,7 @@ class PPOConfig(AlgoConfig):
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
         check_choice("algo.activation", self.activation, ACTIVATIONS)
-        if not self.hidden or min(self.hidden) < 1:
-            raise IzooError(
-                f"algo.hidden is {list(self.hidden)}; it needs one or more positive widths, like [128,128]."
-            )
+        check_widths("algo.hidden", self.hidden)
 
     @classmethod
     def paper(cls) -> PPOConfig:
@@ -129,17 +142,22 @@ class MAPPOConfig(PPOConfig):
 
     Attributes:
         name: the algorithm.
+        credit: ``agent``: every CV's advantage is estimated from its own rewards, which end when it leaves; ``team``:
+            one is estimated from the team's rewards, which go on, and shared by all CVs. ``team`` needs a reward that
+            is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
         critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
             output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
         critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
     """
 
     name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
+    credit: Literal["agent", "team"] = "agent"
     critic_queries: int = 4
     critic_embedding: int = 128
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_choice("algo.credit", self.credit, ("agent", "team"))
         check_range("algo.critic_queries", self.critic_queries, 1, 64)
         check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from izoo.algos.base import Algorithm
     from izoo.envs.config import EnvConfig
 
-DRIVER_NAMES = ("human", "uncommanded", "constant", "random", "glide")
+DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "glide")
 """Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`)."""
 
 
@@ -43,7 +43,7 @@ class AlgoConfig:
             IzooError: there is no such algorithm.
         """
         name = values.get("name")
-        if name not in ALGORITHMS:
+        if not isinstance(name, str) or name not in ALGORITHMS:
             raise unknown_choice("algo.name", name, ALGORITHMS)
         return _imported(ALGORITHMS[name].config)
 

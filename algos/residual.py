@@ -1,27 +1,20 @@
-"""Residual actions for any algorithm: ``acceleration = clip(nominal(observation) + learned residual)``.
+"""Advice that corrects a scripted driver: ``acceleration = clip(nominal(observation) - advice)``.
 
 The nominal controller is glide (:mod:`izoo.algos.scripted`), so learning starts from it and corrects it (residual
-policy learning for eco-driving: arXiv 2403.04232). To the algorithm, the residual *is* the action: it is what its
-networks emit, what it computes log-probabilities of, and what its losses see. The environment sees the sum.
+policy learning for eco-driving: arXiv 2403.04232).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from izoo.algos import base
-from izoo.algos.scripted import DEFER, Glide
+from izoo.algos.advice import Translator
+from izoo.algos.scripted import Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS
-
-RESIDUAL = ("agents", "residual")
 
 
 class NominalDriver(nn.Module):
@@ -81,60 +74,26 @@ class NominalDriver(nn.Module):
         return observation[..., self.columns[name]] > 0.5
 
 
-class ResidualPolicy(TensorDictModuleBase):
-    """A learned policy's action becomes ``("agents", "residual")``; the sum with the nominal one becomes the action.
+class Correction(Translator):
+    """Advice holds a vehicle back by so many m/s^2 against the nominal controller; below 0 it lets it go.
 
-    A CV that the nominal controller leaves alone stays with the simulator's driver, ``("agents", "defer")``, unless its
-    residual brakes. So a policy of residuals near 0 is the nominal controller, and no estimate of it.
+    A CV that the nominal controller leaves alone can only be held back: it stays with the simulator's driver unless its
+    advice is above 0. So advice of 0 is the nominal controller, and no estimate of it.
 
     Args:
-        learned: writes ``("agents", "action")`` ``[*B, A, 1]``, in m/s^2, which may be negative.
-        nominal: the controller that it corrects.
-        threshold_mps2: residuals above minus this do not count as braking.
+        nominal: the controller that is corrected.
     """
 
-    def __init__(self, learned: TensorDictModuleBase, nominal: NominalDriver, threshold_mps2: float) -> None:
+    two_sided = True
+
+    def __init__(self, nominal: NominalDriver) -> None:
         super().__init__()
-        self.learned, self.nominal, self.threshold_mps2 = learned, nominal, threshold_mps2
-        self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION, base.MASK]))
-        self.out_keys = [*learned.out_keys, RESIDUAL, DEFER]
+        self.nominal = nominal
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write residual and acceleration, ``[*B, A, 1]`` each, ``defer``, and what else the learned policy writes."""
-        residual = self.learned(tensordict).get(base.ACTION)
-        nominal, idle = self.nominal(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
-        tensordict.set(RESIDUAL, residual)
-        tensordict.set(DEFER, idle & (residual.squeeze(-1) > -self.threshold_mps2))
-        return tensordict.set(base.ACTION, (nominal.unsqueeze(-1) + residual).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2))
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        accel, idle = self.nominal(observation, mask)
+        return accel, ~idle
 
-
-class Residual:
-    """An algorithm whose actions are residuals; see :class:`izoo.algos.base.Algorithm`.
-
-    Args:
-        learned: the algorithm, built for residuals.
-        nominal: the controller that its policy corrects.
-        threshold_mps2: see :class:`ResidualPolicy`.
-    """
-
-    def __init__(self, learned: base.Algorithm, nominal: NominalDriver, threshold_mps2: float) -> None:
-        self.learned = learned
-        self.policy = ResidualPolicy(learned.policy, nominal, threshold_mps2)
-
-    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Hand the batch on with the residual in the place of the action; the batch itself stays as it is."""
-        own = batch.copy()
-        own.set(base.ACTION, batch.get(RESIDUAL))
-        stats = self.learned.update(own, progress)
-        mask = batch.get(base.MASK)
-        if mask.any():
-            stats["residual_abs"] = float(batch.get(RESIDUAL)[mask].abs().mean())
-        return stats
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the learned algorithm's state: the nominal controller has none."""
-        return self.learned.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
-        self.learned.load_state_dict(state)
+    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
+        accel, guided = seen
+        return accel - advice, ~guided & (advice <= 0.0)

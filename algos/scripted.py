@@ -101,12 +101,30 @@ class ConstantSpeed(ScriptedDriver):
     def __init__(self, config: EnvConfig, speed_mps: float = 10.0) -> None:
         super().__init__()
         check_range("speed_mps", speed_mps, 0.0, 60.0, "m/s")
-        self.speed_mps, self.step_s = speed_mps, config.step_s
+        self.speed_mps, self.decision_s = speed_mps, config.decision_s
         self.column = observation_names(config).index("speed")
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         speed = observation[..., self.column] * SPEED_SCALE_MPS
-        return (self.speed_mps - speed) / self.step_s, torch.zeros_like(mask)
+        return (self.speed_mps - speed) / self.decision_s, torch.zeros_like(mask)
+
+
+class ConstantAcceleration(ScriptedDriver):
+    """Every CV asks for one acceleration all the time; its speed limit and the simulator's safety checks hold it back.
+
+    What a policy that has learned nothing does: no benchmark should mistake it for a result.
+
+    Args:
+        accel_mps2: the acceleration.
+    """
+
+    def __init__(self, accel_mps2: float = 2.0) -> None:
+        super().__init__()
+        check_range("accel_mps2", accel_mps2, ACTION_LOW_MPS2, ACTION_HIGH_MPS2, "m/s^2")
+        self.accel_mps2 = accel_mps2
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.full(mask.shape, self.accel_mps2), torch.zeros_like(mask)
 
 
 @dataclass(frozen=True)
@@ -131,7 +149,7 @@ class GlideConfig:
         floor_mps: never slower than this.
         near_m: within this distance of the stop line a CV is left alone.
         headway_gap_s: a CV closer than this behind its leader is left alone: it is following, not leading.
-        response_s: time in which the advised speed is approached.
+        response_s: time in which the advised speed is approached; not less than a decision lasts.
         brake_mps2, push_mps2: bounds on the commanded braking and acceleration.
     """
 
@@ -181,6 +199,7 @@ class Glide(ScriptedDriver):
     def __init__(self, config: EnvConfig, settings: GlideConfig | None = None) -> None:
         super().__init__()
         self.settings = settings or GlideConfig()
+        self.response_s = max(self.settings.response_s, config.decision_s)
         self.columns = {name: column for column, name in enumerate(observation_names(config))}
         needed = (
             "leader_present",
@@ -208,7 +227,7 @@ class Glide(ScriptedDriver):
         early = (arrival_s - free_s >= s.late_s) & (advised < limit) & (distance >= s.near_m)
         pays = self.gliding_pays(observation)
         glides = leads & pays & early
-        glide = ((advised - speed) / s.response_s).clamp(-s.brake_mps2, s.push_mps2)
+        glide = ((advised - speed) / self.response_s).clamp(-s.brake_mps2, s.push_mps2)
         decel, must_stop = self.stop(observation, distance, speed)
         stops = leads & ~pays & must_stop
         return torch.where(stops, -decel, glide), ~(glides | stops)
@@ -293,6 +312,7 @@ DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
     "human": lambda config: UncommandedDriver(config.lane_change),
     "uncommanded": lambda config: UncommandedDriver(config.lane_change),
     "constant": ConstantSpeed,
+    "constant_2.0": lambda config: ConstantAcceleration(2.0),
     "random": lambda config: RandomDriver(seed=None),
     "glide": Glide,
 }

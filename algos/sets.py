@@ -9,14 +9,8 @@ sets only where agents meet, so empty slots cost nothing elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import torch
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-
-from izoo.algos import base
-from izoo.algos.ppo import PPO
 
 FRAME, COLUMN = ("agents", "frame"), ("agents", "column")
 """Keys of a row's place: the number of its frame, and which of that frame's valid agents it is."""
@@ -103,45 +97,3 @@ class RowView(nn.Module):
     def forward(self, *rows: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Return what the network's :meth:`SetNetwork.rows` does."""
         return self.network.rows(*rows)
-
-
-class SetPPO(PPO):
-    """PPO whose networks may look at all agents of a frame at once; minibatches consist of whole frames.
-
-    Networks are :class:`RowView` s that read :data:`FRAME` and :data:`COLUMN` beside the observation.
-    """
-
-    def values(self, frames: TensorDictBase, where: Tensor) -> Tensor:
-        """Return the values ``[where.sum(), 1]`` of the agents ``where`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
-        some = where.any(-1)
-        wanted = where[some]
-        mask, observation = frames.get(base.MASK)[some] | wanted, frames.get(base.OBSERVATION)[some]
-        found = [observation.new_zeros(0, 1)]
-        for o, m, w in zip(*(part.split(FRAMES_AT_ONCE) for part in (observation, mask, wanted)), strict=True):
-            found.append(self.critic.module(o[m], *places(m))[w[m]])
-        return torch.cat(found)
-
-    @torch.no_grad()
-    def advantages(self, batch: TensorDictBase) -> TensorDict:
-        """Estimate advantages and flatten; each row remembers its frame and column."""
-        rows = super().advantages(batch)
-        frame, column = places(batch.get(base.MASK))
-        return rows.set(FRAME, frame).set(COLUMN, column)
-
-    def _minibatches(self, rows: TensorDict) -> Iterator[TensorDict]:
-        """Yield rows of whole frames: about ``rows_per_epoch`` of them per epoch, ``minibatch_rows`` at a time."""
-        frame = rows.get(FRAME)
-        count = int(frame[-1]) + 1
-        agents_per_frame = len(rows) / count
-        limit = max(round((self.config.rows_per_epoch or len(rows)) / agents_per_frame), 1)
-        size = max(round(self.config.minibatch_rows / agents_per_frame), 1)
-        for _ in range(self.config.epochs):
-            order = torch.randperm(count, device=frame.device)[:limit]
-            rank = torch.full_like(frame, count)[:count]
-            rank[order] = torch.arange(len(order), device=frame.device)
-            ranks, index = rank[frame].sort(stable=True)
-            starts = torch.arange(0, len(order) + size, size, device=frame.device).clamp(max=len(order))
-            cuts = torch.searchsorted(ranks, starts).tolist()
-            for first, begin, end in zip(starts.tolist()[:-1], cuts[:-1], cuts[1:], strict=True):
-                part = rows[index[begin:end]]
-                yield part.set(FRAME, ranks[begin:end] - first)

@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from izoo.algos.scripted import Glide, GlideConfig
 from izoo.benchmarks.claim import check_run, check_settings
+from izoo.benchmarks.contestants import contestant
 from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace
@@ -22,6 +22,7 @@ from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import duration
+from izoo.contexts.context import Context
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
@@ -30,6 +31,7 @@ from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_
 from izoo.files import claimed
 from izoo.reporting.results import (
     EVALUATION_FOLDER,
+    HUMAN_VEHICLES_FOLDER,
     TRAIN_FOLDER,
     EntryRecord,
     Results,
@@ -154,7 +156,8 @@ class Campaign:
         if _frames(run_dir) == 0:
             shutil.rmtree(run_dir, ignore_errors=True)  # it ended before its first checkpoint
             # An evaluation of weights that are gone must not pass for one of those that are trained now.
-            shutil.rmtree(self._evaluation_dir(job), ignore_errors=True)
+            for folder, _ in self._tests(job):
+                shutil.rmtree(folder, ignore_errors=True)
             train(wanted)
         else:
             resumed = dataclasses.replace(wanted, resume=str(run_dir))
@@ -163,29 +166,29 @@ class Campaign:
             raise KeyboardInterrupt
 
     def _evaluate(self, job: Job) -> None:
-        policy: Any = job.entry.policy
-        if job.entry.kind == "trained":
-            policy = runs.load_policy(self._selected(self._run_dir(job.entry, job.seed)))
-        elif job.entry.floor_mps is not None:
-            policy = Glide(self.env, GlideConfig(floor_mps=job.entry.floor_mps))
-        print(f"Evaluating in {len(self.plan.test)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
-        evaluate_policy(
-            policy,
-            self.plan.test,
-            self.plan.seeds,
-            self.env,
-            num_workers=self.config.num_workers or 0,
-            out_dir=self._evaluation_dir(job),
-            name=job.entry.name,
-            cache=self.config.cache,
-        )
+        policy = contestant(self.config, self.plan, self.env, job.entry, job.seed, self._run_dir(job.entry, job.seed))
+        for folder, contexts in self._tests(job):
+            print(f"Evaluating in {len(contexts)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
+            evaluate_policy(
+                policy,
+                contexts,
+                self.plan.seeds,
+                self.env,
+                num_workers=self.config.num_workers or 0,
+                out_dir=folder,
+                name=job.entry.name,
+                cache=self.config.cache,
+            )
 
-    def _selected(self, run_dir: Path) -> Path:
-        """Return the checkpoint that is tested."""
-        best = checkpoint.best_of(run_dir) if self.config.select == "best" else None
-        if self.config.select == "best" and best is None:
-            print("The run was too short to be validated: its last weights are tested.", flush=True)
-        return best or checkpoint.find(run_dir)
+    def _tests(self, job: Job) -> list[tuple[Path, list[Context]]]:
+        """Return the folders of a job's evaluations and the contexts that each of them plays."""
+        place, test = _place(job.entry, job.seed), self.plan.test
+        tests = [(self._evaluation_dir(job), test)]
+        if self.config.human_vehicles:
+            tests.append(
+                (self.folder / HUMAN_VEHICLES_FOLDER / place, [context.replace(cv_vehicle="human") for context in test])
+            )
+        return tests
 
     def _is_done(self, job: Job) -> bool:
         status = self._run_record(job).status
@@ -217,15 +220,17 @@ class Campaign:
         return _frames(run_dir) >= self.runs[job.entry.name, job.seed].total_frames and not owed
 
     def _is_evaluated(self, job: Job) -> bool:
-        """Whether the evaluation of a run holds every episode of the plan."""
-        folder = self._evaluation_dir(job)
+        """Whether the evaluations of a run hold every episode of the plan."""
+        return all(self._is_whole(folder, contexts, job.entry.name) for folder, contexts in self._tests(job))
+
+    def _is_whole(self, folder: Path, contexts: list[Context], entry: str) -> bool:
         whole = all((folder / name).is_file() for name in (CSV_FILE, MANIFEST_FILE, SUMMARY_FILE))
         if not whole or (folder / JOURNAL_FILE).exists():
             return False
         table: pd.DataFrame = read_csv(folder / CSV_FILE)
         there = set(table[list(EPISODE_KEY)].itertuples(index=False, name=None))
-        names = {HUMAN, UNCOMMANDED, job.entry.name}
-        return all((n, c.content_hash, s) in there for n in names for c in self.plan.test for s in self.plan.seeds)
+        names = {HUMAN, UNCOMMANDED, entry}
+        return all((n, c.content_hash, s) in there for n in names for c in contexts for s in self.plan.seeds)
 
     def _run_dir(self, entry: Entry, seed: int) -> Path:
         return self.folder / TRAIN_FOLDER / _place(entry, seed)
@@ -282,7 +287,8 @@ class Campaign:
         """Environment steps of what is left of a job."""
         if job.kind == "train":
             return max(self.config.total_frames - self._run_record(job).frames, 0)
-        return float(len(self.plan.test) * len(self.plan.seeds) * self.env.control_steps)
+        episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
+        return float(episodes * self.env.control_steps)
 
 
 def _place(entry: Entry, seed: int) -> str:

@@ -20,9 +20,9 @@ from izoo.evaluation.provenance import code_digest
 from izoo.files import write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
-from izoo.training.loop import CHANGEABLE
+from izoo.training.runs import CHANGEABLE
 
-MAY_DIFFER = ("out", "num_workers", "cache")
+MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""

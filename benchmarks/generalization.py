@@ -21,7 +21,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
     from rich.console import Console
 
     from izoo.benchmarks.campaign import Campaign
-    from izoo.benchmarks.outcome import draw_curves, outcome_table
+    from izoo.benchmarks.outcome import draw_curves, outcome_tables
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"{config.protocol}-{config.scale}"
@@ -31,7 +31,7 @@ def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Pa
     with campaign.open():
         results = campaign.run()
         draw_curves(folder, results)
-    Console().print(outcome_table(results))
+    Console().print(outcome_tables(results))
     print(f"Results: {folder}", flush=True)
     return folder
 

@@ -14,7 +14,10 @@ from izoo.errors import IzooError, check_range, unknown_choice
 T = TypeVar("T", bound="GeneralizationConfig")
 SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
 """Weights of the reward that a trade-off sweeps over (:class:`izoo.envs.config.RewardConfig`)."""
-RESIDUAL_SUFFIX, FLOOR_INFIX = "_residual", "glide_floor"
+RESIDUAL_SUFFIX, UNTRAINED_SUFFIX, FLOOR_INFIX = "_residual", "_untrained", "glide_floor"
+REFERENCES = ("uncommanded", "constant_2.0")
+"""Entries that stand beside whatever is trained, as does every algorithm before its first update: so that nobody takes
+vehicle parameters or an initialisation for what was learned."""
 SET_BY = {
     **{"algo": "algos", "action": "algos", "seed": "seeds", "total_frames": "frames or episodes"},
     **{"contexts": "protocol, train and form", "num_workers": "train_workers", "run_dir": "out", "resume": "out"},
@@ -71,6 +74,8 @@ class Entry:
         policy: the scripted driver's name or ``module:function``, or ``None``.
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
+
+    An algorithm before its first update is ``scripted`` and has an ``algo``.
     """
 
     name: str
@@ -92,7 +97,8 @@ class GeneralizationConfig:
         scale: ``smoke`` (minutes), ``small`` (hours) or ``paper`` (the published scale); sets what is null below.
         algos: what is compared: presets of ``algo`` (``ppo``, ``ddpg``, ``mappo``, ``gcrl``, ``ppo_paper``, ...), with
             ``_residual`` appended for ``action=residual``; scripted drivers (``glide``, ``uncommanded``, ...;
-            ``glide_floor3`` is glide that never slows below 3 m/s); or ``module:function``.
+            ``glide_floor3`` is glide that never slows below 3 m/s); or ``module:function``. Beside trained ones always
+            stand ``uncommanded``, ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
         train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
             ``salt_lake_city``. Not for systematicity.
         test: where to test, for productivity; null: ``atlanta``.
@@ -110,6 +116,8 @@ class GeneralizationConfig:
             otherwise show little but roads that are still filling.
         eval_seeds: paired episodes per test context, 3 or more; null: the scale's.
         test_limit: most test contexts, drawn reproducibly; null: the scale's; 0: all.
+        human_vehicles: also test every entry on CVs whose vehicle parameters are those of human-driven ones, where all
+            that differs from human driving is due to commands; takes as long again.
         select: which weights of a run are tested: ``last``, or ``best`` on the validation split, which is measured
             beside training and takes time; the last where a run was too short to be validated.
         train_options: more options of ``izoo.train`` for every trained entry, such as
@@ -138,6 +146,7 @@ class GeneralizationConfig:
     train_warmup_s: float | None = None
     eval_seeds: int | None = None
     test_limit: int | None = None
+    human_vehicles: bool = False
     select: Literal["last", "best"] = "last"
     train_options: tuple[str, ...] = ()
     train_workers: int | None = None
@@ -218,8 +227,13 @@ class GeneralizationConfig:
         return env if self.train_warmup_s is None else dataclasses.replace(env, warmup_s=self.train_warmup_s)
 
     def entries(self) -> list[Entry]:
-        """Return what :attr:`algos` names, policies without training first."""
-        return sorted((parse_entry(name) for name in self.algos), key=lambda entry: entry.kind)
+        """Return what :attr:`algos` names and what stands beside it, policies without training first."""
+        named = [parse_entry(name) for name in self.algos]
+        trained = [entry.name for entry in named if entry.kind == "trained"]
+        beside = [*REFERENCES, *(f"{name}{UNTRAINED_SUFFIX}" for name in trained)] if trained else []
+        there = {entry.name for entry in named}
+        named += [parse_entry(name) for name in beside if name not in there]
+        return sorted(named, key=lambda entry: entry.kind)
 
 
 def is_folder(place: str) -> bool:
@@ -239,6 +253,8 @@ def parse_entry(name: str) -> Entry:
         return Entry(name, "scripted", policy=name)
     if name.startswith(FLOOR_INFIX):
         return Entry(name, "scripted", policy="glide", floor_mps=_floor(name))
+    if name.endswith(UNTRAINED_SUFFIX):
+        return dataclasses.replace(parse_entry(name.removesuffix(UNTRAINED_SUFFIX)), name=name, kind="scripted")
     presets = choices()
     action = "residual" if name.endswith(RESIDUAL_SUFFIX) else "direct"
     preset = name.removesuffix(RESIDUAL_SUFFIX)

@@ -2,26 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from izoo.benchmarks.generalization_options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
 from izoo.envs.config import EnvConfig
-from izoo.evaluation.across import aggregate, compare_entries, run_rows
+from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.show import percent
-from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of
+from izoo.evaluation.show import figure_table, intervals_in_words, stacked
+from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of, human_vehicles_of
 from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
 from izoo.training.records import MetricsTable
 from izoo.training.runs import METRICS_FILE
 
 CURVES_FILE = "learning_curves.png"
+TABLES = {
+    "benefit over human driving": (
+        ("exact gate", "exact", "mean"),
+        ("over\nuncommanded", "over_uncommanded", "mean"),
+        ("whole region", "region_exact", "mean"),
+        ("region, over\nuncommanded", "region_over_uncommanded", "mean"),
+    ),
+    "the same, otherwise summed up": (
+        ("IQM", "exact", "iqm"),
+        ("tested gate", "tested", "mean"),
+        ("ratio of sums", "exact", "ratio_of_sums"),
+        ("gated to 0", "exact", "share_gated"),
+        ("demand served", "served", "policy"),
+    ),
+}
+"""Tables of the entries: per title the columns, each a label, and part and name of its figure
+(:data:`izoo.evaluation.aggregates.FIGURES`)."""
 
 
 def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
@@ -32,8 +52,18 @@ def entry_rows(folder: Path, entry: EntryRecord) -> pd.DataFrame:
 
 def sum_up(folder: Path, results: Results) -> dict[str, Any]:
     """Return the ``aggregates`` of the index (:mod:`izoo.reporting.results`)."""
-    rows = {entry.name: entry_rows(folder, entry) for entry in results.entries if entry.done}
-    return {"entries": {name: aggregate(table) for name, table in rows.items()}, **compare_entries(rows)}
+    done = [entry for entry in results.entries if entry.done]
+    rows = {entry.name: entry_rows(folder, entry) for entry in done}
+    beside = {entry.name: human_vehicles(folder, entry) for entry in done}
+    entries = {name: {**aggregate(table), **beside[name]} for name, table in rows.items()}
+    return {"entries": entries, **compare_entries(rows)}
+
+
+def human_vehicles(folder: Path, entry: EntryRecord) -> dict[str, Any]:
+    """Return what an entry did on CVs with the parameters of human-driven vehicles; empty where nobody asked."""
+    tables = [(run.seed, human_vehicles_of(folder, run)) for run in entry.done]
+    parts = [run_rows(table, entry.name, seed) for seed, table in tables if table is not None]
+    return {"human_vehicles": compare(pd.concat(parts, ignore_index=True))} if len(parts) == len(tables) else {}
 
 
 def draw_curves(folder: Path, results: Results) -> None:
@@ -47,44 +77,39 @@ def draw_curves(folder: Path, results: Results) -> None:
         compare_curves(curves, folder / CURVES_FILE, f"{results.title}: training")
 
 
-def outcome_table(results: Results) -> Table:
-    """Return a line per entry: benefits over human driving on the test contexts, with intervals over intersections."""
-    table = Table(title=f"{results.title}: benefit over human driving", title_justify="left")
-    for column in (
-        "entry",
-        "seeds",
-        "mean, exact gate",
-        "IQM",
-        "mean, tested gate",
-        "ratio of sums",
-        "gated",
-        "best seed",
-    ):
-        table.add_column(column, justify="left" if column == "entry" else "right")
-    for name, content in results.aggregates["entries"].items():
-        block = content["all"]
-        places, runs = block["over_intersections"], block["per_seed"]
-        sums = [run["exact"]["ratio_of_sums"] for run in runs]
-        gated = [run["exact"]["share_gated"] for run in runs]
-        table.add_row(
-            name,
-            str(content["n"]["train_seeds"]),
-            percent(places["exact"]["mean"]),
-            percent(places["exact"]["iqm"]),
-            percent(places["tested"]["mean"]),
-            _percent(sum(sums) / max(len(sums), 1)),
-            _percent(sum(gated) / max(len(gated), 1)),
-            "-" if len(runs) < 2 else _percent(max(sums)),
-        )
-    table.caption = (
-        "Ratio of sums and gated: means over training seeds. Best seed: the ratio of sums of the best one on the test "
-        "set, the paper's form."
-    )
-    return table
+def outcome_tables(results: Results) -> Group:
+    """Return a line per entry: what it saved on the test contexts, with intervals; narrow enough for a terminal."""
+    entries: dict[str, Any] = results.aggregates["entries"]
+    shown: list[Any] = []
+    for title, columns in TABLES.items():
+        table = figure_table(f"{results.title}: {title}", "entry", [label for label, _, _ in columns])
+        for name, content in entries.items():
+            seeds = content["n"]["train_seeds"]
+            figures = (content["all"].get(part, {}).get(figure) for _, part, figure in columns)
+            table.add_row(f"{name}\n{seeds} seeds" if seeds > 1 else name, *map(stacked, figures))
+        shown.append(table)
+    shown += _beside(results, entries)
+    places = [content["n"]["intersections"] for content in entries.values()]
+    trained = [len(entry.done) for entry in results.entries if entry.kind == "trained"]
+    words = f"{intervals_in_words(places, trained)} Over uncommanded: without gate, so that a loss shows."
+    return Group(*shown, Text(words))
 
 
-def _percent(share: float) -> str:
-    return f"{round(100 * share, 1) + 0.0:.1f} %"  # no "-0.0"
+def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
+    """The paper's form of several training seeds, and what was played on human vehicles, where there is any."""
+    best = any(content["n"]["train_seeds"] > 1 for content in entries.values())
+    human = any("human_vehicles" in content for content in entries.values())
+    columns = [*(["ratio of sums of the best\nseed on the test set:\nthe paper's form"] if best else [])]
+    columns += ["exact gate, on CVs with\nthe parameters of\nhuman-driven vehicles"] if human else []
+    if not columns:
+        return []
+    table = figure_table(f"{results.title}: beside", "entry", columns)
+    for name, content in entries.items():
+        sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
+        cells = [(f"{100.0 * max(sums) + 0.0:.1f} %" if len(sums) > 1 else "-")] if best else []
+        vehicles = content["human_vehicles"]["all"]["exact"]["mean"] if "human_vehicles" in content else None
+        table.add_row(name, *cells, *([stacked(vehicles)] if human else []))
+    return [table]
 
 
 def other_environment(env: EnvConfig) -> str:

@@ -122,7 +122,7 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
         "evaluation.contexts=0",
-        *(() if config.select == "best" else ("validation.every_batches=0",)),
+        f"validation.{'contexts=16' if config.select == 'best' else 'every_batches=0'}",
         *config.train_options,
         *entry.options,
     ]

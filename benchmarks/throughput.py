@@ -2,6 +2,9 @@
 
 ``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400 out=FILE``
 
+Rows of the twin hold many environments in this process, in one or several threads; they play the same episodes over
+and over, and are collected in shorter batches the more there are of them.
+
 Every row plays the same episodes, as many as there are workers: same nets, same arrivals; one after the other where
 there is one environment, side by side where there are several. Bare libsumo is also run in several processes at once,
 which shows what the machine's cores allow. Environments are timed as training collects from them: one in this process,
@@ -46,16 +49,24 @@ class ThroughputConfig:
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round; a multiple of 200, as collectors are timed in such
             batches.
+        twin_envs: environments on the twin, a row for each number; empty: no such rows.
+        twin_threads: threads of the twin, rows for each number.
         out: also write the rows as JSON to this file.
     """
 
     scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
     workers: int = 2
     steps: int = 400
+    twin_envs: tuple[int, ...] = (1, 16, 64, 256)
+    twin_threads: tuple[int, ...] = (1, 2)
     out: str | None = None
 
     def __post_init__(self) -> None:
         check_range("workers", self.workers, 1, 1024)
+        for count in self.twin_envs:
+            check_range("twin_envs", count, 1, 65536)
+        for count in self.twin_threads:
+            check_range("twin_threads", count, 1, 1024)
         if self.steps < CHUNK or self.steps % CHUNK:
             raise IzooError(f"steps is {self.steps}; it must be a multiple of {CHUNK}, a batch of the collectors.")
 
@@ -73,13 +84,14 @@ class Row:
     agents: float
 
 
-def measure(names: Sequence[str], workers: int, steps: int) -> list[Row]:
+def measure(names: Sequence[str], workers: int, steps: int, twins: Sequence[tuple[int, int]] = ()) -> list[Row]:
     """Measure all variants of the named scenarios, a bar on the error stream meanwhile.
 
     Args:
         names: of ``light``, ``medium`` and ``heavy``.
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round.
+        twins: environments and threads of each row of the twin.
     """
     import torch
 
@@ -89,7 +101,7 @@ def measure(names: Sequence[str], workers: int, steps: int) -> list[Row]:
     plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, workers, steps)
     rows = []
     with contextlib.ExitStack() as stack:
-        variants = make_variants(plan)
+        variants = make_variants(plan, twins)
         for variant in variants.values():
             stack.callback(variant.close)
         played = 0
@@ -140,7 +152,8 @@ def print_tables(rows: Sequence[Row]) -> None:
 def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
     """Measure, print the tables, and write the rows where they are wanted."""
     print("Loading torch and SUMO.", flush=True)
-    rows = measure(config.scenarios, config.workers, config.steps)
+    twins = [(envs, threads) for threads in config.twin_threads for envs in config.twin_envs if threads <= envs]
+    rows = measure(config.scenarios, config.workers, config.steps, twins)
     print_tables(rows)
     if config.out is not None:
         write_json(Path(config.out), {"workers": config.workers, "rows": [asdict(row) for row in rows]})

@@ -24,7 +24,7 @@ from izoo.algos.base import ACTION, MASK
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
-from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig, TwinConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
@@ -110,9 +110,16 @@ class Plan:
         return replace(episode, horizon_s=steps * episode.step_s)
 
 
-def make_variants(plan: Plan) -> dict[str, Variant]:
-    """Return every variant by the name of its row; the first is what the others are compared with."""
+def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str, Variant]:
+    """Return every variant by the name of its row; the first is what the others are compared with.
+
+    Args:
+        plan: what is played.
+        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate and
+            with a policy.
+    """
     lean = plan.env(emit=())
+    last = {threads: (envs, threads) for envs, threads in twins}.values()
     several = f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'}"
     return {
         "bare libsumo": Bare(plan),
@@ -124,7 +131,16 @@ def make_variants(plan: Plan) -> dict[str, Variant]:
         f"{several}, parallel, PPO": Collected(plan, "parallel"),
         "one environment, step()": Single(plan, lean),
         "one, all groups, step()": Single(plan, plan.env()),
+        **{_twin_label(*twin): OnTwin(plan, *twin, policy=FullAcceleration()) for twin in twins},
+        **{f"{_twin_label(*twin)}, compiled CO2": OnTwin(plan, *twin, "compiled", FullAcceleration()) for twin in last},
+        **{f"{_twin_label(*twin)}, PPO": OnTwin(plan, *twin) for twin in last},
     }
+
+
+def _twin_label(envs: int, threads: int) -> str:
+    return f"twin, {envs} {'environment' if envs == 1 else 'environments'}" + (
+        f", {threads} threads" if threads > 1 else ""
+    )
 
 
 class Bare:
@@ -258,6 +274,68 @@ class Collected:
     def close(self) -> None:
         if self._source is not None:
             self._source.close()
+
+
+TWIN_ROWS = 4096
+"""Steps of a batch from the twin over all its environments, about."""
+
+
+@dataclass
+class OnTwin:
+    """Batches collected from the twin as training does, by default with a freshly initialised PPO policy.
+
+    Args:
+        plan: whose episodes are played, the same one by every ``plan.workers``-th environment.
+        envs, threads: of the twin.
+        surrogate: what computes CO2.
+        policy: what acts.
+    """
+
+    plan: Plan
+    envs: int
+    threads: int
+    surrogate: Literal["torch", "compiled"] = "torch"
+    policy: TensorDictModuleBase | None = None
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        """Return context and seed of an episode: the schedule of the scenario that is being played."""
+        return self._context, episode_seed(0, episode % self.plan.workers)
+
+    def play(self, scenario: int) -> Sample:
+        """Time the batches of the next episodes, but for those of the first and the last two hundred steps."""
+        self._context = self.plan.contexts[scenario]
+        length = next(steps for steps in (200, 100, 50, 20, 10) if steps * self.envs <= TWIN_ROWS or steps == 10)
+        agents, vehicle_steps, batches = 0, 0.0, self.plan.steps // length
+        with contextlib.closing(self._start(length)) as source:
+            for _ in range(CHUNK // length):
+                source.next()
+            if source.twin is not None:
+                source.twin.backend.await_prepared()  # their warm-up is longer here than what is timed
+            begin = time.perf_counter()
+            for _ in range(batches):
+                batch = source.next()
+                agents += int(batch["agents", "mask"].sum())
+                counted = batch["next", TOTALS][..., VEHICLE_STEPS]
+                vehicle_steps += float((counted[:, -1] - counted[:, 0]).sum())
+            elapsed = time.perf_counter() - begin
+        steps = batches * length * self.envs
+        vehicles = vehicle_steps / (batches * (length - 1) * self.envs)
+        return Sample(steps / elapsed, agents / elapsed, vehicles, agents / steps)
+
+    def _start(self, length: int) -> BatchSource:
+        options = TrainConfig(
+            algo=PPOConfig(frames_per_batch=self.envs * length),
+            simulator="twin",
+            twin=TwinConfig(self.threads, self.surrogate),
+            env=self.plan.env(emit=()),
+            num_envs=self.envs,
+        )
+        torch.manual_seed(0)
+        policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
+        return BatchSource(options, policy, self)
+
+    def close(self) -> None:
+        pass
 
 
 @contextlib.contextmanager

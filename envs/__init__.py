@@ -1,7 +1,8 @@
-"""Environments: cooperative eco-driving on SUMO as TorchRL environments.
+"""Environments: cooperative eco-driving on SUMO, or on its compiled twin, as TorchRL environments.
 
 - :class:`EcoDrivingEnv`: one intersection, in this process.
-- :class:`SumoParallelEnv`: several, each in a worker process.
+- :class:`SumoParallelEnv`: several on SUMO, each in a worker process.
+- :class:`TwinEnv`: many on the twin, in this process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
 - :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` and
   ``"izoo.envs:izoo/EcoDrivingEgo-v0"``.
@@ -20,14 +21,16 @@ from gymnasium.envs.registration import register
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
     from izoo.envs.env import EcoDrivingEnv, SumoParallelEnv
+    from izoo.envs.twin_env import TwinEnv
 
 _HOME = {
     "EcoDrivingEnv": "env",
     "EnvConfig": "config",
     "RewardConfig": "config",
     "SumoParallelEnv": "env",
+    "TwinEnv": "twin_env",
 }
-__all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv"]
+__all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv", "TwinEnv"]
 
 
 def __getattr__(name: str) -> Any:

@@ -20,7 +20,7 @@ from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from izoo.networks.road import read_road
+from izoo.networks.road import INSIDE, RoadNet, read_road
 
 
 class Play(NamedTuple):
@@ -47,7 +47,9 @@ class Backend(Protocol):
         """
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Take the commands from the frames, simulate one step of every environment, and write the next frames.
+        """Take the commands from the frames, simulate one decision of every environment, and write the next frames.
+
+        A decision is ``config.hold_steps`` steps, and fewer where the episode ends.
 
         Args:
             meanwhile: may be called once while a simulation is waited for.
@@ -86,3 +88,14 @@ def scene_from_frame(config: EnvConfig, context: Context, frame: dict[str, np.nd
     steps = config.warmup_steps + round(float(frame["episode_metrics"][EPISODE_METRIC["steps"]]))
     colour, metrics = frame["signal_colour"][:p, :q].copy(), frame["approach_metrics"].astype(float)
     return Scene(context, road, steps * config.step_s, vehicles, colour, metrics)
+
+
+def entry_edges(road: RoadNet, approaches: Sequence[str], step_s: float) -> list[str]:
+    """Return the edges on which vehicles are first seen in the region."""
+    entering = [road.approaches.index(name) for name in approaches]
+    edges = [edge for p in entering for edge in road.incoming_edges[p]]
+    # An approach that is passed within a step shows its vehicles inside the junction first.
+    short = [p for p in entering if road.lane_length_m[p] < road.speed_limit_mps[p] * step_s]
+    first_seen = (road.lane_location == INSIDE) & np.isin(road.lane_approach, short)
+    inside = [road.lane_ids[lane].rsplit("_", 1)[0] for lane in np.flatnonzero(first_seen)]
+    return [*edges, *dict.fromkeys(inside)]

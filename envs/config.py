@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
 from izoo.envs.mdp.reward import RewardConfig
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range, check_types
 
 __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
-EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector")
+MAX_WORKERS = 1024
+SIMULATORS = ("sumo", "twin")
+EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward")
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,9 @@ class EnvConfig:
 
     Attributes:
         step_s: length of a simulation step.
+        hold_s: how long a decision of the policy lasts, a whole multiple of ``step_s``; ``None``: one step. Its action
+            is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
+            (until then its own driver drives). The last decision of an episode may be shorter.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
@@ -33,13 +38,15 @@ class EnvConfig:
         lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).
         reward: weights of the reward.
         emit: groups of keys that are emitted besides ``agents``: any of ``vehicles``, ``signal``, ``context``,
-            ``metrics``, ``reward_vector``. Fewer groups make stepping and storage cheaper.
+            ``metrics``, ``reward_vector``, ``team_reward`` (the reward's fleet part, whether or not a CV is there to be
+            paid). Fewer groups make stepping and storage cheaper.
         recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
         watchdog_s: a worker that does not answer for this long is replaced.
         gui: open sumo-gui (one environment, in this process).
     """
 
     step_s: float = 0.5
+    hold_s: float | None = None
     horizon_s: float = 1000.0
     warmup_s: float = 25.0
     num_agents: int = 64
@@ -56,6 +63,7 @@ class EnvConfig:
     gui: bool = False
 
     def __post_init__(self) -> None:
+        check_types("env", self)
         # Hydra hands over lists; tuples keep the config hashable.
         for name in ("neighbours", "emit"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -67,6 +75,7 @@ class EnvConfig:
         for name in self.emit:
             check_choice("emit group", name, EMIT_GROUPS)
         check_range("step_s", self.step_s, 0.05, 1.0, "s")
+        self._check_hold()
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
         check_range("num_agents", self.num_agents, 1, 4096)
@@ -81,6 +90,33 @@ class EnvConfig:
                 f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one."
             )
 
+    def _check_hold(self) -> None:
+        if self.hold_s is None:
+            return
+        check_range("hold_s", self.hold_s, self.step_s, 60.0, "s")
+        ratio = self.hold_s / self.step_s
+        if abs(ratio - round(ratio)) > 1e-6:
+            near = sorted({max(int(ratio), 1) * self.step_s, (int(ratio) + 1) * self.step_s})
+            raise IzooError(
+                f"env.hold_s is {self.hold_s:g}, which is no whole multiple of env.step_s={self.step_s:g}: a decision "
+                f"lasts whole steps. Give {' or '.join(f'{value:g}' for value in near)}, or null for one step."
+            )
+
+    @property
+    def hold_steps(self) -> int:
+        """Simulation steps of a decision."""
+        return 1 if self.hold_s is None else round(self.hold_s / self.step_s)
+
+    @property
+    def decision_s(self) -> float:
+        """Length of a decision."""
+        return self.hold_steps * self.step_s
+
+    @property
+    def decisions(self) -> int:
+        """Decisions of an episode: steps as a policy sees them."""
+        return -(-self.control_steps // self.hold_steps)
+
     @property
     def warmup_steps(self) -> int:
         """Steps in which nothing is controlled or measured."""
@@ -88,5 +124,14 @@ class EnvConfig:
 
     @property
     def control_steps(self) -> int:
-        """Steps of an episode as the policy sees it: the horizon without the warm-up."""
+        """Simulation steps of an episode that are controlled: the horizon without the warm-up."""
         return round(self.horizon_s / self.step_s) - self.warmup_steps
+
+
+def checked_config(config: EnvConfig | None) -> EnvConfig:
+    """Return the settings that a constructor was given; ``None`` stands for the defaults, and nothing else does."""
+    if config is None:
+        return EnvConfig()
+    if not isinstance(config, EnvConfig):
+        raise IzooError(f"config is a {type(config).__name__}; give an izoo.envs.EnvConfig, or None for the defaults.")
+    return config

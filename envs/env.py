@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import logging
+import multiprocessing
+import threading
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,17 +20,21 @@ from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.frame import frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
+from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.reader import FrameReader
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_choice, check_seed, check_whole
 from izoo.networks.road import RoadNet
 
+_log = logging.getLogger("izoo")
+
 Contexts = Context | Sequence[Context] | ContextSource | Schedule
+Requested = int | Sequence[int] | torch.Tensor
+"""Numbers of episodes that are asked for: one per environment."""
 
 
 class EcoDrivingBase(EnvBase):
@@ -64,50 +72,73 @@ class EcoDrivingBase(EnvBase):
         super().__init__(device=None, batch_size=torch.Size(batch_size))
         self.is_closed = False  # TorchRL closes only what says that it is open
         self.config, self.frames, self.backend = config, frames, backend
-        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
+        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, check_seed(seed))
         self._first, self._stride = first, stride
         self._restart_episodes()
         views = frames if batch_size else row_of(frames, 0)
-        self.reader = FrameReader(config, views, self.batch_size, self.leaves)
+        leaves = [*self.leaves, *(name for name in (TEAM_REWARD,) if name in config.emit)]
+        self.reader = FrameReader(config, views, self.batch_size, leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
         self.action_spec = specs.action_spec(config, self.batch_size)
         self.reward_spec = specs.reward_spec(config, self.batch_size)
         self.done_spec = specs.done_spec(config, self.batch_size)
-        if "context" in config.emit:
-            self.state_spec = specs.Composite(context=specs.context_spec(self.batch_size), shape=self.batch_size)
+        self._in_use = threading.Lock()
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self.schedule = reseed(self.schedule, seed)
+            self.schedule = reseed(self.schedule, check_seed(seed))
             self._restart_episodes()
 
     def _restart_episodes(self) -> None:
         """Number episodes from the first again."""
         self._next_episode = self._first + np.arange(self.batch_size.numel())
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, *, episode: Requested | None = None, **options: Any
+    ) -> TensorDictBase:
         if options:
             raise IzooError(
                 f"reset() of this environment does not take {', '.join(options)}; give contexts= to the constructor, "
-                "or ('context', 'episode') per environment in the tensordict."
+                "or episode= to play given episodes of the schedule."
             )
         mask = None if tensordict is None else tensordict.get("_reset", None)
+        requested = self._requested(episode)
         count = self.batch_size.numel()
         chosen = range(count) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()
-        numbers = {index: self._take_number(tensordict, index) for index in chosen}
-        self.backend.begin({index: Play(*self.schedule(number), number) for index, number in numbers.items()})
-        return self._frame()
+        numbers = {index: self._take_number(index) if requested is None else requested[index] for index in chosen}
+        with self.used_by_one_thread():
+            self.backend.begin({index: Play(*self.schedule(number), number) for index, number in numbers.items()})
+            return self._frame()
 
-    def _take_number(self, tensordict: TensorDictBase | None, index: int) -> int:
-        """Return the number of the episode to begin: the one that is asked for, or the next one."""
-        requested = None if tensordict is None else tensordict.get(("context", "episode"), None)
-        if requested is not None:
-            return int(requested.view(-1)[index])
+    def _requested(self, episode: Requested | None) -> list[int] | None:
+        """Return the number of the episode that is asked for, of each environment."""
+        if episode is None:
+            return None
+        numbers = torch.as_tensor(episode)
+        count = self.batch_size.numel()
+        whole = not numbers.is_floating_point() and not numbers.is_complex() and numbers.dtype != torch.bool
+        if numbers.numel() != count or not whole or (numbers < 0).any():
+            what = "a whole number" if count == 1 else f"{count} whole numbers, one per environment,"
+            raise IzooError(f"reset(episode={episode!r}): give {what} from 0 on; episodes are numbered so.")
+        return [int(number) for number in numbers.view(-1)]
+
+    def _take_number(self, index: int) -> int:
+        """Return the number of the next episode of an environment."""
         number = int(self._next_episode[index])
         self._next_episode[index] += self._stride
         return number
+
+    @contextlib.contextmanager
+    def used_by_one_thread(self) -> Iterator[None]:
+        """Refuse a second thread: it would take the answers that the first one waits for, and neither would return."""
+        if not self._in_use.acquire(blocking=False):
+            raise IzooError("another thread steps or resets this environment; give each thread one of its own.")
+        try:
+            yield
+        finally:
+            self._in_use.release()
 
     def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
         """Report a lost step: the state before it, truncated, without reward; nothing was measured (0 steps)."""
@@ -121,6 +152,7 @@ class EcoDrivingBase(EnvBase):
         row["agent_terminated"][:] = 0
         row["reward"][:] = 0.0
         row["reward_vector"][:] = 0.0
+        row[TEAM_REWARD][:] = 0.0
         row["totals"][:] = 0.0
         row["terminated"][:] = 0
         row["truncated"][:] = 1
@@ -129,9 +161,10 @@ class EcoDrivingBase(EnvBase):
     def _simulate(self, tensordict: TensorDictBase) -> None:
         """Take the actions and simulate one step."""
         self.require_started()
-        self.reader.write_action(tensordict)
-        for index in self.backend.step(self.reader.prepare):
-            self._truncate(index, tensordict)
+        with self.used_by_one_thread():
+            self.reader.write_action(tensordict)
+            for index in self.backend.step(self.reader.prepare):
+                self._truncate(index, tensordict)
 
     def require_started(self, call: str = "step") -> None:
         """Raise :class:`IzooError`, which names the call that came too early, unless the episodes are running."""
@@ -178,16 +211,49 @@ class EcoDrivingBase(EnvBase):
         return self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
 
 
+def _warn_of_doubles(seed: int) -> None:
+    """Say that environments which were not told their numbers may play the same episodes.
+
+    An environment cannot know of the others beside it, but that it was made in a process of ``multiprocessing``, as
+    TorchRL's ``ParallelEnv`` does, makes others likely.
+    """
+    if multiprocessing.parent_process() is not None:
+        # No warning of Python: TorchRL silences those in its workers.
+        _log.warning(
+            "EcoDrivingEnv was made in a worker process without worker=; every worker with seed=%s plays the same "
+            "episodes. Give worker=k and num_workers=N, or worker=0 if that is meant.",
+            seed,
+        )
+
+
 def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
     """Set an entry whose shape is known to be right."""
     tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
-class EcoDrivingEnv(EcoDrivingBase):
-    """One intersection on SUMO, in this process, which can hold no other; SUMO starts at the first reset.
+def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
+    return frames, SumoSimulator(config, row_of(frames, 0), load_weights())
 
-    Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule. ``reset(TensorDict({("context",
-    "episode"): ...}))`` plays a given episode again; ``reset(context=..., seed=...)`` plays any context.
+
+def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
+    from izoo.envs.twin.twin_backend import TwinBackend
+
+    backend = TwinBackend(config, 1)
+    return backend.frames, backend
+
+
+_BACKENDS = {"sumo": _on_sumo, "twin": _on_twin}
+
+
+class EcoDrivingEnv(EcoDrivingBase):
+    """One intersection, in this process, on SUMO (of which a process can hold only one) or on the twin.
+
+    SUMO starts at the first reset.
+
+    Worker ``k`` of ``N`` plays the episodes ``k``, ``k + N``, ... of the schedule; in TorchRL's ``ParallelEnv``, give
+    each its ``worker=k`` and ``num_workers=N``, or all play the same. ``reset(episode=3)`` plays a given
+    episode; ``reset(context=..., seed=...)`` plays any context.
 
     Emits (``A`` agent slots, ``V`` vehicle slots; masks say which slots hold something):
 
@@ -208,13 +274,19 @@ class EcoDrivingEnv(EcoDrivingBase):
         *,
         config: EnvConfig | None = None,
         seed: int = 0,
-        worker: int = 0,
+        worker: int | None = None,
         num_workers: int = 1,
+        simulator: str = "sumo",
     ) -> None:
-        config = config or EnvConfig()
-        frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
-        simulator = SumoSimulator(config, row_of(frames, 0), load_weights())
-        super().__init__(contexts, config, seed, [], frames, simulator, worker, num_workers)
+        config = checked_config(config)
+        check_choice("simulator", simulator, SIMULATORS)
+        check_whole("num_workers", num_workers, 1, MAX_WORKERS)
+        if worker is None:
+            _warn_of_doubles(seed)
+        else:
+            check_whole("worker", worker, 0, num_workers - 1)
+        frames, backend = _BACKENDS[simulator](config)
+        super().__init__(contexts, config, seed, [], frames, backend, worker or 0, num_workers)
 
     def _reset(
         self,
@@ -222,14 +294,21 @@ class EcoDrivingEnv(EcoDrivingBase):
         *,
         context: Context | None = None,
         seed: int | None = None,
+        episode: Requested | None = None,
         **options: Any,
     ) -> TensorDictBase:
         if context is None and seed is None:
-            return super()._reset(tensordict, **options)
-        number = self._take_number(tensordict, 0)
+            return super()._reset(tensordict, episode=episode, **options)
+        if context is not None and not isinstance(context, Context):
+            raise IzooError(f"reset(context=...) is a {type(context).__name__}; give an izoo Context.")
+        if seed is not None:
+            check_seed(seed)
+        requested = self._requested(episode)
+        number = self._take_number(0) if requested is None else requested[0]
         planned, planned_seed = self.schedule(number) if context is None else (context, 0)
-        self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
-        return self._frame()
+        with self.used_by_one_thread():
+            self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
+            return self._frame()
 
     def scene(self) -> Scene:
         """Return the present state, whether or not it is emitted: context, road, vehicles, signals, metrics.
@@ -273,7 +352,7 @@ class SumoParallelEnv(EcoDrivingBase):
         config: EnvConfig | None = None,
         seed: int = 0,
     ) -> None:
-        config = config or EnvConfig()
+        config = checked_config(config)
         if config.gui:
             raise IzooError("env.gui works with one environment only; use EcoDrivingEnv (collector=single).")
         workers = SumoWorkers(config, num_workers)

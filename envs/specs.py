@@ -10,7 +10,7 @@ import torch
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, observation_names
+from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, TEAM_REWARD, observation_names
 from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
@@ -33,6 +33,8 @@ def observation_spec(config: EnvConfig, batch: torch.Size) -> Composite:
         root["signal"] = Composite(
             colour=Unbounded(p, dtype=torch.int32), time_left_s=Unbounded(p), shape=(*batch, config.num_approaches)
         )
+    if TEAM_REWARD in config.emit:
+        root[TEAM_REWARD] = Unbounded((*batch, 1))
     if "context" in config.emit:
         root["context"] = context_spec(batch)
     if "metrics" in config.emit:
@@ -65,7 +67,7 @@ def _metrics(config: EnvConfig, batch: torch.Size) -> Composite:
 
 
 def context_spec(batch: torch.Size) -> Composite:
-    """Spec of the context group, part of the observation spec and of the state spec."""
+    """Spec of the context group."""
     one = (*batch, 1)
     columns: dict[str, Unbounded] = {name: Unbounded(one) for name in CONTEXT_VALUES}
     columns |= {name: Unbounded(one, dtype=torch.int64) for name in CONTEXT_IDS}

@@ -23,7 +23,7 @@ import numba
 from izoo.files import cache_root
 
 SOURCES = {
-    "izoo.algos": ("acting.py",),
+    "izoo.algos": ("acting.py", "resting.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
     "izoo.envs": ("config.py", "mdp/*.py", "twin/*.py"),

@@ -12,29 +12,35 @@ import signal
 import sys
 import threading
 import time
+import unicodedata
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
-from izoo.errors import IzooError
+from izoo.errors import IzooError, UnfinishedError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
+EXIT_UNFINISHED = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+_CONTROL = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Kinds of characters in Unicode: control, format (such as those that turn the writing direction), line separators."""
 LINE_EVERY_S = 10.0
 """How often a line reports progress where there is no terminal for a bar."""
 SPEED_OVER = 20
 """Updates that the time left is estimated from."""
-stop_requested = threading.Event()
-"""Set by work that a first Ctrl-C ends in good order: a sweep then begins no other run."""
 
 
 def exit_code(name: str, main: Callable[[], int]) -> int:
-    """Return what ``main`` returns, 2 for input that cannot be used, and 130 when it was stopped by Ctrl-C."""
+    """Return what ``main`` returns, or how it ended.
+
+    That is 1 for work that cannot be finished, 2 for input that cannot be used, and 130 for Ctrl-C: also where the work
+    was then closed in good order.
+    """
     try:
         code = main()
         if sys.stdout is not None:
@@ -43,6 +49,9 @@ def exit_code(name: str, main: Callable[[], int]) -> int:
     except IzooError as error:
         print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
         return EXIT_BAD_INPUT
+    except UnfinishedError as error:
+        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+        return EXIT_UNFINISHED
     except KeyboardInterrupt:
         print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
         return EXIT_INTERRUPTED
@@ -118,15 +127,15 @@ class Interrupt:
     """Remembers that Ctrl-C was pressed; a second time raises :class:`KeyboardInterrupt`."""
 
     def __init__(self) -> None:
-        self.requested = False
+        self.requested = self.insisted = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Handle SIGINT."""
         if self.requested:
+            self.insisted = True
             signal.signal(signal.SIGINT, signal.default_int_handler)
             raise KeyboardInterrupt
         self.requested = True
-        stop_requested.set()
         print(
             "\nFinishing this batch and closing the run in good order. Ctrl-C again stops at once.",
             file=sys.stderr,
@@ -144,6 +153,10 @@ def graceful_interrupt() -> Iterator[Interrupt]:
     before = signal.signal(signal.SIGINT, interrupt)
     try:
         yield interrupt
+    except Exception as error:
+        if interrupt.insisted:  # compiled code has turned the KeyboardInterrupt into an error of its own
+            raise KeyboardInterrupt from error
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -225,6 +238,13 @@ def time_left(seen: Sequence[tuple[float, int]], total: int) -> str:
     if last <= first:
         return "time left unknown"
     return f"{duration((now_s - start_s) * (total - last) / (last - first))} left"
+
+
+def plain(text: object) -> str:
+    """Return a text that comes from a file or a user without what a terminal would obey: control characters show as
+    escapes. Rich must be told not to read markup in it (``markup=False``, or ``rich.text.Text``).
+    """
+    return "".join(c if unicodedata.category(c) not in _CONTROL else ascii(c)[1:-1] for c in str(text))
 
 
 def duration(seconds: float) -> str:

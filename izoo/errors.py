@@ -1,17 +1,28 @@
 """Errors that a user can mend: they name the value, the legal set and the remedy.
 
-Commands print an :class:`IzooError` as one sentence and exit with code 2; every other exception is a defect of izoo
-and keeps its traceback.
+Commands print an :class:`IzooError` as one sentence and exit with code 2, and an :class:`UnfinishedError` with code 1;
+every other exception is a defect of izoo and keeps its traceback.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import numbers
+import types
+import typing
+from collections.abc import Callable, Iterable
+from typing import Any
 
 
 class IzooError(ValueError):
     """Something the caller gave cannot be used; the message says what to do about it."""
+
+
+class UnfinishedError(RuntimeError):
+    """Work that had begun cannot be finished; the message says what is kept and how to go on.
+
+    Commands print it as one sentence and exit with code 1.
+    """
 
 
 def unknown_choice(what: str, value: object, legal: Iterable[object]) -> IzooError:
@@ -35,8 +46,74 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
         raise unknown_choice(what, value, names)
 
 
-def check_range(what: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Raise :class:`IzooError` unless ``low <= value <= high`` (NaN is outside every range)."""
-    if not low <= value <= high:
+def check_range(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
+    """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise IzooError(f"{what} is {value!r}; it must be a number in [{low:g}, {high:g}]{f' {unit}' if unit else ''}.")
+    number: Any = value
+    if not low <= number <= high:
         suffix = f" {unit}" if unit else ""
         raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
+
+
+def check_whole(what: str, value: object, low: int, high: int) -> int:
+    """Return ``value``; raise :class:`IzooError` unless it is a whole number in ``[low, high]``."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
+        raise IzooError(f"{what} is {value!r}; it must be a whole number from {low} to {high}.")
+    return int(value)
+
+
+def check_seed(seed: object, what: str = "seed") -> int:
+    """Return ``seed``; raise :class:`IzooError` unless it is a whole number that generators take."""
+    return check_whole(what, seed, 0, 2**63 - 1)
+
+
+def check_types(group: str, config: Any) -> None:
+    """Raise :class:`IzooError` where a field of a dataclass holds another type than it declares.
+
+    Numbers, switches, texts, what may be missing (``None``), and tuples of them are checked; whole numbers pass for
+    real ones, lists for tuples. Other fields check themselves.
+
+    Args:
+        group: the group of options, for messages.
+        config: an instance; its class must be defined in a module, where its annotations can be read.
+    """
+    for name, kind in typing.get_type_hints(type(config)).items():
+        legal = _legal(kind)
+        value = getattr(config, name, None)
+        if legal is not None and not any(check(value) for _, check in legal):
+            raise IzooError(f"{group}.{name} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+
+
+_Kind = tuple[str, Callable[[object], bool]]
+
+
+def _is_bool(value: object) -> bool:
+    return isinstance(value, bool)
+
+
+_SCALARS: dict[Any, _Kind] = {
+    bool: ("true or false", _is_bool),
+    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not _is_bool(value)),
+    float: ("a number", lambda value: isinstance(value, numbers.Real) and not _is_bool(value)),
+    str: ("text", lambda value: isinstance(value, str)),
+    type(None): ("null", lambda value: value is None),
+}
+
+
+def _legal(kind: Any) -> list[_Kind] | None:
+    """Return in words what a declared type allows, and how to tell; ``None``: it is not one that is checked here."""
+    if kind in _SCALARS:
+        return [_SCALARS[kind]]
+    origin, args = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        parts = [_legal(arg) for arg in args]
+        return None if None in parts else [entry for part in parts for entry in part or ()]
+    if origin is tuple and len(args) == 2 and args[1] is Ellipsis and _legal(args[0]) is not None:
+        inner = _legal(args[0]) or []
+
+        def holds(value: object) -> bool:
+            return isinstance(value, (tuple, list)) and all(any(check(item) for _, check in inner) for item in value)
+
+        return [(f"a list, each entry {' or '.join(word for word, _ in inner)}", holds)]
+    return None

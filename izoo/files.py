@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,39 @@ def write_json(path: Path, content: Any, durable: bool = True) -> None:
     write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n", durable)
 
 
+def read_bytes(path: Path, most: int | None = None) -> bytes:
+    """Return the content of a file that somebody else may have put there.
+
+    Args:
+        path: the file.
+        most: how many bytes it may hold; ``None``: as many as there are.
+
+    Raises:
+        OSError: it cannot be read, is larger, or is no regular file: reading a pipe could wait forever.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        if most is not None and status.st_size > most:
+            raise OSError(errno.EFBIG, f"it holds {status.st_size:,} bytes, more than {most:,}", str(path))
+        return file.read()
+
+
+def read_text(path: Path, most: int | None = None) -> str:
+    """Return the content of a text file in UTF-8; see :func:`read_bytes`.
+
+    Raises:
+        OSError: as there.
+        ValueError: it holds something else than text.
+    """
+    try:
+        return read_bytes(path, most).decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is no text ({error.reason} at byte {error.start:,})") from error
+
+
 @contextlib.contextmanager
 def replacing_folder(target: Path) -> Iterator[Path]:
     """Give an empty folder to fill, which takes the place of ``target`` when the block ends without an error.
@@ -109,8 +143,12 @@ def discard_partials(folder: Path, name: str | None = None) -> None:
 
 
 @contextlib.contextmanager
-def claimed(folder: Path) -> Iterator[None]:
+def claimed(folder: Path, remedy: str = "wait for it, or choose another out") -> Iterator[None]:
     """Make ``folder`` and keep other processes out of it, until the end of this one at the latest.
+
+    Args:
+        folder: the folder.
+        remedy: what to do while another process works in it.
 
     Raises:
         IzooError: it cannot be made, or another process works in it.
@@ -124,7 +162,7 @@ def claimed(folder: Path) -> Iterator[None]:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
-        raise IzooError(f"another process works in {folder}; wait for it, or choose another out.") from None
+        raise IzooError(f"another process works in {folder}; {remedy}.") from None
     except OSError:
         pass  # some network file systems cannot lock a folder
     try:

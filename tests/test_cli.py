@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo import collect, console, train
+from izoo import collect, console, evaluate, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
 from izoo.conf import compose
@@ -20,6 +20,7 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
+from izoo.envs import RewardConfig
 from izoo.errors import IzooError
 from izoo.reporting.results import read_results
 
@@ -269,6 +270,20 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
 
 
+def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("All of it.")
+    assert evaluate.main(["policy=glide", f"out={tmp_path}"]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
 def test_unknown_nested_option_lists_its_siblings() -> None:
     with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
         compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
+
+
+def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
+    chosen = compose.compose_config("train", TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
+    assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
+    assert compose.compose_config("train", TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
+    with pytest.raises(IzooError, match=r"env\.reward.*paper, fuel, fuel_team"):
+        compose.compose_config("train", TrainConfig, ["env.reward=fuell"])

@@ -78,6 +78,7 @@ class Episode:
         weights: the emission surrogates.
         context, seed, number: what is played.
         road, traffic: the context's net, and the vehicles of the episode.
+        capacity: rows that the tables have at least; they grow where a simulator enters vehicles by :meth:`enter`.
 
     Raises:
         IzooError: the intersection has more approaches or exits than the frame has rows.
@@ -93,6 +94,7 @@ class Episode:
         number: int,
         road: RoadNet,
         traffic: Traffic,
+        capacity: int = 0,
     ) -> None:
         ways = max(road.movement_turn.shape)
         if ways > config.num_approaches:
@@ -102,13 +104,12 @@ class Episode:
             )
         self.config, self.frame = config, frame
         self.context, self.seed, self.number, self.road, self.traffic = context, seed, number, road, traffic
-        self.steps = 0
-        self._started_s = 0.0
+        self.started_s = 0.0
         self._yielding = 0
         self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
-        self._demand, self._lanes = demand_arrays(traffic), road_arrays(road)
-        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road)
-        self.tables = empty_tables(config, len(road.lane_ids))
+        self._demand, self._lanes = demand_arrays(traffic, road), road_arrays(road)
+        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
+        self.tables = empty_tables(config, len(road.lane_ids), capacity)
         self._bind()
         self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
 
@@ -117,9 +118,14 @@ class Episode:
         self.world = hold(self.tables, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views)
 
     @property
+    def steps(self) -> int:
+        """Steps since the first frame."""
+        return int(self.tables.episode[EPISODE_METRIC["steps"]])
+
+    @property
     def time_s(self) -> float:
         """Simulated time."""
-        return self._started_s + self.steps * self.config.step_s
+        return self.started_s + self.steps * self.config.step_s
 
     @property
     def over(self) -> bool:
@@ -153,7 +159,7 @@ class Episode:
 
     def begin(self, reading: Reading, started_s: float) -> None:
         """Write the first frame, from the positions of those who entered during the warm-up."""
-        self._started_s = started_s
+        self.started_s = started_s
         make_frame(self.world, reading, started_s, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
@@ -187,8 +193,7 @@ class Episode:
         Returns:
             Rows of agents on a lane that does not lead to their exit: :meth:`give_way` says which of them are slowed.
         """
-        self.steps += 1
-        make_frame(self.world, reading, self.time_s, True)
+        make_frame(self.world, reading, self.started_s + (self.steps + 1) * self.config.step_s, True)
         return self.tables.suspects[: self.tables.cursor[SUSPECTS]]
 
     def give_way(self, rows: Sequence[int]) -> None:

@@ -20,6 +20,8 @@ from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 METRIC = {name: column for column, name in enumerate(APPROACH_METRICS)}
 EPISODE_METRIC = {name: column for column, name in enumerate(EPISODE_METRICS)}
+TEAM_REWARD = "team_reward"
+"""Array ``[1]``: what the reward's fleet part was in the step or decision; emitted at the root on demand."""
 TOTALS = "totals"
 """Array ``[E + P * M]``: the episode's metrics, then those of each approach; also mapped as two arrays."""
 CONTEXT_VALUES = ("adoption", "temperature_c", "humidity_pct", "engine")
@@ -59,6 +61,7 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
     yield Field("truncated", u8, (1,))
     yield Field("done", u8, (1,))
     yield Field("reward_vector", f32, (a, len(REWARD_VECTOR)))
+    yield Field(TEAM_REWARD, f32, (1,))
     yield Field("vehicle_floats", f32, (v, len(VEHICLE_FLOATS)))
     yield Field("vehicle_ints", i32, (v, len(VEHICLE_INTS)))
     yield Field("vehicle_flags", u8, (v, len(VEHICLE_FLAGS)))

@@ -12,6 +12,7 @@ from izoo.envs.mdp.state import (
     APPROACH,
     BLINKER_LEFT,
     BLINKER_RIGHT,
+    DELAY,
     EXIT,
     FRESH,
     GRADE,
@@ -42,6 +43,7 @@ class RoadArrays(NamedTuple):
     lane_index: np.ndarray
     lane_siblings: np.ndarray
     lane_length: np.ndarray
+    lane_limit_mps: np.ndarray
     lane_offset_m: np.ndarray
     inside_length_m: np.ndarray
     next_lane: np.ndarray
@@ -78,6 +80,7 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
             floats[r, PREV_ACCEL] = floats[r, ACCEL]
             floats[r, ACCEL] = (speed[j] - floats[r, SPEED]) / step_s
         floats[r, SPEED] = speed[j]
+        floats[r, DELAY] = step_s * max(0.0, 1.0 - speed[j] / road.lane_limit_mps[new_lane])
         floats[r, LANE_POSITION] = s
         location = road.lane_location[new_lane]
         if location == INSIDE:

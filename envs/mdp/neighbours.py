@@ -12,6 +12,7 @@ from izoo.envs.mdp.state import (
     GAP,
     HAS_LEADER,
     LANE_POSITION,
+    LEADER,
     LEADER_SPEED,
     LENGTH,
     PLACE,
@@ -144,6 +145,7 @@ def find_leaders(rows, floats, ints, flags, order, start, road):  # type: ignore
         leader, gap = find_ahead(lane, position, k + 1, ints[r, EXIT], r, floats, order, start, road)
         floats[r, TTC] = NO_TTC
         flags[r, HAS_LEADER] = leader >= 0
+        ints[r, LEADER] = leader
         if leader >= 0:
             floats[r, GAP] = gap
             floats[r, LEADER_SPEED] = floats[leader, SPEED]

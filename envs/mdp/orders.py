@@ -10,6 +10,9 @@ from izoo.envs.mdp.frame import METRIC
 from izoo.envs.mdp.state import APPROACH, COMMANDED, DEFERRED, LOCATION, SPEED, TARGET, YIELDING
 from izoo.networks.road import INSIDE
 
+LANE_CHANGE_BRAKING_MPS2 = 0.5
+"""A CV is left to its driver while it is on a lane that does not lead to its exit and that driver itself braked it
+harder than this in the last step: it is slowed to find a gap, and a command would override that."""
 _AGENT_STEPS = METRIC["agent_steps"]
 _DEFERRED_STEPS = METRIC["deferred_steps"]
 _NAN_ACTIONS = METRIC["nan_actions"]
@@ -18,7 +21,7 @@ _JUNCTION_DEFERRED = METRIC["junction_deferred"]
 
 
 @compiled(borrows=True)
-def plan_commands(agent_row, action, defer, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
+def plan_commands(agent_row, acting, action, defer, step_s, floats, ints, flags, sums, command, release, target):  # type: ignore[no-untyped-def]
     """Sort the agents into those whose speed is commanded and those left to the simulator's own driver.
 
     A CV inside the junction is always left to its driver: vehicles that are made to stand there are hit from the side,
@@ -26,6 +29,8 @@ def plan_commands(agent_row, action, defer, step_s, floats, ints, flags, sums, c
     holds until the next one, so one that would repeat the last, as in a queue, is left out.
 
     Args:
+        agent_row: ``[A]`` rows of the agents, below 0 in empty slots.
+        acting: ``[A]`` the same for those whom the actions are for; others have come since they were chosen.
         action: ``[A]`` m/s^2; NaN counts as defer.
         defer: ``[A]`` asked to be left to their own driver.
         command, release: ``[A]`` outputs: rows with a new command, and rows that were commanded and no longer are.
@@ -41,8 +46,9 @@ def plan_commands(agent_row, action, defer, step_s, floats, ints, flags, sums, c
             continue
         p = ints[r, APPROACH]
         sums[p, _AGENT_STEPS] += 1
-        lost = np.isnan(action[a])
-        asked = defer[a] != 0
+        newcomer = acting[a] < 0
+        lost = not newcomer and np.isnan(action[a])
+        asked = newcomer or defer[a] != 0
         if lost:
             sums[p, _NAN_ACTIONS] += 1
         inside = ints[r, LOCATION] == INSIDE

@@ -31,7 +31,8 @@ def _evaluator(terms: Iterable[RewardTerm]) -> Any:
     return line_writer(values, [1.0] * len(values), "r, floats, numbers")
 
 
-_evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.values())
+evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.values())
+"""``evaluate(r, floats, numbers, out)`` writes the individual terms of the vehicle in row ``r``."""
 
 
 @compiled
@@ -52,7 +53,7 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
     n = rows.shape[0]
     for j in range(n):
         r = rows[j]
-        _evaluate(r, floats, numbers, terms[r])
+        evaluate(r, floats, numbers, terms[r])
         _evaluate_shared(r, floats, numbers, mine)
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
@@ -64,23 +65,44 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
 
 
 @compiled(borrows=True)
-def pay(acting_row, terms, fleet, shared, numbers, weights, shared_weights, reward, vector, empty):  # type: ignore[no-untyped-def]
-    """Write ``reward [A]`` and ``vector [A, R]`` for every slot that acted; slots that did not (row -1) get 0.
+def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, reward, vector, empty, begins):  # type: ignore[no-untyped-def]
+    """Write what each slot gets for the step, and add it to its decision's; slots that did not act (row -1) get 0.
 
-    A leaver's row still holds its last individual terms. In an empty region everybody's reward is 0.
+    In an empty region everybody's reward is 0.
+
+    Args:
+        own: ``[A, T]`` individual terms by slot; a leaver's are its last.
+        paid: ``[A]`` output: the step's reward.
+        reward, vector: ``[A]`` and ``[A, R]``, to which the step's reward and terms are added.
+        empty: nobody is in the region.
+        begins: it is the first step of a decision, so ``reward`` and ``vector`` start from 0.
     """
     for a in range(acting_row.shape[0]):
         r = acting_row[a]
-        reward[a] = 0.0
-        vector[a, :] = 0.0
+        paid[a] = 0.0
+        if begins:
+            reward[a] = 0.0
+            vector[a, :] = 0.0
         if r < 0 or empty:
             continue
         total = 0.0
         for s in range(NUM_SHARED):
             total += shared_weights[s] * shared[s]
-            vector[a, 2 * NUM_TERMS + s] = shared[s]
+            vector[a, 2 * NUM_TERMS + s] += shared[s]
         for c in range(NUM_TERMS):
-            total += weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * terms[r, c])
-            vector[a, c] = terms[r, c]
-            vector[a, NUM_TERMS + c] = fleet[c]
-        reward[a] = total / numbers.scale
+            total += weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * own[a, c])
+            vector[a, c] += own[a, c]
+            vector[a, NUM_TERMS + c] += fleet[c]
+        paid[a] = total / numbers.scale
+        reward[a] += paid[a]
+
+
+@compiled(borrows=True)
+def team_pay(fleet, shared, numbers, weights, shared_weights):  # type: ignore[no-untyped-def]
+    """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid."""
+    total = 0.0
+    for s in range(NUM_SHARED):
+        total += shared_weights[s] * shared[s]
+    for c in range(NUM_TERMS):
+        total += weights[c] * fleet[c]
+    return total / numbers.scale

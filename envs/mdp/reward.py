@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.envs.mdp.state import ACCEL, EMISSION, PREV_ACCEL, SPEED, TTC
-from izoo.errors import IzooError, check_range
+from izoo.envs.mdp.state import ACCEL, DELAY, EMISSION, PREV_ACCEL, SPEED, TTC
+from izoo.errors import IzooError, check_range, check_types
 
 TTC_CAP_S = 10.0
 _TERM = "reward term"
@@ -75,6 +75,10 @@ def _realism(r: int, floats: Any, config: Any) -> float:
     return -abs(floats[r, ACCEL] - floats[r, PREV_ACCEL])
 
 
+def _delay_s(r: int, floats: Any, config: Any) -> float:
+    return floats[r, DELAY]
+
+
 def _ttc_s(r: int, floats: Any, config: Any) -> float:
     return floats[r, TTC]
 
@@ -87,10 +91,17 @@ class RewardConfig:
     in g, comfort ``-|a_t|`` and kinematic realism ``-|a_t - a_{t-1}|`` in m/s^2. The mean is over all vehicles in the
     region, human-driven ones too. ``y_s`` are terms that all share: the smallest time to collision.
 
+    With ``sums``, ``x_ik`` is a sum over the vehicle and those behind it up to the next CV, and in the place of the
+    mean stands the sum over all: the team's. Both are over vehicles that have not crossed the stop line, with those
+    that are held up outside as if they stood on the approach; and both are in units of what human driving burns, a
+    vehicle's on its approach, or that of all vehicles that come during a step. So contexts weigh alike, and nobody
+    gains by keeping others out.
+
     Attributes:
-        eta: share of the fleet mean; 1 pays every CV the same.
+        eta: share of the fleet; 1 pays every CV the same.
         tau_mps: below this speed a vehicle counts as stopped.
         scale: the sum is divided by it.
+        sums: pay sums in units of human driving instead of means.
         soft_stop: the released code's softened stop term ``(tau - v) / tau`` instead of the paper's indicator.
     """
 
@@ -101,8 +112,12 @@ class RewardConfig:
     tau_mps: float = 1.0
     scale: float = 15.0
     soft_stop: bool = False
+    sums: bool = False
     comfort: float = term(0.0, "comfort", "m/s^2", _comfort, "weight of the comfort term.")
     realism: float = term(0.0, "realism", "m/s^2", _realism, "weight of the kinematic-realism term.")
+    delay: float = term(
+        0.0, "delay_s", "s", _delay_s, "weight of the time lost against driving at the limit, below 0 to avoid it."
+    )
     safety: float = term(
         0.0,
         "min_ttc_s",
@@ -112,15 +127,41 @@ class RewardConfig:
         most=TTC_CAP_S,
     )
 
+    @classmethod
+    def paper(cls) -> RewardConfig:
+        """Return the reward of the paper: the defaults."""
+        return cls()
+
+    @classmethod
+    def fuel(cls) -> RewardConfig:
+        """Return minus CO2 and delay, for oneself and those behind: what the benefit is made of, shared out.
+
+        A second of delay counts as half a gram, about what a standing vehicle burns.
+        """
+        return cls(eta=0.0, speed=0.0, alpha=0.0, beta=-1.0, delay=-0.5, scale=1.0, sums=True)
+
+    @classmethod
+    def fuel_team(cls) -> RewardConfig:
+        """Return the same for all vehicles together: every CV is paid for the whole team."""
+        return dataclasses.replace(cls.fuel(), eta=1.0)
+
     def __post_init__(self) -> None:
+        check_types("reward", self)
         check_range("reward.eta", self.eta, 0.0, 1.0)
         check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
         check_range("reward.scale", self.scale, 1e-6, 1e9)
+        if self.sums and not (self.beta or self.delay):
+            raise IzooError(
+                "reward.sums=true pays in units of what human driving burns, but reward.beta and reward.delay are both "
+                "0: nothing would be said about fuel or time. Choose env.reward=fuel, or set one of them below 0."
+            )
         for option in TERMS:
             if not math.isfinite(getattr(self, option)):
                 raise IzooError(f"reward.{option} is {getattr(self, option)}; give a finite number, 0 to leave it out.")
 
 
+PRESETS = ("paper", "fuel", "fuel_team")
+"""What ``env.reward=`` may be: class methods of :class:`RewardConfig`."""
 TERMS: dict[str, RewardTerm] = {
     field.name: field.metadata[_TERM] for field in dataclasses.fields(RewardConfig) if _TERM in field.metadata
 }

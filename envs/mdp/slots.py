@@ -1,14 +1,15 @@
 """Rows for vehicles and slots for agents, in compiled code.
 
 A vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. What is freed in
-a step is handed out again from the next step on, so that a newcomer never stands in a leaver's place; the lowest free
-number goes first.
+a step is handed out again from the next step on, and an agent slot from the next decision on, so that a newcomer never
+stands in a leaver's place; the lowest free number goes first.
 """
 
 from __future__ import annotations
 
 from izoo.compiling import compiled
 from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.share import HERE, OUTSIDE
 from izoo.envs.mdp.state import (
     ACCEL,
     AGENT,
@@ -19,13 +20,14 @@ from izoo.envs.mdp.state import (
     EXIT,
     FRESH,
     IS_CV,
+    LEADER,
     LENGTH,
     MOVES_CLASS,
     NUMBER,
     PRESENT,
 )
 from izoo.envs.mdp.tally import book_entry
-from izoo.envs.mdp.world import LEAVERS, MEMBERS
+from izoo.envs.mdp.world import FREE, FREED, LEAVERS, MEMBERS
 
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
 
@@ -60,6 +62,10 @@ def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     ints[row, NUMBER], ints[row, MOVES_CLASS] = number, demand.moves_class[number]
     ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
     ints[row, AGENT] = -1
+    ints[row, LEADER] = -1
+    if demand.fate[number] == OUTSIDE:
+        demand.outside[approach] -= 1
+    demand.fate[number] = HERE
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
     book_entry(row, floats, ints, flags, tables.sums)
@@ -72,7 +78,7 @@ def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
 def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
-            if tables.agent_row[slot] < 0:
+            if tables.agent_row[slot] == FREE:
                 tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
                 return
     tables.episode[_UNSLOTTED] += 1
@@ -94,17 +100,21 @@ def leave(world, row):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def release(tables, terminated, done):  # type: ignore[no-untyped-def]
-    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done."""
-    for slot in range(terminated.shape[0]):
-        terminated[slot] = 0
-        done[slot] = 0
+def release(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
+    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done.
+
+    Marks of earlier steps stay unless this one ``begins`` a decision.
+    """
+    if begins:
+        for slot in range(terminated.shape[0]):
+            terminated[slot] = 0
+            done[slot] = 0
     for j in range(tables.cursor[LEAVERS]):
         row = tables.leavers[j]
         slot = tables.ints[row, AGENT]
         tables.flags[row, :] = 0
         if slot >= 0:
-            tables.agent_row[slot] = -1
+            tables.agent_row[slot] = FREED
             terminated[slot] = 1
             done[slot] = 1
     tables.cursor[LEAVERS] = 0

@@ -58,6 +58,7 @@ SUM_JERK = FLOATS.keep("sum_abs_jerk")
 MIN_TTC = FLOATS.keep("min_ttc_s")
 ENTRY_M = FLOATS.keep("entry_m")  # path position where it entered
 TTC = FLOATS.keep("ttc_s")
+DELAY = FLOATS.keep("delay_s")  # time lost in the last step, against driving at the limit
 TARGET = FLOATS.keep("target_mps")  # speed that was commanded last
 
 LOCATION = INTS.emit("location")  # 0 approaching, 1 inside the junction, 2 leaving
@@ -69,6 +70,7 @@ MOVES_CLASS = INTS.emit("moves_class")  # row of the emission surrogate
 NUMBER = INTS.emit("vehicle_number")  # the vehicle's number in the episode's demand
 REGION_LANE = INTS.emit("region_lane")  # row of the lane in the road net
 AGENT = INTS.keep("agent")  # its agent slot, or -1
+LEADER = INTS.keep("leader")  # row of its leader, or -1
 PLACE = INTS.keep("place")  # where it stands in the order of its lane
 
 PRESENT = FLAGS.emit("present")

@@ -14,22 +14,32 @@ from izoo.envs.mdp.motion import place
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.orders import plan_commands
-from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms
+from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms, team_pay
+from izoo.envs.mdp.share import count_outside, share_out
 from izoo.envs.mdp.signals import read_clock
 from izoo.envs.mdp.slots import release
 from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
 from izoo.envs.mdp.tally import account, sum_episode
-from izoo.envs.mdp.world import MEMBERS, PHASE, SUSPECTS
+from izoo.envs.mdp.world import FREE, HELD, MEMBERS, PHASE, SUSPECTS
 
 
 @compiled
 def give_orders(world):  # type: ignore[no-untyped-def]
-    """Turn the frame's actions into orders for the coming step; return how many commands and releases there are."""
+    """Turn the frame's actions into orders for the coming step; return how many commands and releases there are.
+
+    The actions are those of the present decision: they are for those who were there when it began.
+    """
     tables, frame = world.tables, world.frame
+    begins = tables.cursor[HELD] == 0
     for a in range(tables.agent_row.shape[0]):
-        tables.acting[a] = tables.agent_row[a]
+        if begins:
+            tables.agent_row[a] = max(tables.agent_row[a], FREE)
+            tables.acting[a] = tables.agent_row[a]
+        elif tables.agent_row[a] < 0:
+            tables.acting[a] = -1
     return plan_commands(
         tables.agent_row,
+        tables.acting,
         frame.action,
         frame.defer,
         world.rules.step_s,
@@ -94,6 +104,8 @@ def emit_co2(world):  # type: ignore[no-untyped-def]
 def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     """Count the step, pay the agents, and write the next frame.
 
+    Within a decision, rewards add up, and who has left stays marked as terminated.
+
     Args:
         world: the :class:`~izoo.envs.mdp.world.World`, settled, with the members' CO2.
         time_s: simulated time after the step.
@@ -107,21 +119,38 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         before, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
         account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
     tables.cursor[PHASE] = read_clock(time_s, clock)
+    begins = tables.cursor[HELD] == 0
     fleet, shared = np.empty(NUM_TERMS), np.empty(NUM_SHARED)
+    paid = np.empty(tables.acting.shape[0])
     reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared)
+    own = np.zeros((tables.acting.shape[0], NUM_TERMS))
+    if rules.reward.sums:
+        count_outside(world, time_s, measured)
+        share_out(world, rows, tables.terms, own, fleet)
+    else:
+        for a in range(tables.acting.shape[0]):
+            if tables.acting[a] >= 0:
+                for c in range(NUM_TERMS):
+                    own[a, c] = tables.terms[tables.acting[a], c]
     pay(
         tables.acting,
-        tables.terms,
+        own,
         fleet,
         shared,
         rules.reward,
         rules.weights,
         rules.shared_weights,
+        paid,
         out.reward,
         out.reward_vector,
         rows.shape[0] == 0,
+        begins,
     )
-    release(tables, out.agent_terminated, out.agent_done)
+    if begins:
+        out.team_reward[0] = 0.0
+    if measured:
+        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights)
+    release(tables, out.agent_terminated, out.agent_done, begins)
     observe(
         tables.agent_row,
         tables,
@@ -133,7 +162,8 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         out.observation,
     )
     if measured:
-        sum_episode(rows, tables.acting, floats, ints, flags, out.reward, rules.step_s, tables.sums, tables.episode)
+        sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, tables.sums, tables.episode)
+        tables.cursor[HELD] = (tables.cursor[HELD] + 1) % rules.hold_steps
     _emit(world)
     _find_suspects(rows, tables)
 

@@ -10,17 +10,23 @@ from numba.experimental import structref
 
 from izoo.compiling import compiled
 from izoo.contexts.context import Context
+from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
+from izoo.envs.mdp.units import Units, due_times, units_of
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
-(MEMBERS, LEAVERS, SUSPECTS, PHASE) = range(4)
-"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, and the phase of the signal."""
+(MEMBERS, LEAVERS, SUSPECTS, PHASE, HELD, DUE) = range(6)
+"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, the phase of the signal, how
+many steps of the present decision have been played, and how many vehicles were due so far."""
+FREE, FREED = -1, -2
+"""Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
+decision and cannot until the next."""
 
 
 class Tables(NamedTuple):
@@ -30,15 +36,16 @@ class Tables(NamedTuple):
         floats, ints, flags: ``[C, *]``, a row per vehicle (:mod:`izoo.envs.mdp.state`).
         terms: ``[C, T]`` individual reward terms; a leaver's are needed once more.
         sums, episode: ``[P, M]`` and ``[E]`` metrics.
-        agent_row: ``[A]`` row behind each agent slot, -1 where it is empty.
-        acting: ``[A]`` the same when the step began: who acted in it.
+        agent_row: ``[A]`` row behind each agent slot, below 0 where it is empty (:data:`FREE`, :data:`FREED`).
+        acting: ``[A]`` rows of those who decided when the decision began and were still there when the step did; -1
+            for all other slots.
         members: ``[C]`` rows of the vehicles in the region, in the order in which they came.
         leavers: ``[C]`` rows whose vehicle left in this step; they still hold its last state.
         suspects: ``[C]`` agents' rows on a lane that does not lead to their exit.
         order, lane_start: ``[C]`` and ``[L + 1]``, the members sorted by lane and position.
         command, target_mps, release: ``[A]`` orders for the coming step: rows with their speeds, and rows that are no
             longer commanded.
-        cursor: ``[4]`` how far the lists above are filled, and the signal's phase.
+        cursor: ``[6]`` how far the lists above are filled, the signal's phase, and how far decision and demand are.
     """
 
     floats: np.ndarray
@@ -64,9 +71,9 @@ PER_ROW = ("floats", "ints", "flags", "terms", "members", "leavers", "suspects",
 """Tables with an entry per row."""
 
 
-def empty_tables(config: EnvConfig, num_lanes: int) -> Tables:
-    """Return tables without vehicles."""
-    c, a = max(MIN_CAPACITY, config.num_vehicles), config.num_agents
+def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables:
+    """Return tables without vehicles, with ``capacity`` rows or more."""
+    c, a = max(MIN_CAPACITY, config.num_vehicles, capacity), config.num_agents
     return Tables(
         floats=np.zeros((c, len(FLOATS))),
         ints=np.zeros((c, len(INTS)), np.int64),
@@ -84,7 +91,7 @@ def empty_tables(config: EnvConfig, num_lanes: int) -> Tables:
         command=np.zeros(a, np.int64),
         target_mps=np.zeros(a),
         release=np.zeros(a, np.int64),
-        cursor=np.zeros(4, np.int64),
+        cursor=np.zeros(6, np.int64),
     )
 
 
@@ -95,30 +102,57 @@ def grown(tables: Tables) -> Tables:
 
 
 class Demand(NamedTuple):
-    """What is known of every vehicle of the episode beforehand, ``[N]`` each."""
+    """What is known of every vehicle of the episode beforehand, ``[N]`` each, and who is held up outside.
+
+    Attributes:
+        is_cv, approach, exit, length_m, moves_class: of the vehicle.
+        due_s, due_number: by when vehicles should have come, ascending, and which these are.
+        fate: changes: what has become of the vehicle (:mod:`izoo.envs.mdp.share`).
+        outside: ``[P]``, changes: how many are held up.
+    """
 
     is_cv: np.ndarray
     approach: np.ndarray
     exit: np.ndarray
     length_m: np.ndarray
     moves_class: np.ndarray
+    due_s: np.ndarray
+    due_number: np.ndarray
+    fate: np.ndarray
+    outside: np.ndarray
 
 
-def demand_arrays(traffic: Traffic) -> Demand:
+def demand_arrays(traffic: Traffic, road: RoadNet) -> Demand:
     """Pick the arrays out of an episode's traffic."""
-    return Demand(*(np.ascontiguousarray(getattr(traffic, name)) for name in Demand._fields))
+    due_s = due_times(road, traffic)
+    order = np.argsort(due_s, kind="stable")
+    return Demand(
+        is_cv=np.ascontiguousarray(traffic.is_cv),
+        approach=np.ascontiguousarray(traffic.approach),
+        exit=np.ascontiguousarray(traffic.exit),
+        length_m=np.ascontiguousarray(traffic.length_m),
+        moves_class=np.ascontiguousarray(traffic.moves_class),
+        due_s=due_s[order],
+        due_number=order,
+        fate=np.zeros(len(traffic), np.int64),
+        outside=np.zeros(len(road.approaches), np.int64),
+    )
 
 
 class Rules(NamedTuple):
-    """What stays fixed for an episode: weather, engine, reward, sensors, and what is emitted."""
+    """What stays fixed for an episode: weather, engine, reward and its units, sensors, and what is emitted."""
 
     step_s: float
+    hold_steps: int
     temperature_c: float
     humidity_pct: float
     electric: bool
     reward: Numbers
     weights: np.ndarray
     shared_weights: np.ndarray
+    unit_g: np.ndarray
+    idle_gps: np.ndarray
+    fleet_g_per_step: float
     sensor_range_m: float
     columns: np.ndarray
     features: np.ndarray
@@ -128,17 +162,24 @@ class Rules(NamedTuple):
     emit_metrics: bool
 
 
-def rules_of(config: EnvConfig, context: Context, road: RoadNet) -> Rules:
+def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffic, surrogates: KernelWeights) -> Rules:
     """Return the rules of an episode."""
     reward, weights, shared_weights = reward_arrays(config.reward)
+    units = Units(np.ones(1), np.ones(1), 1.0)
+    if config.reward.sums:
+        units = units_of(context, road, traffic, surrogates, config.horizon_s, config.step_s)
     return Rules(
         step_s=config.step_s,
+        hold_steps=config.hold_steps,
         temperature_c=context.temperature_c,
         humidity_pct=context.humidity_pct,
         electric=context.engine == "electric",
         reward=reward,
         weights=weights,
         shared_weights=shared_weights,
+        unit_g=units.unit_g,
+        idle_gps=units.idle_gps,
+        fleet_g_per_step=units.fleet_g_per_step,
         sensor_range_m=np.inf if config.sensor_range_m is None else float(config.sensor_range_m),
         columns=neighbour_columns(config.neighbours),
         features=observed_table(context, road, config.observed),
@@ -154,6 +195,7 @@ class Frame(NamedTuple):
 
     action: np.ndarray
     defer: np.ndarray
+    lane_change: np.ndarray
     observation: np.ndarray
     mask: np.ndarray
     agent_vehicle: np.ndarray
@@ -161,6 +203,7 @@ class Frame(NamedTuple):
     agent_done: np.ndarray
     reward: np.ndarray
     reward_vector: np.ndarray
+    team_reward: np.ndarray
     vehicle_floats: np.ndarray
     vehicle_ints: np.ndarray
     vehicle_flags: np.ndarray

@@ -14,9 +14,10 @@ import numpy as np
 from izoo.compiling import compiling_once
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.backend import Play
+from izoo.envs.backend import Play, entry_edges
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.mdp.step import make_frame
@@ -24,12 +25,8 @@ from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, sumo_arguments
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from izoo.networks.road import INSIDE, RoadNet, read_road
+from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes
-
-LANE_CHANGE_BRAKING_MPS2 = 0.5
-"""A CV is left to SUMO while it is on a lane that does not lead to its exit and SUMO itself braked it harder than this
-in the last step: SUMO slows it to find a gap, and a command would override that."""
 
 
 class SumoSimulator:
@@ -78,7 +75,7 @@ class SumoSimulator:
         self._load(net, episode)
         self._episode, self.names = episode, Names()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
-        self._entry_edges = _entry_edges(road, context.demand_approaches, config.step_s)
+        self._entry_edges = entry_edges(road, context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in road.lane_ids])
         self._due = _due_by_step(episode.traffic.depart_s, config)
         self._elapsed = 0
@@ -116,7 +113,15 @@ class SumoSimulator:
         self.episode.begin(session.read(self.names.members, self._lane_numbers), session.time_s)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Apply the frame's actions, simulate one step, and write the next frame."""
+        """Apply the frame's actions, simulate the steps of one decision, and write the next frame."""
+        self._step()
+        for _ in range(1, self.config.hold_steps):
+            if self.episode.over:
+                break
+            self._step()
+        return ()
+
+    def _step(self) -> None:
         episode, session = self.episode, self.session
         self._pass_on_orders()
         self._advance()
@@ -135,7 +140,6 @@ class SumoSimulator:
         episode.give_way(self._slowed(suspects) if len(suspects) else ())
         if episode.over:
             episode.finish(self._ending())
-        return ()
 
     def _advance(self) -> None:
         """Simulate one step, and note who has departed."""
@@ -158,7 +162,7 @@ class SumoSimulator:
     def _pass_on_lane_changes(self) -> None:
         """Pass lane changes on; a CV that asks to be left to SUMO changes lanes as SUMO has it."""
         frame, tables, session = self.frame, self.episode.tables, self.session
-        asks = (frame["defer"] != 0) | np.isnan(frame["action"])
+        asks = (frame["defer"] != 0) | np.isnan(frame["action"]) | (tables.acting < 0)
         slots = np.flatnonzero(tables.agent_row >= 0).tolist()
         for a, name in zip(slots, self.names.of(tables.agent_row[slots].tolist()), strict=True):
             change = int(frame["lane_change"][a])
@@ -230,14 +234,3 @@ def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:
     begin_s = np.arange(config.warmup_steps + config.control_steps) * config.step_s
     # SUMO reads times in whole milliseconds.
     return np.searchsorted(np.round(depart_s, 3), begin_s + 1e-6, side="right").tolist()  # type: ignore[no-any-return]
-
-
-def _entry_edges(road: RoadNet, approaches: Sequence[str], step_s: float) -> list[str]:
-    """Return the edges on which vehicles are first seen in the region."""
-    entering = [road.approaches.index(name) for name in approaches]
-    edges = [edge for p in entering for edge in road.incoming_edges[p]]
-    # An approach that is passed within a step shows its vehicles inside the junction first.
-    short = [p for p in entering if road.lane_length_m[p] < road.speed_limit_mps[p] * step_s]
-    first_seen = (road.lane_location == INSIDE) & np.isin(road.lane_approach, short)
-    inside = [road.lane_ids[lane].rsplit("_", 1)[0] for lane in np.flatnonzero(first_seen)]
-    return [*edges, *dict.fromkeys(inside)]

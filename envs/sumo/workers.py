@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, scene_from_frame
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_whole
 
 _log = logging.getLogger("izoo")
 
@@ -36,15 +36,14 @@ class SumoWorkers:
     """
 
     def __init__(self, config: EnvConfig, num_workers: int, awake: bool = True) -> None:
-        if num_workers < 1:
-            raise IzooError(f"num_workers is {num_workers}; one worker or more is needed.")
+        check_whole("num_workers", num_workers, 1, MAX_WORKERS)
         self.config, self.num_workers, self.restarts = config, num_workers, 0
         self._memory = shared_memory_file(frame_bytes(config, num_workers))
         self.frames = map_frames(mmap.mmap(self._memory, 0), config, num_workers)
         self._workers: list[Worker | None] = [None] * num_workers
         self._plays: list[Play | None] = [None] * num_workers
         self._awake_s = [AWAKE_S * (awake and stays_awake(index, num_workers)) for index in range(num_workers)]
-        self._finalizer = weakref.finalize(self, _close, self._workers, self._memory)
+        self._finalizer = weakref.finalize(self, _close, self._workers, self._memory, os.getpid())
 
     @property
     def started(self) -> bool:
@@ -152,7 +151,9 @@ class SumoWorkers:
         self._plays[:] = [None] * self.num_workers
 
 
-def _close(workers: list[Worker | None], memory: int) -> None:
+def _close(workers: list[Worker | None], memory: int, owner: int) -> None:
+    if os.getpid() != owner:
+        return  # a forked process ends: the workers are its parent's
     for worker in workers:
         if worker is not None:
             worker.dismiss()

@@ -7,22 +7,29 @@ when the vehicle moves next, and :func:`forget_advice` clears it then.
 from __future__ import annotations
 
 from izoo.envs.twin.arrays import (
+    ACCEL,
     ADVICES,
     BLOCKER_LENGTH,
     CHANGE_STATE,
     DECEL,
+    EDGE_LANES,
+    KEEP_RIGHT,
     LANE,
+    LANE_EDGE,
     LANE_LIMIT,
     LEFT_SPACE,
     LENGTH,
+    LOOK_AHEAD_SPEED,
     MAX_ADVICES,
     MIN_GAP,
     POSITION,
     SPEED,
+    SPEED_GAIN,
+    SPEED_GAIN_RIGHT,
     TAU,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap, stop_speed
+from izoo.envs.twin.following import brake_gap, follow_speed, most_speed, secure_gap, stop_speed
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
     BLOCKED_BY_FOLLOWER,
@@ -41,13 +48,11 @@ from izoo.envs.twin.nearby import HALTING_MPS
 
 EPS = 0.001
 _POSITION_EPS_M = 0.1
-_MARGIN_M = 1.0
 OVERTAKING_MPS = 10.0 / 3.6
 """Speed difference with which somebody who lets others in expects to be overtaken."""
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
-_FAST_LEFT_MPS = 27.0
-_LONGEST_RAMP_M = 200.0
-_CONGESTED_MPS, _TOWN_LIMIT_MPS = 60.0 / 3.6, 70.1 / 3.6
+_DAWDLING_MPS2 = 1.0
+_CONGESTED_MPS = 60.0 / 3.6
 
 
 @compiled
@@ -57,6 +62,14 @@ def forget_advice(state, v):  # type: ignore[no-untyped-def]
     state.ints[v, CHANGE_STATE] = 0
     state.floats[v, LEFT_SPACE] = 0.0
     state.floats[v, BLOCKER_LENGTH] = 0.0
+
+
+@compiled
+def clear_memories(state, v):  # type: ignore[no-untyped-def]
+    """Forget what lane changing remembers from step to step: after a change, and on a road of one lane."""
+    floats = state.floats
+    floats[v, BLOCKER_LENGTH] = 0.0
+    floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
 
 
 @compiled
@@ -81,7 +94,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
     best, advised = wish, False
     blocker = state.floats[v, BLOCKER_LENGTH]
     if blocker != 0.0:
-        space = state.floats[v, LEFT_SPACE] - blocker - _MARGIN_M - driver[MIN_GAP]
+        space = state.floats[v, LEFT_SPACE] - blocker - _POSITION_EPS_M
         if space > 0.0:
             # Leave room for the one who must cross over.
             limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
@@ -106,13 +119,15 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
                 return (high + wish) * 0.5
     if flags & BLOCKS_LEADER:
         return (high + wish) * 0.5
+    if net.edge_ints[net.lane_ints[state.ints[v, LANE], LANE_EDGE], EDGE_LANES] == 1:
+        clear_memories(state, v)
     return wish
 
 
 @compiled
-def is_congested(net, state, v):  # type: ignore[no-untyped-def]
-    """Whether rules of motorways do not bind ``v``: in town, and in slow traffic."""
-    return state.floats[v, SPEED] < _CONGESTED_MPS or net.lane_floats[state.ints[v, LANE], LANE_LIMIT] < _TOWN_LIMIT_MPS
+def is_congested(state, v):  # type: ignore[no-untyped-def]
+    """Whether ``v`` is too slow for the rules of motorways."""
+    return state.floats[v, SPEED] < _CONGESTED_MPS
 
 
 @compiled
@@ -165,10 +180,10 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     if leader < 0:
         return planned
     other = floats[leader, SPEED]
+    # The leader may go on braking, or begin to brake a little.
+    pessimistic = other + min(floats[leader, ACCEL], -_DAWDLING_MPS2) * step_s
+    target = follow_speed(driver, gap + (pessimistic - speed) * step_s, speed, pessimistic, limit, step_s)
     if not blocked & BLOCKED_BY_LEADER:
-        # Stay unblocked, even if the leader brakes.
-        pessimistic = other - OVERTAKING_MPS
-        target = follow_speed(driver, gap - (speed - pessimistic) * step_s, speed, pessimistic, limit, step_s)
         add_advice(state, v, target)
         return min(target, planned)
     faster = planned - other
@@ -178,16 +193,13 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     state.ints[leader, CHANGE_STATE] |= flag | BLOCKS_LEADER
     if not (
         faster < EPS
-        or (leftward and not is_congested(net, state, v))
+        or (leftward and not is_congested(state, v))
         or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < way
         or faster * remaining_s < way
     ):
         add_advice(state, leader, other)
         return -1.0
-    target = max(
-        max(0.0, speed - driver[DECEL] * step_s),
-        follow_speed(driver, gap, speed, other, limit, step_s),
-    )
+    target = max(target, max(0.0, speed - driver[DECEL] * step_s))
     if target >= speed:
         add_advice(state, v, target)
         return planned
@@ -207,14 +219,13 @@ def inform_follower(  # type: ignore[no-untyped-def]
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     helper, other = traffic.floats[follower], state.floats[follower, SPEED]
     limit = net.lane_floats[state.ints[follower, LANE], LANE_LIMIT]
-    flags = BLOCKS_FOLLOWER | (WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD)
+    flags = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
     if not blocked & BLOCKED_BY_FOLLOWER:
         if blocked & BLOCKED_BY_LEADER:
             state.ints[follower, CHANGE_STATE] |= flags
-            safe = _speed_behind(helper, gap, other, planned, 0.0, limit, step_s)
-            add_advice(state, follower, safe)
+            add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, step_s))
         return
-    state.ints[follower, CHANGE_STATE] |= flags
+    state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
     if planned - other >= OVERTAKING_MPS:
         needed = secure_gap(helper, other, planned)
         if (needed - gap) / remaining_s < planned - other:
@@ -229,18 +240,30 @@ def inform_follower(  # type: ignore[no-untyped-def]
         add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
     elif faster > 0.0 and faster * (remaining_s - 1.0) > secure - opened + _POSITION_EPS_M:
         add_advice(state, follower, braked)
-    elif not leftward and not is_congested(net, state, follower):
+    elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))
     else:
-        passing = max(other, speed + OVERTAKING_MPS)
-        if other > speed and (
-            not leftward or planned > _FAST_LEFT_MPS or state.floats[v, LEFT_SPACE] > _LONGEST_RAMP_M
-        ):
-            # Slow enough that later ones can help, still fast enough to pass.
-            passing = max(braked, speed + OVERTAKING_MPS)
+        # Slow enough that later ones can help, still fast enough to pass.
+        passing = max(braked if other > speed else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
         way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
         add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
+
+
+@compiled
+def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room.
+
+    It keeps its speed where the gap is secure after the step, and slows down otherwise.
+    """
+    left = gap + (planned - most_speed(helper, speed, step_s)) * step_s
+    faster = follow_speed(helper, left, speed, planned, limit, step_s)
+    if faster >= speed:
+        return faster
+    left = gap + (planned - speed) * step_s
+    if left >= secure_gap(helper, speed, planned):
+        return speed
+    return follow_speed(helper, left, speed, planned, limit, step_s)
 
 
 @compiled

@@ -247,9 +247,9 @@ ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT
 """Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;
 1 where the vehicle asks to pass; next item that approaches the same link."""
 
-NOW_MS, STEP_COUNT, NEXT_DEPARTURE, ITEM_TOTAL, ON_ROAD, DROPS = range(6)
+NOW_MS, STEP_COUNT, NEXT_DEPARTURE, ITEM_TOTAL, ON_ROAD, DROPS, ACTIVE_FIRST, ACTIVE_LAST = range(8)
 """Entries of :attr:`TwinState.clock`: time at which the coming step begins (ms); steps done; first vehicle that was not
-due yet; items in use; vehicles on the road; vehicles dropped."""
+due yet; items in use; vehicles on the road; vehicles dropped; first and last lane in the order of busy lanes."""
 
 MAX_ITEMS_PER_VEHICLE = 8
 
@@ -267,6 +267,13 @@ MAX_ADVICES = 12
     CHANGER_LAST_BLOCKED,
 ) = range(5)
 """Columns of :attr:`TwinState.changer`, the working memory of lane changing on an edge."""
+
+ACTIVE_NEXT, ACTIVE_PREVIOUS, ACTIVE_SERVED = range(3)
+"""Columns of :attr:`TwinState.active`: lanes after and before it in the order of :mod:`izoo.envs.twin.active`; of an
+edge's first lane, the step in which its vehicles changed lanes last."""
+
+NOT_ACTIVE = -2
+"""Value of ``ACTIVE_NEXT`` of lanes that are not in the order."""
 
 
 class TwinState(NamedTuple):
@@ -287,7 +294,9 @@ class TwinState(NamedTuple):
         changer: ``[L, 5]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
         moved: ``[N]`` int32: working memory of a step.
         changer_queue: ``[32]`` int32. changer_way: ``[32]`` float64: more of it.
-        lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m.
+        lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m; set when
+            lanes are changed.
+        active: ``[L, 3]`` int32, the order in which lanes are served.
     """
 
     clock: Long1
@@ -312,6 +321,7 @@ class TwinState(NamedTuple):
     changer_way: Float1
     lane_room: Float1
     moved: Int1
+    active: Int2
 
 
 NET, TRAFFIC, STATE = tables_type(TwinNet), tables_type(TwinTraffic), tables_type(TwinState)

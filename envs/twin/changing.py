@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
-from izoo.envs.twin.advising import forget_advice
+from izoo.envs.twin.active import activate
+from izoo.envs.twin.advising import clear_memories, forget_advice
 from izoo.envs.twin.arrays import (
+    ACTIVE_FIRST,
+    ACTIVE_NEXT,
+    ACTIVE_SERVED,
     BEHIND,
-    BLOCKER_LENGTH,
     CHANGE_COMMAND,
     CHANGE_STATE,
     CHANGE_TARGET,
@@ -24,7 +25,6 @@ from izoo.envs.twin.arrays import (
     EDGE_CHANGES,
     EDGE_FIRST_LANE,
     EDGE_LANES,
-    KEEP_RIGHT,
     LANE,
     LANE_COUNT,
     LANE_EDGE,
@@ -34,14 +34,12 @@ from izoo.envs.twin.arrays import (
     LANE_RIGHT,
     LENGTH,
     LINK_FROM,
-    LOOK_AHEAD_SPEED,
     MAX_TAIL_LANES,
     MIN_GAP,
     NOW_MS,
     POSITION,
     SPEED,
-    SPEED_GAIN,
-    SPEED_GAIN_RIGHT,
+    STEP_COUNT,
     TAIL_LANES,
 )
 from izoo.envs.twin.compiled import compiled
@@ -66,8 +64,6 @@ from izoo.envs.twin.nearby import follower_beside, leader_beside
 from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
 from izoo.envs.twin.wanting import obey, want
 
-_GRAIN = 1e5
-
 
 @compiled
 def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
@@ -86,18 +82,43 @@ def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
 def prepare_change(state, v):  # type: ignore[no-untyped-def]
     """Make ``v`` ready for lane changing, after it moved."""
     forget_advice(state, v)
-    # SUMO keeps five decimals of these, rounded up.
-    state.floats[v, SPEED_GAIN_RIGHT] = math.ceil(state.floats[v, SPEED_GAIN_RIGHT] * _GRAIN) / _GRAIN
-    state.floats[v, SPEED_GAIN] = math.ceil(state.floats[v, SPEED_GAIN] * _GRAIN) / _GRAIN
-    state.floats[v, KEEP_RIGHT] = math.ceil(state.floats[v, KEEP_RIGHT] * _GRAIN) / _GRAIN
 
 
 @compiled
 def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Let the vehicles of every edge with several lanes change, all vehicles having moved and been prepared."""
-    for edge in range(net.edge_ints.shape[0]):
-        if net.edge_ints[edge, EDGE_CHANGES]:
+    _measure_room(traffic, state)
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
+        edge = net.lane_ints[lane, LANE_EDGE]
+        if net.edge_ints[edge, EDGE_LANES] == 1:
+            break
+        first = net.edge_ints[edge, EDGE_FIRST_LANE]
+        if net.edge_ints[edge, EDGE_CHANGES] and state.active[first, ACTIVE_SERVED] != state.clock[STEP_COUNT]:
+            state.active[first, ACTIVE_SERVED] = state.clock[STEP_COUNT]
             change_on_edge(net, traffic, state, edge, step_ms / 1000.0)
+        lane = state.active[lane, ACTIVE_NEXT]
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0 and net.edge_ints[net.lane_ints[lane, LANE_EDGE], EDGE_LANES] > 1:
+        after = state.active[lane, ACTIVE_NEXT]
+        if net.lane_ints[lane, LANE_LEFT] >= 0 and state.lanes[lane + 1, LANE_COUNT] > 0:
+            activate(net, state, lane + 1)
+        if net.lane_ints[lane, LANE_RIGHT] >= 0 and state.lanes[lane - 1, LANE_COUNT] > 0:
+            activate(net, state, lane - 1)
+        lane = after
+
+
+@compiled
+def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
+    """Sum up what the vehicles of each lane take of its length."""
+    state.lane_room[:] = 0.0
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
+        v = state.lanes[lane, LANE_FRONT]
+        while v >= 0:
+            state.lane_room[lane] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+            v = state.ints[v, BEHIND]
+        lane = state.active[lane, ACTIVE_NEXT]
 
 
 @compiled
@@ -185,7 +206,7 @@ def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[n
 @compiled
 def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def]
     """Move ``v`` to ``lane``, beside its own, with its tail, and clear its memories."""
-    ints, floats = state.ints, state.floats
+    ints = state.ints
     room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     state.lane_room[ints[v, LANE]] -= room
     state.lane_room[lane] += room
@@ -207,8 +228,7 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
         ints[v, CHANGES_RIGHT] += 1
     ints[v, CHANGED_MS] = state.clock[NOW_MS]
     forget_advice(state, v)
-    floats[v, BLOCKER_LENGTH] = 0.0
-    floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
+    clear_memories(state, v)
 
 
 @compiled

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from izoo.envs.twin.arrays import (
     AHEAD,
     DECEL,
@@ -44,13 +46,18 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
         in_front_m: room that the vehicles before it on its lane need.
     """
     first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
-    if not _measure(net, traffic, state, v, in_front_m, step_s):
-        return
+    stands = _measure(net, traffic, state, v, in_front_m, step_s)
     for item in range(first + count - 1, first, -1):
         link, onward = state.item_ints[item - 1, ITEM_LINK], state.item_ints[item, ITEM_LINK]
         leaves = net.link_ints[link, LINK_VIA] < 0 or onward < 0 or state.item_ints[item, ITEM_REQUEST] == 1
-        if leaves:
+        if not leaves:
+            state.item_floats[item - 1, ITEM_SPACE] = min(state.item_floats[item - 1, ITEM_SPACE], 0.0)
+        elif not stands:
+            state.item_floats[item - 1, ITEM_SPACE] = math.inf
+        else:
             state.item_floats[item - 1, ITEM_SPACE] = state.item_floats[item, ITEM_SPACE]
+    if not stands:
+        state.item_floats[first + count - 1, ITEM_SPACE] = math.inf
     need = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     blocked = -1
     for item in range(first, first + count):

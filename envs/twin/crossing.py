@@ -55,12 +55,12 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_FOE_YIELDS,
     CONFLICT_KIND,
     CONFLICT_LANE,
+    CONFLICT_RADIUS,
     CONFLICT_SIZE,
     CONFLICT_YIELDS,
     CROSSING,
     MERGING,
     NOWHERE,
-    PARTING,
 )
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.lights import is_major
@@ -80,7 +80,7 @@ VISIBILITY_M = 4.5
 
 
 @compiled
-def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Return the plan's speeds and its request, lowered by vehicles on ways in conflict.
 
     Args:
@@ -88,6 +88,7 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
         distance_m: from the front to that link, that is to the end of a way.
         best, passing: speed (m/s) for the coming step, and at the link.
         request: whether the vehicle asks to pass the link.
+        floor: speed (m/s) with which it can stop before the link that it comes to before, 0 where there is none.
     """
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
@@ -97,24 +98,26 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
         w = state.lanes[lane, LANE_FRONT]
         while w >= 0:
             best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
             )
             w = state.ints[w, BEHIND]
         for k in range(state.lanes[lane, LANE_TAILS]):
             w = state.tails[lane, k]
             best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s
+                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
             )
     return best, passing, request
 
 
 @compiled
-def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, step_s):  # type: ignore[no-untyped-def]
+def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
     if w == v:
         return best, passing, request
     kind = net.conflict_ints[row, CONFLICT_KIND]
-    size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
+    size = foe_size = 0.0
+    if kind == CROSSING:
+        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
     foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
     to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
     if kind != MERGING and to_conflict + size < 0.0:
@@ -124,16 +127,17 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane
     back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    past = back_left + foe_size < 0.0
+    past = back_left + foe_size + _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS]) < 0.0
     entered = back_left < traffic.floats[w, LENGTH]
     in_the_way = (to_conflict > 0.0 and not past and entered) or (
         kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
     )
-    if (kind == CROSSING and past) or (kind == PARTING and back_left < 0.0):
+    if kind != MERGING and past:
         return best, passing, request
     if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return best, passing, request
-    if not in_the_way and not _goes_first(net, state, v, w, row):
+    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
+    if not (outside or in_the_way or _goes_first(net, state, v, w, row)):
         return best, passing, request
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
@@ -156,11 +160,25 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
         final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
         in_time = speed + (final - speed) / leave_s * step_s
         safe = max(safe, min(in_time, stop))
-    best = min(best, safe)
+    # It may always drive up to the link before and stop there.
+    best = max(min(best, safe), floor)
     passing = min(passing, safe)
     if best < STANDING_MPS and state.floats[w, SPEED] < STANDING_MPS:
         request = False
     return best, passing, request
+
+
+@compiled
+def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
+    """Return how far (m) the body of vehicle ``v``, with a metre at both ends, reaches inside a turn: the sagitta.
+
+    It is infinite where the body is longer than the turn is wide: nobody is ever past such a vehicle.
+    """
+    if radius == 0.0:
+        return 0.0
+    half = 0.5 * (traffic.floats[v, LENGTH] + 2.0)
+    rest = radius * radius - half * half
+    return radius - math.sqrt(rest) if rest >= 0.0 else math.inf
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Vehicles that enter: who is due, who finds room, who waits."""
+"""Vehicles that enter: who is due, who finds room, who waits, and whom SUMO drops."""
 
 from __future__ import annotations
 
@@ -9,24 +9,42 @@ from izoo.envs.twin.arrays import (
     DEPART_MS,
     DEPART_SPEED,
     DRIVING,
+    DROPPED,
+    DROPS,
     LANE_BACK,
+    LANE_EDGE,
     LANE_LENGTH,
+    LANE_LIMIT,
     LENGTH,
     LINK_NEXT,
+    LINK_PROGRAM,
+    LINK_SIGNAL,
     MIN_GAP,
     NEXT_DEPARTURE,
     NOW_MS,
     ON_ROAD,
+    PHASE_STATE,
     POSITION,
+    PROGRAM_FIRST_PHASE,
+    PROGRAM_PHASES,
     ROUTE,
     SPEED,
     STATUS,
+    TAU,
+    VARIANT,
     WAITING,
 )
+from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.following import brake_gap, free_speed, secure_gap, stop_speed
+from izoo.envs.twin.lights import is_major
 from izoo.envs.twin.order import back_on, last_on, place, tail_on
 from izoo.envs.twin.planning import POSITION_EPS
+
+ENTER, WAIT, DROP = range(3)
+ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
+"""What SUMO keeps free at the end of a lane for vehicles that must change by two lanes or more."""
+MINOR, EQUAL, STOP, ALLWAY_STOP, MAJOR_GREEN = ord("m"), ord("="), ord("s"), ord("w"), ord("G")
 
 
 @compiled
@@ -50,35 +68,96 @@ def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-de
     for k in range(net.source_lanes.shape[0]):
         lane = net.source_lanes[k]
         v = state.waiting_first[lane]
-        while v >= 0 and has_room(net, traffic, state, v, lane, step_ms):
-            enter(net, traffic, state, v, lane)
-            v = state.waiting_next[v]
-            state.waiting_first[lane] = v
-            if v < 0:
+        while v >= 0:
+            verdict = judge(net, traffic, state, v, lane, step_ms)
+            if verdict == WAIT:
+                break
+            state.waiting_first[lane] = state.waiting_next[v]
+            if state.waiting_next[v] < 0:
                 state.waiting_last[lane] = -1
+            if verdict == DROP:
+                # As in SUMO nobody else enters on this lane in this step.
+                ints[v, STATUS] = DROPPED
+                clock[DROPS] += 1
+                break
+            enter(net, traffic, state, v, lane)
+            v = state.waiting_first[lane]
 
 
 @compiled
-def has_room(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``v`` can enter ``lane`` with its speed of departure."""
+def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``v`` enters ``lane`` with its speed of departure, waits or is dropped.
+
+    It looks as far ahead as it needs to stop. Vehicles and red lights that are too near make it wait; what will not
+    change is why SUMO drops a vehicle: a lane that does not lead on, a link that never has priority, a slow lane.
+    """
+    step_s = step_ms / 1000.0
     driver = traffic.floats[v]
-    speed = driver[DEPART_SPEED]
+    start, speed = lane, driver[DEPART_SPEED]
+    wish = net.lane_floats[lane, LANE_LIMIT]
     position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     seen = -position
     leader = state.lanes[lane, LANE_BACK]
     if leader < 0:
         leader = tail_on(net, traffic, state, lane, v)
-    reach = brake_gap(speed, driver[DECEL], 0.0, step_ms / 1000.0) + driver[MIN_GAP]
+    reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
+    verdict = ENTER
     while True:
         if leader >= 0:
             gap = seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
-            return gap >= secure_gap(driver, speed, state.floats[leader, SPEED]) and gap >= 0.0
+            if gap < 0.0 or gap < secure_gap(driver, speed, state.floats[leader, SPEED]):
+                verdict = WAIT
+                break
         seen += net.lane_floats[lane, LANE_LENGTH]
+        if seen >= reach:
+            break
         link = net.route_link[traffic.ints[v, ROUTE], lane]
-        if seen >= reach or link < 0:
-            return True
+        stops = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s) >= speed
+        if link < 0:
+            if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]] and not stops:
+                verdict = DROP
+            break
+        letter = state.link_letter[link]
+        if not is_major(letter):
+            if not stops:
+                verdict = DROP if _never_major(net, link, letter) else WAIT
+            break
         lane = net.link_ints[link, LINK_NEXT]
+        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], wish, step_s) < speed:
+            verdict = DROP
+            break
         leader = last_on(net, traffic, state, lane, v)
+    if verdict == ENTER and _changes_too_late(net, traffic, state, v, start, position, step_s):
+        verdict = DROP
+    return verdict
+
+
+@compiled
+def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end."""
+    variant = find_variant(net, state, traffic.ints[v, ROUTE])
+    offset = net.best_offset[variant, lane]
+    if -2 < offset < 2:
+        return False
+    driver = traffic.floats[v]
+    left = net.best_length[variant, lane] - position - (ROOM_RIGHT_M if offset < 0 else ROOM_LEFT_M)
+    limit = net.lane_floats[lane, LANE_LIMIT]
+    return stop_speed(driver, left, driver[DEPART_SPEED], limit, driver[DECEL], step_s) < driver[DEPART_SPEED]
+
+
+@compiled
+def _never_major(net, link, letter):  # type: ignore[no-untyped-def]
+    """Return whether ``link``, which shows ``letter`` now, will never let vehicles pass that cannot stop."""
+    if letter in (MINOR, EQUAL, STOP, ALLWAY_STOP):
+        return True
+    program = net.link_ints[link, LINK_PROGRAM]
+    if program < 0:
+        return False
+    first = net.program_ints[program, PROGRAM_FIRST_PHASE]
+    for phase in range(first, first + net.program_ints[program, PROGRAM_PHASES]):
+        if net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]] == MAJOR_GREEN:
+            return False
+    return True
 
 
 @compiled
@@ -88,5 +167,6 @@ def enter(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     floats[v, POSITION] = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     floats[v, SPEED], floats[v, ACCEL] = driver[DEPART_SPEED], 0.0
     state.ints[v, STATUS] = DRIVING
+    state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     place(state, v, lane)
     state.clock[ON_ROAD] += 1

@@ -39,6 +39,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
     WAITING_MS,
 )
+from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import may_pass, note_request, pass_link
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
@@ -83,7 +84,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 needed_wait, needed_can_brake = values[ITEM_WAIT], can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
-            waits = waits or (safe < driver[DECEL] and safe <= slowest and safe < fastest)
+            waits = waits or (safe < driver[DECEL] and safe <= values[ITEM_WAIT] and safe < fastest)
         elif (
             not can_brake
             and net.link_ints[link, LINK_PROGRAM] < 0
@@ -100,7 +101,8 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
             safe, waits = max(slowest, needed_wait), True
-        needed = 0.0
+        # Who goes on shall not be held up by lane changes.
+        needed = 0.0 if waits and safe < speed else min(needed, safe)
     state.ints[v, HAS_TO_WAIT] = waits
     return safe, needed
 
@@ -192,6 +194,8 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
         floats[v, POSITION] -= net.lane_floats[lane, LANE_LENGTH]
         pass_link(net, state, v, link)
         lane = net.link_ints[link, LINK_NEXT]
+        if not net.lane_ints[lane, LANE_INSIDE]:
+            ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     ints[v, LANE] = lane
     lay_tail(net, traffic, state, v, kept)
     return lane

@@ -7,8 +7,11 @@ or of a lane that does not lead on, or where the vehicle could stop in time and 
 
 from __future__ import annotations
 
+import math
+
 from izoo.envs.twin.arrays import (
     AHEAD,
+    COMMAND,
     DECEL,
     EMERGENCY_DECEL,
     FIRST_ITEM,
@@ -46,7 +49,6 @@ from izoo.envs.twin.arrays import (
     TAU,
     VARIANT,
 )
-from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import limit_by_foes
 from izoo.envs.twin.following import (
@@ -81,7 +83,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     floats, ints = state.floats, state.ints
     driver = traffic.floats[v]
     route = traffic.ints[v, ROUTE]
-    variant = ints[v, VARIANT] = find_variant(net, state, route)
+    variant = ints[v, VARIANT]
     speed, lane = floats[v, SPEED], ints[v, LANE]
     wish = net.lane_floats[lane, LANE_LIMIT]
     fastest = most_speed(driver, speed, step_s)
@@ -91,6 +93,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
     seen_roads = 0.0 if inside else seen
     best = min(fastest, wish)
+    command = floats[v, COMMAND]
+    if not math.isnan(command):
+        best = max(min(command, best), slowest)
     passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
     beyond = slowed_for_minor = False
     lane_limit = wish
@@ -104,6 +109,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             back = back_on(net, traffic, state, leader, lane)
             gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
             safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
+            if count == 0 and inside and ints[leader, LANE] != lane and gap < driver[MIN_GAP]:
+                # Behind somebody who has left the junction but for the tail.
+                safe = 0.0
             best = min(best, safe)
             passing = min(passing, best)
             if count > 0:
@@ -149,7 +157,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
             break
         before = best
-        best, passing, request = limit_by_foes(net, traffic, state, v, link, seen, best, passing, request, step_s)
+        floor = state.item_floats[item - 1, ITEM_WAIT] if count > 1 else 0.0
+        best, passing, request = limit_by_foes(
+            net, traffic, state, v, link, seen, best, passing, request, floor, step_s
+        )
         if best < before and count > 1:
             state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from izoo.envs.twin.active import activate_busy, forget_empty
 from izoo.envs.twin.arrays import (
+    ACTIVE_FIRST,
+    ACTIVE_LAST,
+    ACTIVE_NEXT,
     AHEAD,
     BEHIND,
     CHANGE_UNTIL_MS,
@@ -21,6 +25,7 @@ from izoo.envs.twin.arrays import (
     MAX_TAIL_LANES,
     MIN_GAP,
     NEVER_MS,
+    NOT_ACTIVE,
     NOW_MS,
     STEP_COUNT,
     STOOD_FOR,
@@ -68,11 +73,14 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
         changer_way=np.zeros(32),
         lane_room=np.zeros(lanes),
         moved=np.zeros(count, np.int32),
+        active=np.full((lanes, 3), -1, np.int32),
     )
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
+    state.active[:, ACTIVE_NEXT] = NOT_ACTIVE
+    state.clock[[ACTIVE_FIRST, ACTIVE_LAST]] = -1
     begin_signals(net, state)
     return state
 
@@ -87,7 +95,10 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
     show_signals(net, state)
     state.clock[ITEM_TOTAL] = 0
-    for lane in range(state.lanes.shape[0]):
+    activate_busy(net, state)
+    forget_empty(state)
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         in_front_m = 0.0
         while v >= 0:
@@ -96,22 +107,29 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
             keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)
             in_front_m += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
             v = state.ints[v, BEHIND]
+        lane = state.active[lane, ACTIVE_NEXT]
     register_approaches(state)
     count = 0
-    for lane in range(state.lanes.shape[0]):
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         while v >= 0:
             behind = state.ints[v, BEHIND]
             count = drive(net, traffic, state, v, state.moved, count, step_ms)
             v = behind
+        lane = state.active[lane, ACTIVE_NEXT]
+    forget_empty(state)
     for k in range(count):
         v = state.moved[k]
         place(state, v, state.ints[v, LANE])
-    for lane in range(state.lanes.shape[0]):
+    activate_busy(net, state)
+    lane = state.clock[ACTIVE_FIRST]
+    while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         while v >= 0:
             prepare_change(state, v)
             v = state.ints[v, BEHIND]
+        lane = state.active[lane, ACTIVE_NEXT]
     change_lanes(net, traffic, state, step_ms)
     insert_vehicles(net, traffic, state, step_ms)
     state.clock[NOW_MS] += step_ms

@@ -27,6 +27,7 @@ class TwinEpisode:
 
     Attributes:
         net, traffic, state: the arrays; values may be changed, arrays never replaced.
+        addresses: where compiled code finds them (:mod:`izoo.envs.twin.compiled`), in this order.
 
     Args:
         step_ms: length of a step, 50 to 1000.
@@ -37,11 +38,11 @@ class TwinEpisode:
         self.state: TwinState = new_state(net, traffic)
         pairs = ((net, NET), (traffic, TRAFFIC), (self.state, STATE))
         self._directories = [directory(tables, kind) for tables, kind in pairs]
-        self._addresses = [words.ctypes.data for words in self._directories]
+        self.addresses = [words.ctypes.data for words in self._directories]
 
     def step(self) -> None:
         """Advance by one step."""
-        step(*self._addresses, self.step_ms)
+        step(*self.addresses, self.step_ms)
 
     def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
         """Command speeds until further notice; NaN gives control back."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from izoo.envs.twin.advising import (
-    OVERTAKING_MPS,
     add_advice,
     inform_follower,
     inform_leader,
@@ -82,6 +81,7 @@ _LEFT_THRESHOLD, _RIGHT_THRESHOLD = 0.2, 2.0
 _KEEP_RIGHT_S, _ACCEPTANCE_S = 5.0, 7.0
 _REMAINING_S = 20.0
 _FORESIGHT_S = 8.0
+_EQUAL_MPS = 5e-6
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
 """Values of ``CHANGE_MODE``: as SUMO has it; what the route needs, and commands."""
@@ -177,12 +177,12 @@ def want(  # type: ignore[no-untyped-def]
     )
     usable = length - position - best_jam
     other_left = max(0.0, other_length - position - max(own_jam, other_jam))
-    avoiding = False
+    avoiding, cap = False, limit
     if to_best and offset == own_offset and usable / abs(offset) < needed:
         flags |= toward | STRATEGIC | URGENT
     else:
-        if beside >= 0 and not right and not is_congested(net, state, v):
-            avoiding = _fall_behind(net, traffic, state, v, other, beside, beside_gap, limit, step_s)
+        if beside >= 0 and not right and not is_congested(state, v):
+            avoiding, cap = _fall_behind(traffic, state, v, beside, beside_gap, limit, step_s)
         if (not to_best and other_left / (abs(offset) + 2) < needed) or (
             offset == 0
             and (other_left * 2.0 < needed or (net.best_open[variant, other] and other_length < _TURN_LANE_M))
@@ -203,27 +203,43 @@ def want(  # type: ignore[no-untyped-def]
     if right and offset == 0 and limit > _MOTORWAY_MPS and ahead_speed > HALTING_MPS:
         return flags | STAY | STRATEGIC
     return _want_freely(
-        net, traffic, state, v, side, flags, offset, to_best, leader, gap, beside, beside_gap, avoiding, needed, step_s
+        net,
+        traffic,
+        state,
+        v,
+        side,
+        flags,
+        offset,
+        to_best,
+        leader,
+        gap,
+        beside,
+        beside_gap,
+        avoiding,
+        cap,
+        needed,
+        step_s,
     )
 
 
 @compiled
-def _fall_behind(net, traffic, state, v, other_lane, beside, gap, limit, step_s):  # type: ignore[no-untyped-def]
-    """Do not pass a slower vehicle on its right where that is forbidden; return whether to go left instead."""
+def _fall_behind(traffic, state, v, beside, gap, limit, step_s):  # type: ignore[no-untyped-def]
+    """Do not pass a slower vehicle on its right where that is forbidden.
+
+    Returns:
+        Whether to go left instead, and the speed (m/s) that is left on the own lane.
+    """
     driver, speed, other = traffic.floats[v], state.floats[v, SPEED], state.floats[beside, SPEED]
-    slower = max(limit - net.lane_floats[other_lane, LANE_LIMIT], limit - other)
+    slower = speed - other
     if slower <= 0.0:
-        return False
-    braked = max(0.0, limit - driver[DECEL] * step_s)
-    safe = follow_speed(driver, gap, speed, other, limit, step_s)
-    if safe < braked:
-        safe = max(braked, other - OVERTAKING_MPS)
+        return False, limit
+    safe = max(follow_speed(driver, gap, speed, other, limit, step_s), other, speed - driver[DECEL] * step_s)
     add_advice(state, v, safe)
     later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, other, limit, step_s)
     if later >= safe:
-        return False
+        return False, safe
     state.floats[v, SPEED_GAIN] += step_s * slower / max(limit, _LEAST_GAIN_SPEED_MPS)
-    return True
+    return True, safe
 
 
 @compiled
@@ -233,7 +249,8 @@ def _prepare_urgent(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Make room for an urgent change: reserve some for those who cross over, and tell leader and follower."""
     floats, lane = state.floats, state.ints[v, LANE]
-    if to_best and abs(offset) > 1 and net.best_open[state.ints[v, VARIANT], lane]:
+    is_open = net.best_open[state.ints[v, VARIANT], lane]
+    if to_best and abs(offset) > 1 and is_open and not net.lane_ints[lane, LANE_INSIDE]:
         reserve = _CROSSING_ROOM_RIGHT_M if right else _CROSSING_ROOM_LEFT_M
         floats[v, BLOCKER_LENGTH] = max(reserve, floats[v, BLOCKER_LENGTH])
     floats[v, LEFT_SPACE] = left_m
@@ -255,8 +272,9 @@ def _prepare_urgent(  # type: ignore[no-untyped-def]
 
 @compiled
 def _want_freely(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, side, flags, offset, to_best, leader, gap, beside, beside_gap, avoiding, needed, step_s
-):
+    net, traffic, state, v, side, flags, offset, to_best, leader, gap, beside, beside_gap, avoiding, cap, needed,
+    step_s,
+):  # fmt: skip
     """Return the state bits of a wish that the route does not press for."""
     floats = state.floats
     lane, variant = state.ints[v, LANE], state.ints[v, VARIANT]
@@ -276,8 +294,10 @@ def _want_freely(  # type: ignore[no-untyped-def]
 
     chasing = _accelerates(state, leader) or _accelerates(state, beside)
     length = net.best_length[variant, lane]
-    here = min(limit, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
+    here = min(limit, cap, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
     there = min(other_limit, _anticipate(traffic, state, v, beside, beside_gap, other_length, limit, chasing, step_s))
+    if abs(there - here) < _EQUAL_MPS:
+        there = here
     gain = (there - here) / max(there, _LEAST_GAIN_SPEED_MPS)
     lasting = other_length / max(0.1, speed) > _REMAINING_S
     if right:
@@ -308,7 +328,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
     if (
         to_best
         and offset == net.best_offset[variant, lane]
-        and gain > 0.0
+        and gain >= 0.0
         and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
     ):
         request = flags | toward | STRATEGIC

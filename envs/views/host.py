@@ -17,7 +17,7 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import KEEP_LANE, EnvConfig
+from izoo.envs.config import KEEP_LANE, EnvConfig, checked_config
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.picture import draw
@@ -59,9 +59,7 @@ class Host:
             check_choice("render_mode", render_mode, RENDER_MODES)
         if render_mode == "human" and not has_screen():
             raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
-        config = EnvConfig() if config is None else config
-        if not isinstance(config, EnvConfig):
-            raise IzooError(f"config is a {type(config).__name__}; give an izoo.envs.EnvConfig.")
+        config = checked_config(config)
         self.config = dataclasses.replace(config, emit=("vehicles", "signal"), gui=render_mode == "human")
         self.render_mode = render_mode
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)

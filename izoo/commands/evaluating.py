@@ -50,7 +50,8 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
     seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
-    print(f"Evaluating {subject.name}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
+    where = "" if config.simulator == "sumo" else " on the twin"
+    print(f"Evaluating {subject.name}{where}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,
@@ -58,6 +59,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         subject.env,
         num_workers=config.num_workers,
         executor=config.executor,
+        simulator=config.simulator,
         out_dir=out,
         name=subject.name,
         uncommanded=config.uncommanded,
@@ -119,4 +121,4 @@ def _label(subject: Subject, config: EvaluateConfig) -> str:
     """Name a folder after what decides its content, so that the same command goes on where it stopped."""
     parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
-    return f"{subject.contexts.name}-{digest}"
+    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == "sumo" else f"-{config.simulator}")

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from izoo.conf.report_options import ReportConfig
     from izoo.conf.train_options import CollectConfig, TrainConfig
 
+MANIFEST = "evaluation.json"
+"""As :data:`izoo.evaluation.table.MANIFEST_FILE`, which is slow to import."""
 RESULTS = "give one that izoo.evaluate, izoo.train or a benchmark has written"
 
 
@@ -29,7 +31,11 @@ def check_train(config: TrainConfig) -> None:
 
 
 def check_evaluate(config: EvaluateConfig) -> None:
-    """Refuse a run without the checkpoint, a module that is not installed, or contexts in a missing folder."""
+    """Refuse a run without the checkpoint, a module that is not installed, contexts in a missing folder, or an occupied
+    folder for the results.
+    """
+    if config.out is not None:
+        _check_results(Path(config.out))
     if config.run is not None:
         checkpoint.find(Path(config.run), config.checkpoint)
     elif config.policy is not None and ":" in config.policy:
@@ -74,6 +80,14 @@ def _check_contexts(contexts: Any) -> None:
 def _check_run(folder: Path) -> None:
     if not folder.exists():
         raise IzooError(f"{folder} does not exist; give the folder of a training run.")
+
+
+def _check_results(folder: Path) -> None:
+    """Refuse a folder that holds other things than an evaluation, beside which its files would be hard to tell."""
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / MANIFEST).is_file():
+        raise IzooError(
+            f"out={folder} holds other things than an evaluation; choose a new folder, or one that izoo.evaluate wrote."
+        )
 
 
 def _check_module(policy: str) -> None:

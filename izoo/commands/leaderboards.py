@@ -9,10 +9,18 @@ from typing import Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
+from izoo.console import plain
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
 
 EXIT_MARKED = 1
+FIGURES = (
+    ("mean benefit,\nexact gate", "exact", "mean"),
+    ("whole region", "region_exact", "mean"),
+    ("over\nuncommanded,\nno gate", "over_uncommanded", "mean"),
+    ("demand\nserved", "served", "policy"),
+)
+"""Columns of a leaderboard: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
 
 
 def _validate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,39 +76,38 @@ def _submissions(paths: Sequence[Path]) -> list[Path]:
 
 
 def _print_checked(item: Any) -> None:
-    print(f"{item.source}: " + ("marked" if item.marks else "in order"))
+    print(f"{plain(item.source)}: " + ("marked" if item.marks else "in order"))
     for word, texts in (("mark", item.marks), ("note", item.notes)):
         for text in texts:
-            print(f"  {word}: {text}")
+            print(f"  {word}: {plain(text)}")
 
 
 def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.markup import escape
+    from rich.text import Text
 
-    from izoo.evaluation.show import percent
-    from izoo.reporting.submissions import headline
+    from izoo.evaluation.show import figure_table, intervals_in_words, stacked
 
     console = Console()
     for group in merged["groups"]:
         protocol = group["protocol"]
         title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
-        table = Table(title=title, title_justify="left")
-        for column in ("rank", "policy", "mean benefit, exact gate", "approaches", "training seeds"):
-            table.add_column(column, justify="left" if column == "policy" else "right")
-        for line in [*group["ranked"], *group["marked"]]:
+        table = figure_table(escape(plain(title)), "rank, policy", [label for label, _, _ in FIGURES])
+        lines = [*group["ranked"], *group["marked"]]
+        for line in lines:
             n = line["n"]
-            table.add_row(
-                str(line.get("rank", "-")),
-                line["policy"]["name"],
-                percent(headline(line)),
-                str(n["approaches"]),
-                str(n["train_seeds"]),
-            )
+            about = f"{n['approaches']} approaches, training seeds: {n['train_seeds']}"
+            figures = (line["aggregates"]["all"].get(part, {}).get(name) for _, part, name in FIGURES)
+            entry = Text(f"{line.get('rank', '-')} {plain(line['policy']['name'])}\n{about}")
+            table.add_row(entry, *map(stacked, figures))
         console.print(table)
-        for line in [*group["ranked"], *group["marked"]]:
+        trained = [line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"]
+        console.print(intervals_in_words([line["n"]["intersections"] for line in lines], trained), highlight=False)
+        for line in lines:
             for text in [*line["marks"], *line["notes"]]:
-                console.print(f"  {line['policy']['name']} ({line['source']}): {text}", highlight=False, soft_wrap=True)
+                note = plain(f"  {line['policy']['name']} ({line['source']}): {text}")
+                console.print(note, highlight=False, markup=False, soft_wrap=True)
 
 
 LEADERBOARD = SubcommandCommand(

@@ -16,8 +16,8 @@ from typing import Any
 
 from izoo import __version__
 from izoo.commands.help_page import help_text, to_yaml
-from izoo.console import EXIT_BAD_INPUT, exit_code, stop_requested, unheard
-from izoo.errors import IzooError, unknown_choice
+from izoo.console import EXIT_BAD_INPUT, EXIT_UNFINISHED, exit_code, unheard
+from izoo.errors import IzooError, UnfinishedError, unknown_choice
 
 FOLDERS = ("run_dir", "out")
 """Options that name where a command's results go."""
@@ -51,7 +51,7 @@ class OptionCommand:
     literal: tuple[str, ...] = ()
 
     def main(self, argv: Sequence[str] | None = None) -> int:
-        """Run the command and return its exit code: 0, 2 for input that cannot be used, 130 when it was stopped."""
+        """Run the command and return its exit code (:func:`izoo.console.exit_code`)."""
         words = list(sys.argv[1:] if argv is None else argv)
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -133,7 +133,6 @@ def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]
             )
     for config in combinations:
         command._check(config)
-    stop_requested.clear()
 
     def job(composed: DictConfig) -> None:
         try:
@@ -144,11 +143,9 @@ def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]
             compose.clear()  # the work may compose options, too
             with unheard():
                 command._work(config, given)
-        except IzooError as error:
+        except (IzooError, UnfinishedError) as error:
             print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
-            raise SystemExit(EXIT_BAD_INPUT) from None
-        if stop_requested.is_set():
-            raise KeyboardInterrupt
+            raise SystemExit(EXIT_BAD_INPUT if isinstance(error, IzooError) else EXIT_UNFINISHED) from None
 
     compose.clear()
     arguments = sys.argv

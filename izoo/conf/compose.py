@@ -21,7 +21,8 @@ from omegaconf.errors import OmegaConfBaseException
 from izoo.algos import registry
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.contexts.cities.rebuilt import CITIES, city_name
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.envs.mdp.reward import PRESETS
 from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
@@ -29,6 +30,7 @@ CONFIG_MODULE = "izoo.conf"
 DEFAULT_ALGORITHM = "ppo"
 """As in ``train.yaml``."""
 MAX_CHECKED = 200
+REWARD_CHOICE = "env.reward="
 
 
 def choices() -> dict[str, tuple[str, ...]]:
@@ -77,12 +79,16 @@ def _skeleton(config_name: str, words: tuple[str, ...]) -> DictConfig:
 def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
     """Parse ``option=value`` words; values that Hydra's grammar cannot read, such as odd paths, are taken literally.
 
+    ``env.reward=NAME`` stands for the weights of that preset; other words change them, wherever they stand.
+
     Raises:
         IzooError: a word is not of that form, or lists several values outside a multirun.
     """
     parser = OverridesParser.create()
     overrides = []
-    for word in words:
+    presets = [word for word in words if word.startswith(REWARD_CHOICE)]
+    others = [word for word in words if word not in presets]
+    for word in (*_reward_words(presets), *others):
         key, equals, value = word.partition("=")
         if not equals and not key.startswith("~"):
             raise IzooError(f"{word!r} is not of the form option=value; --help lists the options.")
@@ -100,6 +106,17 @@ def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
             )
         overrides.append(override)
     return overrides
+
+
+def _reward_words(presets: Sequence[str]) -> list[str]:
+    """Return the words of every weight of the reward preset that is chosen last."""
+    if not presets:
+        return []
+    name = presets[-1].removeprefix(REWARD_CHOICE).strip("'\"")
+    if name not in PRESETS:
+        raise unknown_choice(REWARD_CHOICE[:-1], name, PRESETS)
+    chosen: RewardConfig = getattr(RewardConfig, name)()
+    return [f"env.reward.{option}={str(value).lower()}" for option, value in to_mapping(chosen).items()]
 
 
 def check_names(config_name: str, overrides: Sequence[Override]) -> None:

@@ -20,8 +20,8 @@ class EvaluateConfig:
     Attributes:
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
-        policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``random``, ``glide``), or
-            ``module:function``.
+        policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
+            ``glide``), or ``module:function``.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
@@ -30,6 +30,7 @@ class EvaluateConfig:
         seed: base of the episode seeds and of the drawn contexts.
         out: folder of the results; an evaluation that was interrupted goes on there. null: a folder named after the
             options, in ``evaluations`` of the run's folder or of the current one.
+        simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
         num_workers: worker processes, each with one simulator.
         executor: where they are: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS
             names, or else one on this machine).
@@ -46,6 +47,7 @@ class EvaluateConfig:
     seeds: int = 3
     seed: int = 0
     out: str | None = None
+    simulator: Literal["sumo", "twin"] = "sumo"
     num_workers: int = 2
     executor: Literal["processes", "ray"] = "processes"
     uncommanded: bool = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -88,7 +89,7 @@ def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
     if groups and isinstance(value, Mapping):
         names = {get_args(field_types(kind)["name"])[0]: kind for kind in groups if "name" in field_types(kind)}
         name = value.get("name")
-        if name not in names:
+        if not isinstance(name, str) or name not in names:
             raise unknown_choice(_join(path, "name"), name, names)
         return from_mapping(names[name], value, path)
     problems = []
@@ -116,6 +117,8 @@ def _convert_sequence(kind: Any, value: Any, path: str) -> Any:
 
 def _convert_scalar(kind: Any, value: Any, path: str) -> Any:
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if is_number and not math.isfinite(value):
+        raise IzooError(f"{path} is {value!r}; it must be a finite number.")
     if kind is float and is_number:
         return float(value)
     if kind is int and is_number and float(value).is_integer():

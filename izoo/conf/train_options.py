@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -12,7 +13,11 @@ from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
-from izoo.errors import check_range
+from izoo.envs.mdp.frame import TEAM_REWARD
+from izoo.errors import IzooError, check_range
+
+TWIN_ENVS = 64
+"""Environments on the twin where nothing is said."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,24 @@ class CollectorConfig:
     """
 
     name: Literal["parallel", "single", "multisync", "ray"] = "parallel"
+
+
+@dataclass(frozen=True)
+class TwinConfig:
+    """How the twin runs; of no concern on SUMO.
+
+    Attributes:
+        threads: threads that share the environments out among them; null: one per core.
+        surrogate: what computes CO2: ``torch``, the module in one call for all vehicles, or ``compiled``, the same
+            function without torch, which is faster on a CPU.
+    """
+
+    threads: int | None = None
+    surrogate: Literal["torch", "compiled"] = "torch"
+
+    def __post_init__(self) -> None:
+        if self.threads is not None:
+            check_range("twin.threads", self.threads, 1, 1024)
 
 
 @dataclass(frozen=True)
@@ -68,7 +91,8 @@ class ValidationConfig:
         every_batches: batches between two validations; weights that are due while one is still running wait, or give
             way to newer ones. The last weights of a run of this many batches or more are validated too. 0: never.
         contexts: how many contexts are drawn from the validation split; where contexts have no splits, or too few
-            intersections for one, from the training contexts.
+            intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
+            becoming the best.
         seeds: paired episodes per context, 3 or more.
     """
 
@@ -110,7 +134,8 @@ class TrainConfig:
 
     Attributes:
         algo: the algorithm and its hyper-parameters.
-        action: whether the policy commands accelerations (``direct``) or corrects a scripted driver's (``residual``).
+        action: whether the policy commands accelerations (``direct``), advises the simulator's own driver (``advise``)
+            or corrects a scripted one (``residual``).
         contexts: which contexts episodes are drawn from.
         env: the environment.
         collector: how environments are stepped.
@@ -118,8 +143,13 @@ class TrainConfig:
         checkpoint: when the run's state is saved.
         validation: the comparison that goes on beside training, and chooses the best weights.
         evaluation: the comparison that ends the run.
+        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. Validation and the
+            comparison that ends the run are on SUMO either way.
+        twin: how the twin runs.
         seed: base seed: episodes, drivers, network weights, exploration.
-        num_workers: environments, each in a process of its own (but for ``collector=single``).
+        num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and processes
+            of the comparison that ends the run.
+        num_envs: environments on the twin; null: 64.
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
             Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
         total_frames: environment steps of the whole run, over all workers.
@@ -137,8 +167,11 @@ class TrainConfig:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
+    simulator: Literal["sumo", "twin"] = "sumo"
+    twin: TwinConfig = field(default_factory=TwinConfig)
     seed: int = 0
     num_workers: int = 2
+    num_envs: int | None = None
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     total_frames: int = 195_000
     run_dir: str | None = None
@@ -147,9 +180,29 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_range("seed", self.seed, 0, 2**31 - 1)
         check_range("num_workers", self.num_workers, 1, 1024)
+        check_num_envs(self.simulator, self.num_envs)
+        if self.simulator == "twin" and self.collector.name != "parallel":
+            raise IzooError(
+                f"collector={self.collector.name} is a way to step SUMO; with simulator=twin leave collector out, and "
+                "set num_envs and twin.threads."
+            )
         check_range("total_frames", self.total_frames, 1, 10**12)
+        if getattr(self.algo, "credit", "agent") == "team":
+            self._credit_the_team()
         for name in ("run_dir", "resume"):
             _make_absolute(self, name)
+
+    def _credit_the_team(self) -> None:
+        """Refuse a reward that is not the team's, and let the environment emit the team's."""
+        if self.env.reward.eta != 1.0:
+            raise IzooError(
+                f"algo.credit=team estimates one advantage for the whole team, but env.reward.eta is "
+                f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
+                "or algo.credit=agent."
+            )
+        if TEAM_REWARD not in self.env.emit:
+            emit = (*self.env.emit, TEAM_REWARD)
+            object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
 
 
 @dataclass(frozen=True)
@@ -164,8 +217,11 @@ class CollectConfig:
         contexts: which contexts episodes are drawn from.
         env: the environment, and with ``env.emit`` what is stored.
         shard_frames: most steps per shard, a set of memory-mapped files.
+        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process.
+        twin: how the twin runs.
         seed: base seed: episodes, drivers, exploration.
-        num_workers: environments, each in a process of its own.
+        num_workers: environments on SUMO, each in a process of its own.
+        num_envs: environments on the twin; null: 64.
     """
 
     policy: str = "random"
@@ -174,15 +230,30 @@ class CollectConfig:
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
     shard_frames: int = 100_000
+    simulator: Literal["sumo", "twin"] = "sumo"
+    twin: TwinConfig = field(default_factory=TwinConfig)
     seed: int = 0
     num_workers: int = 2
+    num_envs: int | None = None
 
     def __post_init__(self) -> None:
+        check_num_envs(self.simulator, self.num_envs)
         check_range("frames", self.frames, 1, 10**12)
         check_range("shard_frames", self.shard_frames, 1, 10**9)
         check_range("seed", self.seed, 0, 2**31 - 1)
         check_range("num_workers", self.num_workers, 1, 1024)
         _make_absolute(self, "out")
+
+
+def check_num_envs(simulator: str, num_envs: int | None) -> None:
+    """Raise :class:`IzooError` where the number of environments is out of range, or would be ignored."""
+    if num_envs is None:
+        return
+    check_range("num_envs", num_envs, 1, 65536)
+    if simulator == "sumo":
+        raise IzooError(
+            f"num_envs is {num_envs}, but on SUMO every environment is a process: set num_workers, or simulator=twin."
+        )
 
 
 def _make_absolute(config: object, name: str) -> None:

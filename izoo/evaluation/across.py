@@ -1,7 +1,7 @@
 """What an entry of a benchmark achieved over its training seeds: rows per approach and seed, and their aggregates.
 
-Two uncertainties are kept apart: other training seeds on the same approaches (rliable's stratified bootstrap), and
-other intersections for the same training seeds (bootstrap over intersections of each approach's mean over seeds).
+A training seed is one policy on all approaches. Every figure is a mean over training seeds, and its interval is over
+other intersections and, from four training seeds on, over other training seeds as well.
 """
 
 from __future__ import annotations
@@ -13,84 +13,126 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from izoo.evaluation.aggregates import SCORES, TASK, aggregates, over_intersections, over_train_seeds, plain
-from izoo.evaluation.policies import HUMAN
+from izoo.evaluation.aggregates import OVER_UNCOMMANDED, RUN, TASK, estimates, plain_figures, score_matrix
+from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.metrics import statistics
-from izoo.metrics.benefit import benefits
+from izoo.metrics.benefit import FORMS, PAIR, benefits
 
-RUN = "train_seed"
 PAPER_FORM = "best of {n} training seeds, chosen by its ratio of sums on the test set: the paper's form"
-THRESHOLDS = tuple(round(-1.0 + 0.02 * k, 2) for k in range(101))
+THRESHOLDS = tuple(round(-1.0 + 0.01 * k, 2) for k in range(201))
 """Benefits at which performance profiles are given."""
 
 
-def run_rows(table: pd.DataFrame, policy: str, train_seed: int, baseline: str = HUMAN) -> pd.DataFrame:
-    """Return a row per approach of one training seed: :func:`izoo.metrics.benefit.benefits` and ``train_seed``.
+def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
+    """Return a row per approach: :func:`izoo.metrics.benefit.benefits` over ``baseline``, sorted by context.
+
+    Where the table has rows of the uncommanded CV, and neither policy nor baseline is that one, the columns
+    ``benefit_over_uncommanded`` and ``benefit_region_over_uncommanded`` say what it saved of its emission.
 
     Args:
-        table: its evaluation table.
-        policy: the entry's name in it.
-        baseline: what it is compared with.
+        table: an evaluation table, or one of several training seeds.
+        policy: its name in it.
     """
-    chosen, reference = (table[table["policy"] == name] for name in (policy, baseline))
-    rows = benefits(chosen, reference)
-    rows.insert(0, RUN, train_seed)
+    chosen = table[table["policy"] == policy]
+    rows = benefits(chosen, _matching(table, baseline, chosen))
+    if UNCOMMANDED not in (policy, baseline) and (table["policy"] == UNCOMMANDED).any():
+        over = benefits(chosen, _matching(table, UNCOMMANDED, chosen))
+        names = {f"benefit_{form}ungated": OVER_UNCOMMANDED.format(form=form) for form in FORMS}
+        rows = rows.merge(over[[*TASK, *names]].rename(columns=names), on=TASK)
     return rows.sort_values(["context", "approach"], kind="stable").reset_index(drop=True)
 
 
-def aggregate(rows: pd.DataFrame, seed: int = 0, resamples: int = statistics.RESAMPLES) -> dict[str, Any]:
+def run_rows(table: pd.DataFrame, policy: str, train_seed: int, baseline: str = HUMAN) -> pd.DataFrame:
+    """Return :func:`policy_rows` of one training seed, with its column ``train_seed``."""
+    rows = policy_rows(table, policy, baseline)
+    rows.insert(0, RUN, train_seed)
+    return rows
+
+
+def _matching(table: pd.DataFrame, baseline: str, chosen: pd.DataFrame) -> pd.DataFrame:
+    """Rows of a baseline that ``chosen`` has a partner for."""
+    return table[table["policy"] == baseline].merge(chosen[list(PAIR)], on=list(PAIR), how="inner")
+
+
+def compare(rows: pd.DataFrame) -> dict[str, Any]:
+    """Aggregate the benefits of a policy over approaches, and over training seeds where there are several.
+
+    Args:
+        rows: of :func:`policy_rows`, or of :func:`run_rows`, one training seed after the other.
+
+    Returns:
+        ``all`` and ``unsaturated`` (without the flagged approaches), each with what
+        :func:`izoo.evaluation.aggregates.estimates` returns; ``saturated`` and ``left_out``: which approaches they are.
+    """
+    counted = rows[rows["left_out"] == ""]
+    blocks = {"all": counted, "unsaturated": counted[~counted["saturated"].astype(bool)]}
+    tasks = rows.drop_duplicates(TASK)
+    saturated = tasks[(tasks["left_out"] == "") & tasks["saturated"].astype(bool)]
+    left_out = tasks[tasks["left_out"] != ""]
+    return {
+        **{name: estimates(part) for name, part in blocks.items()},
+        "saturated": [f"{row.context} {row.approach}" for row in saturated.itertuples()],
+        "left_out": [f"{row.context} {row.approach}: {row.left_out}" for row in left_out.itertuples()],
+    }
+
+
+def aggregate(rows: pd.DataFrame) -> dict[str, Any]:
     """Sum up the rows of all training seeds of one entry; plain values, ready for JSON.
 
     Args:
-        rows: of :func:`run_rows`, one after the other; every training seed has the same approaches.
-        seed: of the resampling; the same rows and seed give the same numbers.
+        rows: of :func:`run_rows`, one after the other.
 
     Returns:
         ``n``: how many training seeds, approaches (counted, saturated, left out), intersections and evaluation seeds;
-        ``all`` and ``unsaturated``: what :func:`_block` returns; ``best_seed``: the paper's form, labelled as such.
+        what :func:`compare` returns; ``per_seed``: every figure of each training seed; ``best_seed``: the paper's form,
+        labelled as such.
     """
-    counted = rows[rows["left_out"] == ""]
+    compared = compare(rows)
     tasks = rows.drop_duplicates(TASK)
+    parts = [(int(seed), part[part["left_out"] == ""]) for seed, part in rows.groupby(RUN)]
+    per_seed: list[dict[str, Any]] = [
+        {"seed": seed, **plain_figures(part), "n": len(part)} for seed, part in parts if len(part)
+    ]
+    best = max(per_seed, key=lambda run: run["exact"]["ratio_of_sums"], default=None)
     n = {
-        "train_seeds": int(rows[RUN].nunique()),
+        "train_seeds": len(parts),
         "approaches": int((tasks["left_out"] == "").sum()),
-        "saturated": int(((tasks["left_out"] == "") & tasks["saturated"]).sum()),
-        "left_out": int((tasks["left_out"] != "").sum()),
+        "saturated": len(compared["saturated"]),
+        "left_out": len(compared["left_out"]),
         "intersections": int(tasks["intersection"].nunique()),
         "eval_seeds": int(rows["seeds"].min()),
     }
-    everything = _block(counted, seed, resamples)
-    best = max(everything["per_seed"], key=lambda run: run["exact"]["ratio_of_sums"] or 0.0, default=None)
-    return {
-        "n": n,
-        "all": everything,
-        "unsaturated": _block(counted[~counted["saturated"].astype(bool)], seed, resamples),
-        "best_seed": None if best is None else {"label": PAPER_FORM.format(n=n["train_seeds"]), **best},
-    }
+    label = PAPER_FORM.format(n=len(parts))
+    return {"n": n, **compared, "per_seed": per_seed, "best_seed": best and {"label": label, **best}}
 
 
-def _block(rows: pd.DataFrame, seed: int, resamples: int) -> dict[str, Any]:
-    """Return ``per_seed``: all figures of each training seed; and their :data:`SCORES` with the two kinds of interval.
+def improvement(x: pd.DataFrame, y: pd.DataFrame) -> statistics.Estimate | None:
+    """Return the probability that a training seed of X has more benefit (exact gate) on an approach than one of Y.
 
-    ``over_train_seeds`` pools all training seeds; ``over_intersections`` is of each approach's mean over them.
+    Ties count one half. ``None`` without common approaches.
+
+    Args:
+        x, y: of :func:`run_rows`, one training seed after the other.
     """
-    rows = rows.sort_values([RUN, *TASK], kind="stable")
-    parts = {int(k): part for k, part in rows.groupby(RUN)}
-    runs = max(len(parts), 1)
-    return {
-        "per_seed": [{"seed": k, **aggregates(part, plain), "n": len(part)} for k, part in parts.items()],
-        "over_train_seeds": aggregates(rows, over_train_seeds(runs, seed, resamples), SCORES),
-        "over_intersections": aggregates(rows, over_intersections(rows, seed, resamples, runs), SCORES),
-    }
+    a, b = _scores(x), _scores(y)
+    tasks = a.columns.intersection(b.columns)
+    if tasks.empty:
+        return None
+    places = x.drop_duplicates(TASK).set_index(TASK)["intersection"]
+    return statistics.improvement(a[tasks].to_numpy(), b[tasks].to_numpy(), places.loc[tasks].tolist())
 
 
-def score_matrix(rows: pd.DataFrame, column: str) -> statistics.Array:
-    """Return a column as ``[training seeds, approaches]``, approaches sorted by context and name."""
-    wide = rows.pivot(index=RUN, columns=TASK, values=column).sort_index(axis=1)
-    return wide.to_numpy(dtype=np.float64)
+def profile(rows: pd.DataFrame) -> np.ndarray:
+    """Share of (training seed, approach) with a benefit above each of :data:`THRESHOLDS`; empty without approaches."""
+    values = _scores(rows).to_numpy()
+    return statistics.performance_profile(values, THRESHOLDS) if values.size else np.empty(0)
 
 
-def compare_entries(rows: Mapping[str, pd.DataFrame], seed: int = 0, resamples: int = 500) -> dict[str, Any]:
+def _scores(rows: pd.DataFrame) -> pd.DataFrame:
+    return score_matrix(rows[rows["left_out"] == ""], "benefit_exact")
+
+
+def compare_entries(rows: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Compare entries by their gated benefit (exact gate) on the approaches that all of them have.
 
     Args:
@@ -100,20 +142,17 @@ def compare_entries(rows: Mapping[str, pd.DataFrame], seed: int = 0, resamples: 
         ``improvement``: for each pair, the probability that a training seed of ``x`` beats one of ``y`` on an approach;
         ``profiles``: ``thresholds``, and per entry the share of (training seed, approach) above each; ``approaches``.
     """
-    counted = {name: table[table["left_out"] == ""] for name, table in rows.items()}
-    keys = {name: list(table[TASK].itertuples(index=False, name=None)) for name, table in counted.items()}
-    shared = set.intersection(*(set(there) for there in keys.values()))
+    keys = {name: set(_scores(table).columns) for name, table in rows.items()}
+    shared = set.intersection(*keys.values())
     if not shared:
         return {"improvement": [], "profiles": {}, "approaches": 0}
-    scores = {
-        name: score_matrix(table[[key in shared for key in keys[name]]], "benefit_exact")
-        for name, table in counted.items()
+    common = {
+        name: table[[key in shared for key in table[TASK].itertuples(index=False, name=None)]]
+        for name, table in rows.items()
     }
-    improvement = []
-    for x, y in itertools.permutations(scores, 2):
-        estimate = statistics.improvement_estimate(scores[x], scores[y], np.random.default_rng(seed), resamples)
-        improvement.append({"x": x, "y": y, **estimate.to_dict()})
-    profiles: dict[str, Any] = {"thresholds": list(THRESHOLDS)}
-    for name, matrix in scores.items():
-        profiles[name] = statistics.performance_profile(matrix, THRESHOLDS).tolist()
-    return {"improvement": improvement, "profiles": profiles, "approaches": len(shared)}
+    found = []
+    for x, y in itertools.permutations(common, 2):
+        estimate = improvement(common[x], common[y])
+        found.append({"x": x, "y": y, **(estimate.to_dict() if estimate else {})})
+    profiles = {"thresholds": list(THRESHOLDS), **{name: profile(table).tolist() for name, table in common.items()}}
+    return {"improvement": found, "profiles": profiles, "approaches": len(shared)}

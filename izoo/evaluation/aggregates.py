@@ -1,7 +1,7 @@
 """The block of aggregates: every figure that sums up benefits over approaches, defined once.
 
-Evaluations, benchmarks over training seeds, reports and leaderboards differ only in the estimator that they hand to
-:func:`aggregates`: plain numbers, intervals over intersections, or intervals over training seeds.
+Evaluations, benchmarks over training seeds, reports and leaderboards take it from here: plain numbers of one training
+seed (:func:`plain_figures`), or estimates with intervals over all of them (:func:`estimates`).
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import numpy as np
 import pandas as pd
 
 from izoo.metrics import statistics
-from izoo.metrics.benefit import GATES, emission_pairs, ratio_of_sums
+from izoo.metrics.benefit import FORMS, GATES, emission_pairs, ratio_of_sums
 
 TASK = ["context_hash", "approach"]
 """What identifies an approach."""
-STATISTICS: dict[str, statistics.Statistic] = {
-    "mean": statistics.mean,
-    "iqm": statistics.iqm,
-    "share_positive": statistics.share_positive,
-}
-"""Aggregates of the benefit over approaches."""
-Estimator = Callable[[statistics.Array, statistics.Statistic], Any]
-"""Turns the values of all rows, ``[N]`` or ``[N, 2]``, and a statistic of them into a number or an estimate."""
+RUN = "train_seed"
+"""Column of the training seed, in rows of several of them."""
+OVER_UNCOMMANDED = "benefit_{form}over_uncommanded"
+"""Column of the benefit over the CVs that nobody commands, without gate, so that a loss shows."""
 
 
 class Figure(NamedTuple):
-    """A figure: what it takes of every row (``[N]``, or ``[N, 2]`` for sums), and the statistic over them."""
+    """A figure: what it takes of every row (``[N]``, or ``[N, 2]`` for sums), and the statistic over them.
+
+    ``share``: the statistic is a share of approaches.
+    """
 
     values: Callable[[pd.DataFrame], statistics.Array]
     statistic: statistics.Statistic
+    share: bool = False
 
 
 def _column(name: str) -> Callable[[pd.DataFrame], statistics.Array]:
@@ -50,79 +50,88 @@ def _kept(rows: pd.DataFrame) -> statistics.Array:
 
 
 def _benefit(column: str) -> dict[str, Figure]:
-    return {name: Figure(_column(column), statistic) for name, statistic in STATISTICS.items()}
-
-
-def _gated(gate: str) -> dict[str, Figure]:
     return {
-        **_benefit(f"benefit_{gate}"),
-        "share_gated": Figure(_column(f"gated_{gate}"), statistics.mean),
-        "ratio_of_sums": Figure(functools.partial(emission_pairs, gate=gate), ratio_of_sums),
+        "mean": Figure(_column(column), statistics.mean),
+        "iqm": Figure(_column(column), statistics.iqm),
+        "share_positive": Figure(_column(column), statistics.share_positive, share=True),
+    }
+
+
+def _gated(gate: str, form: str) -> dict[str, Figure]:
+    return {
+        **_benefit(f"benefit_{form}{gate}"),
+        "share_gated": Figure(_column(f"gated_{gate}"), statistics.mean, share=True),
+        "ratio_of_sums": Figure(functools.partial(emission_pairs, gate=gate, form=form), ratio_of_sums),
     }
 
 
 FIGURES: dict[str, dict[str, Figure]] = {
-    **{gate: _gated(gate) for gate in GATES},
-    "ungated": _benefit("benefit_ungated"),
+    **{f"{form}{gate}": _gated(gate, form) for form in FORMS for gate in GATES},
+    **{f"{form}ungated": _benefit(f"benefit_{form}ungated") for form in FORMS},
+    **{f"{form}over_uncommanded": _benefit(OVER_UNCOMMANDED.format(form=form)) for form in FORMS},
     "throughput": {
         "mean": Figure(_column("throughput_benefit"), statistics.mean),
         "ratio_of_sums": Figure(_flows, lambda pairs: -ratio_of_sums(pairs)),
-        "share_kept": Figure(_kept, statistics.mean),
+        "share_kept": Figure(_kept, statistics.mean, share=True),
+    },
+    "served": {
+        "policy": Figure(_column("served_policy"), statistics.mean),
+        "baseline": Figure(_column("served_baseline"), statistics.mean),
     },
 }
-"""Every figure, by part and name: per gate the benefit, the share of gated approaches and the ratio of sums."""
-SCORES: dict[str, dict[str, Figure]] = {
-    part: {name: figure for name, figure in figures.items() if name != "ratio_of_sums"}
-    for part, figures in FIGURES.items()
-    if part != "throughput"
-}
-"""The figures that have one benefit per approach, as comparisons over training seeds need."""
+"""Every figure, by part and name: by form and gate the benefit, the share of gated approaches, the ratio of sums."""
+OPTIONAL = tuple(f"{form}over_uncommanded" for form in FORMS)
+"""Parts that are there only where the rows have been compared with the uncommanded CV."""
 
 
-def aggregates(
-    rows: pd.DataFrame, estimate: Estimator, figures: dict[str, dict[str, Figure]] = FIGURES
-) -> dict[str, dict[str, Any]]:
-    """Return what ``estimate`` makes of each of ``figures``, by part and name.
+def figures_of(rows: pd.DataFrame) -> dict[str, dict[str, Figure]]:
+    """Return the part of :data:`FIGURES` that the rows have numbers for."""
+    lacking = {p for p in OPTIONAL if f"benefit_{p}" not in rows or rows[f"benefit_{p}"].isna().any()}
+    return {part: named for part, named in FIGURES.items() if part not in lacking}
+
+
+def plain_figures(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return every figure of one training seed's rows as a plain number, by part and name.
 
     Args:
-        rows: approaches that count, of :func:`izoo.metrics.benefit.benefits`; of several training seeds one after the
-            other, each with the same approaches in the same order.
+        rows: approaches that count, of :func:`izoo.metrics.benefit.benefits`.
     """
     return {
-        part: {name: estimate(figure.values(rows), figure.statistic) for name, figure in named.items()}
-        for part, named in figures.items()
+        part: {name: float(figure.statistic(figure.values(rows))) for name, figure in named.items()}
+        for part, named in figures_of(rows).items()
     }
 
 
-def plain(values: statistics.Array, statistic: statistics.Statistic) -> float:
-    """Estimate nothing: the statistic as it is."""
-    return float(statistic(values))
-
-
-def over_intersections(rows: pd.DataFrame, seed: int, resamples: int, runs: int = 1) -> Estimator:
-    """Return what estimates with an interval over other intersections, as approaches of one are not independent.
+def estimates(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return every figure with its interval (:func:`izoo.metrics.statistics.estimate`), by part and name.
 
     Args:
-        rows: as for :func:`aggregates`.
-        seed: of the resampling; the same rows and seed give the same numbers.
-        runs: training seeds whose values are averaged for each approach first; 1: values as they are.
+        rows: as for :func:`plain_figures`; with a column :data:`RUN`, of several training seeds, of which the figures
+            are averaged. Approaches that are not there in every training seed are left out.
     """
-    groups = rows["intersection"].tolist()[: len(rows) // runs]
+    rows, seeds = shared_rows(rows)
+    groups = rows["intersection"].tolist()[: len(rows) // seeds]
 
-    def estimate(values: statistics.Array, statistic: statistics.Statistic) -> dict[str, Any]:
-        means = values.reshape(runs, len(groups), *values.shape[1:]).mean(axis=0)
-        generator = np.random.default_rng(seed)
-        return statistics.bootstrap(means, statistic, generator, groups, resamples).to_dict()
+    def estimate(figure: Figure) -> dict[str, Any]:
+        values = figure.values(rows)
+        scores = values.reshape(seeds, len(groups), *values.shape[1:])
+        return statistics.estimate(scores, figure.statistic, groups, share=figure.share).to_dict()
 
-    return estimate
+    return {
+        part: {name: estimate(figure) for name, figure in named.items()} for part, named in figures_of(rows).items()
+    }
 
 
-def over_train_seeds(runs: int, seed: int, resamples: int) -> Estimator:
-    """Return what estimates with an interval over ``runs`` other training seeds on the same approaches (rliable)."""
+def shared_rows(rows: pd.DataFrame) -> tuple[pd.DataFrame, int]:
+    """Return the approaches that all training seeds have, sorted by training seed and approach; and how many seeds."""
+    if RUN not in rows:
+        return rows.sort_values(TASK, kind="stable"), 1
+    seeds = int(rows[RUN].nunique())
+    shared = rows[rows.groupby(TASK)[RUN].transform("nunique") == seeds]
+    return shared.sort_values([RUN, *TASK], kind="stable"), max(seeds, 1)
 
-    def estimate(values: statistics.Array, statistic: statistics.Statistic) -> dict[str, Any]:
-        scores = values.reshape(runs, -1)
-        generator = np.random.default_rng(seed)
-        return statistics.stratified_bootstrap(scores, statistic, generator, resamples).to_dict()
 
-    return estimate
+def score_matrix(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Return a column as ``[training seeds, approaches]``, over the approaches that all training seeds have."""
+    shared, _ = shared_rows(rows)
+    return shared.pivot(index=RUN, columns=TASK, values=column).sort_index(axis=1).astype(np.float64)

@@ -14,7 +14,9 @@ from typing import Any
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
 from izoo.evaluation.provenance import settings
+from izoo.evaluation.table import read_journal
 from izoo.files import cache_root, write_text
 
 
@@ -34,26 +36,26 @@ class EpisodeCache:
     Args:
         folder: where entries lie; a damaged entry counts as absent.
         config: settings of the environment.
+        simulator: what plays them.
     """
 
-    def __init__(self, folder: Path, config: EnvConfig) -> None:
+    def __init__(self, folder: Path, config: EnvConfig, simulator: str = "sumo") -> None:
         self.folder = folder
-        self._settings = json.dumps(settings(config), sort_keys=True)
+        self._settings = json.dumps(settings(config, simulator), sort_keys=True)
 
     def get(self, driver: str, context: Context, seed: int) -> list[dict[str, Any]] | None:
         """Return the rows of an episode, or ``None`` where it has not been run."""
         try:
-            rows = json.loads(self._path(driver, context, seed).read_text())
-        except (OSError, ValueError):
+            return read_journal(self._path(driver, context, seed)) or None
+        except IzooError:
             return None
-        return rows if isinstance(rows, list) else None
 
     def put(self, driver: str, context: Context, seed: int, rows: list[dict[str, Any]]) -> None:
         """Keep the rows of an episode; a folder that cannot be written is no error, the episode is only run again."""
         path = self._path(driver, context, seed)
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, json.dumps(rows), durable=False)
+            write_text(path, json.dumps(rows) + "\n", durable=False)
 
     def _path(self, driver: str, context: Context, seed: int) -> Path:
         key = f"{driver}\n{context.content_hash}\n{seed}\n{self._settings}"

@@ -22,7 +22,7 @@ from izoo.evaluation.table import (
     read_journal,
     write_csv,
 )
-from izoo.files import claimed, write_json
+from izoo.files import claimed, read_text, write_json
 
 FORMAT = 1
 
@@ -119,11 +119,11 @@ def _read_manifest(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json.loads(read_text(path))
         if manifest["format"] != FORMAT:
             raise IzooError(f"{path} is of another version of izoo; choose another folder.")
         return {"settings": dict(manifest["settings"]), "policies": dict(manifest["policies"])}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         if isinstance(error, IzooError):
             raise
         raise IzooError(f"{path} is damaged; remove the folder and evaluate again.") from error

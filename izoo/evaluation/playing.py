@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from izoo.contexts.context import Context
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
 from izoo.evaluation.table import EPISODE_COLUMNS, features, identity, scored_approaches
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+from izoo.metrics.definitions import APPROACH_METRICS, DEMAND, EPISODE_METRICS
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 _SEED_MASK = 2**63 - 1
@@ -60,5 +60,28 @@ def _rows(env: EcoDrivingEnv, name: str, context: Context, seed: int) -> list[di
     for leg in scored_approaches(context):
         p = road.approaches.index(leg)
         values = {metric: column[p] for metric, column in sums.items()}
+        check_closed(values, f"{name} in {context.name}, approach {leg}, seed {seed}")
         rows.append({**identity(name, context, seed, leg), **features(context, road, leg), **values, **whole})
     return rows
+
+
+def check_closed(sums: Mapping[str, float], episode: str) -> None:
+    """Check that every vehicle that was due is accounted for.
+
+    ``due = dropped + waiting + outside + early + entered`` and ``entered = crossed + unfinished``, of an approach.
+
+    Args:
+        sums: by the names of :data:`izoo.metrics.definitions.APPROACH_METRICS`.
+        episode: in words.
+
+    Raises:
+        IzooError: vehicles are missing, or counted twice.
+    """
+    for whole, parts in (("due", (*DEMAND, "early")), ("entered", ("crossed", "unfinished"))):
+        total = sum(sums[part] for part in parts)
+        if total != sums[whole]:
+            counted = ", ".join(f"{part} {sums[part]:g}" for part in parts)
+            raise IzooError(
+                f"the demand does not close ({episode}): {sums[whole]:g} vehicles {whole}, but {counted} make "
+                f"{total:g}. The simulator lost count of vehicles; please report it."
+            )

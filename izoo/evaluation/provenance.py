@@ -49,11 +49,12 @@ def code_digest(drivers: bool = False) -> str:
     return digest.hexdigest()
 
 
-def settings(config: EnvConfig) -> dict[str, Any]:
+def settings(config: EnvConfig, simulator: str = "sumo") -> dict[str, Any]:
     """Return what, besides context, seed and policy, decides an episode; plain values for JSON."""
     env = {key: value for key, value in dataclasses.asdict(config).items() if key not in INDIFFERENT}
     found = versions()
-    return json.loads(json.dumps({"env": env, "versions": {name: found[name] for name in DECISIVE}}))
+    decisive = {name: found[name] for name in DECISIVE}
+    return json.loads(json.dumps({"simulator": simulator, "env": env, "versions": decisive}))
 
 
 def versions() -> dict[str, str]:

@@ -15,11 +15,11 @@ from izoo.evaluation.processes import ATTEMPTS, EpisodeFailed, Player, Rows, Tas
 class RemotePlayer:
     """An environment and the policies in a process of the cluster."""
 
-    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig) -> None:
+    def __init__(self, policies: Mapping[str, bytes], config: EnvConfig, simulator: str) -> None:
         import torch
 
         torch.set_num_threads(1)
-        self._player = Player(policies, config)
+        self._player = Player(policies, config, simulator)
 
     def play(self, task: Task) -> tuple[str, Any]:
         """Return ``("rows", rows)`` of an episode, or ``("refused", why)`` where its input cannot be used."""
@@ -30,12 +30,16 @@ class RemotePlayer:
 
 
 def play_on_ray(
-    tasks: Sequence[Task], policies: Mapping[str, bytes], config: EnvConfig, num_workers: int
+    tasks: Sequence[Task],
+    policies: Mapping[str, bytes],
+    config: EnvConfig,
+    num_workers: int,
+    simulator: str = "sumo",
 ) -> Iterator[tuple[Task, Rows]]:
     """Play episodes on a Ray cluster and yield them as they finish.
 
     Args:
-        tasks, policies, config: as for :func:`izoo.evaluation.processes.play_all`.
+        tasks, policies, config, simulator: as for :func:`izoo.evaluation.processes.play_all`.
         num_workers: processes, each on a core of the cluster; they wait for one where too few are free.
 
     Raises:
@@ -50,7 +54,7 @@ def play_on_ray(
     make = ray.remote(**cluster.WORKER_RESOURCES)(RemotePlayer).remote
     shared = ray.put(dict(policies))
     queue = deque((task, 1) for task in tasks)
-    players = [make(shared, config) for _ in range(min(num_workers, len(tasks)))]
+    players = [make(shared, config, simulator) for _ in range(min(num_workers, len(tasks)))]
     running: dict[Any, tuple[Any, Task, int]] = {}
     try:
         idle = list(players)
@@ -66,7 +70,7 @@ def play_on_ray(
                 if attempt >= ATTEMPTS:
                     raise EpisodeFailed(f"{task}: the worker process died {ATTEMPTS} times.") from error
                 players.remove(player)
-                players.append(make(shared, config))
+                players.append(make(shared, config, simulator))
                 idle.append(players[-1])
                 queue.appendleft((task, attempt + 1))
                 continue

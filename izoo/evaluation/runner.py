@@ -11,7 +11,7 @@ import pandas as pd
 
 from izoo.console import Progress
 from izoo.contexts.context import Context
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import SIMULATORS, EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
 from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_folder
 from izoo.evaluation.folder import ResultFolder
@@ -43,6 +43,7 @@ def evaluate_policy(
     cache: Path | str | None = None,
     source: str | Path | None = None,
     executor: str = "processes",
+    simulator: str = "sumo",
 ) -> pd.DataFrame:
     """Play a policy and its baselines in every context with every seed.
 
@@ -63,6 +64,7 @@ def evaluate_policy(
             driver's name, ``module:function``, or the path of a checkpoint.
         executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
             cluster.
+        simulator: what plays the episodes: ``sumo``, or ``twin``, its compiled copy.
 
     Returns:
         The content of ``evaluation.csv``: one row per (policy, context, seed, approach), including what earlier
@@ -80,8 +82,9 @@ def evaluate_policy(
     candidate = as_candidate(policy, config, name)
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
     candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
-    folder = ResultFolder(None if out_dir is None else Path(out_dir), settings(config))
-    cached = EpisodeCache(Path(cache) if cache else default_folder(), config)
+    check_choice("simulator", simulator, SIMULATORS)
+    folder = ResultFolder(None if out_dir is None else Path(out_dir), settings(config, simulator))
+    cached = EpisodeCache(Path(cache) if cache else default_folder(), config, simulator)
     with folder.open(candidate.name, candidate.fingerprint):
         unique = list({context.content_hash: context for context in contexts}.values())
         wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
@@ -92,7 +95,7 @@ def evaluate_policy(
             todo,
             candidates,
             config,
-            functools.partial(EXECUTORS[executor], num_workers=num_workers),
+            functools.partial(EXECUTORS[executor], num_workers=num_workers, simulator=simulator),
             folder,
             cached,
             progress,

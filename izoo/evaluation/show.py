@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from izoo.console import plain
 from izoo.evaluation.policies import HUMAN
 from izoo.metrics.scores import SCORES
+from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_INTERSECTIONS, MIN_TRAIN_SEEDS
 
 SHOWN_SCORES = (
     "emission_g_per_vehicle",
@@ -16,6 +21,8 @@ SHOWN_SCORES = (
     "travel_time_s_per_vehicle",
     "approach_speed_mps",
     "stopped_time_s_per_vehicle",
+    "region_emission_g_per_vehicle",
+    "served_share",
     "unfinished_share",
     "waiting_vehicles",
     "dropped_vehicles",
@@ -23,17 +30,23 @@ SHOWN_SCORES = (
     "collisions",
     "deferred_share",
 )
-_LINES = (
+LINES = (
     ("benefit, mean", "exact", "mean"),
     ("benefit, interquartile mean", "exact", "iqm"),
     ("benefit, ratio of sums", "exact", "ratio_of_sums"),
     ("approaches with benefit", "exact", "share_positive"),
     ("approaches gated to 0", "exact", "share_gated"),
+    ("whole region: benefit, mean", "region_exact", "mean"),
+    ("whole region: interquartile mean", "region_exact", "iqm"),
     ("tested gate: benefit, mean", "tested", "mean"),
     ("tested gate: gated to 0", "tested", "share_gated"),
     ("no gate: benefit, mean", "ungated", "mean"),
+    ("no gate: over uncommanded CVs", "over_uncommanded", "mean"),
+    ("no gate: the same, whole region", "region_over_uncommanded", "mean"),
     ("throughput, mean change", "throughput", "mean"),
     ("approaches that kept it", "throughput", "share_kept"),
+    ("demand served, mean", "served", "policy"),
+    ("the same under the baseline", "served", "baseline"),
 )
 """Lines of a comparison: label, block and statistic."""
 
@@ -45,21 +58,24 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
     console.print(score_table(summary))
     for name, policy in summary["policies"].items():
         for baseline, comparison in policy["against"].items():
-            console.print(benefit_table(name, baseline, comparison, main=baseline == policy["headline"]))
+            main, share = baseline == policy["headline"], summary["scores"][name]["nan_share"]
+            console.print(benefit_table(name, baseline, comparison, main=main, nan_share=share))
             for what, entries in (("saturated", comparison["saturated"]), ("left out", comparison["left_out"])):
                 if entries:
                     more = ", ..." if len(entries) > 3 else ""
-                    console.print(f"  {what}: {len(entries)} ({', '.join(entries[:3])}{more})", highlight=False)
+                    listed = plain(f"{len(entries)} ({', '.join(entries[:3])}{more})")
+                    console.print(f"  {what}: {listed}", highlight=False, markup=False)
     for name, scores in summary["scores"].items():
         if scores["nan_share"]:
             share = f"{100.0 * scores['nan_share']:.3g} %"
-            console.print(f"{name}: {share} of its commands were NaN; SUMO drove those vehicles.", highlight=False)
+            text = f"{plain(name)}: {share} of its commands were NaN; SUMO drove those vehicles."
+            console.print(text, highlight=False, markup=False)
     console.print(
         f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
-        f"{n['episodes']} episodes; brackets: 95 % bootstrap intervals over intersections.",
+        f"{n['episodes']} episodes. {intervals_in_words([n['intersections']])}",
         highlight=False,
     )
-    if n["seeds"] < 3:
+    if n["seeds"] < MIN_EVAL_SEEDS:
         console.print(f"Only {n['seeds']} seed(s) per context: three or more are needed to judge throughput.")
 
 
@@ -68,9 +84,13 @@ def score_table(summary: dict[str, Any]) -> Table:
     return _rich("Scores (all vehicles that crossed)", *score_rows(summary))
 
 
-def benefit_table(name: str, baseline: str, comparison: dict[str, Any], main: bool) -> Table:
-    """One policy against one baseline."""
+def benefit_table(
+    name: str, baseline: str, comparison: dict[str, Any], main: bool, nan_share: float | None = None
+) -> Table:
+    """One policy against one baseline; what SUMO drove because the commands were NaN is not the policy's benefit."""
     mark = " (headline)" if main else ""
+    if nan_share:
+        mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
 
 
@@ -92,24 +112,68 @@ def comparison_rows(comparison: dict[str, Any]) -> tuple[list[str], list[list[st
     if comparison["saturated"]:
         blocks["unsaturated"] = "without saturated"
     lines = [
-        [label, *(percent(comparison[name][block][statistic]) for name in blocks)] for label, block, statistic in _LINES
+        [label, *(percent(comparison[name][part][statistic]) for name in blocks)]
+        for label, part, statistic in LINES
+        if part in comparison["all"]
     ]
     lines.append(["approaches (n)", *(str(comparison[name]["exact"]["mean"]["n"]) for name in blocks)])
     return ["", *blocks.values()], lines
 
 
 def _rich(title: str, header: list[str], lines: list[list[str]]) -> Table:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(plain(title)), title_justify="left")
     for column, word in enumerate(header):
-        table.add_column(word, justify="right" if column else "left")
+        table.add_column(Text(plain(word)), justify="right" if column else "left")
     for line in lines:
-        table.add_row(*line)
+        table.add_row(*(Text(plain(cell)) for cell in line))
     return table
 
 
 def percent(estimate: dict[str, Any]) -> str:
-    """An estimate as per cent with its interval."""
+    """An estimate as per cent, with its interval where it has one."""
     if estimate["value"] is None:
         return "-"
-    value, low, high = (round(100.0 * estimate[key], 1) + 0.0 for key in ("value", "low", "high"))  # no "-0.0"
-    return f"{value:.1f} %" + (f" [{low:.1f}, {high:.1f}]" if estimate["groups"] > 1 else "")
+    value = f"{_rounded(estimate['value']):.1f} %"
+    if estimate["low"] is None:
+        return value
+    return f"{value} [{_rounded(estimate['low']):.1f}, {_rounded(estimate['high']):.1f}]"
+
+
+def stacked(estimate: dict[str, Any] | None) -> str:
+    """An estimate as per cent with its interval below it, for narrow columns."""
+    return "-" if estimate is None else percent(estimate).replace(" [", "\n[")
+
+
+def figure_table(title: str, rows: str, columns: Sequence[str]) -> Table:
+    """Return an empty table of :func:`stacked` figures, of which only the names of the rows may be broken."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(rows, overflow="fold")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
+
+
+def _rounded(share: float) -> float:
+    return round(100.0 * share, 1) + 0.0  # no "-0.0"
+
+
+def intervals_in_words(intersections: Sequence[int], trained_seeds: Sequence[int] = ()) -> str:
+    """Return what the brackets of a table mean, and where there are none.
+
+    Args:
+        intersections: of each entry of the table.
+        trained_seeds: training seeds of each entry that was trained.
+    """
+    words = []
+    if max(intersections, default=0) >= MIN_INTERSECTIONS:
+        words.append("Brackets: 95 % intervals over other intersections")
+        if max(trained_seeds, default=0) >= MIN_TRAIN_SEEDS:
+            words[-1] += ", and other training seeds where there are any"
+    if min(intersections, default=0) < MIN_INTERSECTIONS:
+        words.append(f"No intervals with fewer than {MIN_INTERSECTIONS} intersections")
+    if min(trained_seeds, default=MIN_TRAIN_SEEDS) < MIN_TRAIN_SEEDS:
+        words.append(
+            f"Of entries with fewer than {MIN_TRAIN_SEEDS} training seeds the figures are those of these very weights: "
+            "no interval says what other seeds would give"
+        )
+    return ". ".join(words) + "."

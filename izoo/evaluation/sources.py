@@ -16,7 +16,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.files import write_bytes
+from izoo.files import read_bytes, write_bytes
 
 SOURCES_FILE = "sources.json.gz"
 FORMAT = "izoo-sources-1"
@@ -68,12 +68,12 @@ def read_sources(folder: Path) -> Sources:
     if not path.is_file():
         raise IzooError(f"{folder} has no {SOURCES_FILE}, so its episodes cannot be played again; evaluate once more.")
     try:
-        values = json.loads(gzip.decompress(path.read_bytes()))
+        values = json.loads(gzip.decompress(read_bytes(path)))
         if values["format"] != FORMAT:
             raise IzooError(f"{path} is of another version of izoo; evaluate again into another folder.")
         contexts = [context_from_dict(entry) for entry in values["contexts"]]
         policies = {str(name): None if source is None else str(source) for name, source in values["policies"].items()}
-    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; remove it and evaluate again.") from error
     return Sources({context.content_hash: context for context in contexts}, policies)
 

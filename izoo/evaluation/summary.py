@@ -8,76 +8,57 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError, check_choice
-from izoo.evaluation.aggregates import aggregates, over_intersections
+from izoo.evaluation.across import compare, policy_rows
+from izoo.evaluation.aggregates import TASK
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.metrics import statistics
-from izoo.metrics.benefit import PAIR, benefits
+from izoo.metrics.benefit import PAIR
 from izoo.metrics.scores import SCORES, pool
 
 BASELINES = (HUMAN, UNCOMMANDED)
 
 
-def approach_table(
-    table: pd.DataFrame, policy: str, baseline: str = HUMAN, seed: int = 0, resamples: int = statistics.RESAMPLES
-) -> pd.DataFrame:
-    """Return the benefit of ``policy`` over ``baseline`` for every approach, with its interval over seeds.
+def approach_table(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
+    """Return the benefit of ``policy`` over ``baseline`` for every approach, with its interval over episode seeds.
 
     Args:
         table: an evaluation table (:mod:`izoo.evaluation.table`).
-        seed: of the resampling.
 
     Returns:
-        :func:`izoo.metrics.benefit.benefits`, plus ``low`` and ``high`` of ``benefit_ungated`` (paired bootstrap
-        over seeds), sorted by context and approach.
+        :func:`izoo.evaluation.across.policy_rows`, plus ``low`` and ``high`` of ``benefit_ungated``; NaN with fewer
+        than :data:`izoo.metrics.statistics.MIN_EVAL_SEEDS` seeds.
     """
     for name in (policy, baseline):
         check_choice("policy of the evaluation", name, tuple(table["policy"].unique()))
+    rows = policy_rows(table, policy, baseline)
     chosen, reference = (table[table["policy"] == name] for name in (policy, baseline))
-    result = benefits(chosen, _matching(reference, chosen))
-    intervals = _seed_intervals(chosen, reference, np.random.default_rng(seed), resamples)
-    result = result.merge(intervals, on=["context_hash", "approach"], how="left")
-    return result.sort_values(["context", "approach"], kind="stable").reset_index(drop=True)
+    return rows.merge(_seed_intervals(chosen, reference), on=TASK, how="left")
 
 
-def _matching(reference: pd.DataFrame, chosen: pd.DataFrame) -> pd.DataFrame:
-    """Rows of ``reference`` that ``chosen`` has a partner for."""
-    return reference.merge(chosen[list(PAIR)], on=list(PAIR), how="inner")
-
-
-def _seed_intervals(
-    chosen: pd.DataFrame, reference: pd.DataFrame, generator: np.random.Generator, resamples: int
-) -> pd.DataFrame:
+def _seed_intervals(chosen: pd.DataFrame, reference: pd.DataFrame) -> pd.DataFrame:
     """Return ``low`` and ``high`` of the relative saving of each (context, approach)."""
     columns = [*PAIR, "emission_g", "crossed"]
     both = chosen[columns].merge(reference[columns], on=list(PAIR), suffixes=("_policy", "_baseline"))
     both = both[(both["crossed_policy"] > 0) & (both["crossed_baseline"] > 0)].sort_values(list(PAIR))
     rows = []
-    for (context, approach), group in both.groupby(["context_hash", "approach"], sort=False):
+    for (context, approach), group in both.groupby(TASK, sort=False):
         policy_g = (group["emission_g_policy"] / group["crossed_policy"]).to_numpy(float)
         baseline_g = (group["emission_g_baseline"] / group["crossed_baseline"]).to_numpy(float)
-        known = baseline_g.sum() > 0.0
-        estimate = statistics.paired_bootstrap(
-            policy_g if known else baseline_g + 1.0,
-            baseline_g if known else baseline_g + 1.0,
-            statistics.relative_saving,
-            generator,
-            resamples,
-        )
-        rows.append({"context_hash": context, "approach": approach, "low": estimate.low, "high": estimate.high})
-    return pd.DataFrame(rows, columns=["context_hash", "approach", "low", "high"])
+        found = statistics.paired_saving(policy_g, baseline_g)
+        rows.append({"context_hash": context, "approach": approach, "low": found.low, "high": found.high})
+    return pd.DataFrame(rows, columns=[*TASK, "low", "high"])
 
 
-def summarise(table: pd.DataFrame, seed: int = 0, resamples: int = statistics.RESAMPLES) -> dict[str, Any]:
+def summarise(table: pd.DataFrame) -> dict[str, Any]:
     """Sum up an evaluation; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
         table: an evaluation table with rows of human driving.
-        seed: of the resampling; the same table and seed give the same numbers.
 
     Returns:
         ``n`` (contexts, intersections, seeds, episodes), ``scores`` per policy (every vehicle weighs the same), and
         under ``policies``, per policy, ``headline`` (the baseline of its main figure: human driving, or with electric
-        CVs the uncommanded CV) and ``against``, per baseline, what :func:`compare` returns.
+        CVs the uncommanded CV) and ``against``, per baseline, what :func:`izoo.evaluation.across.compare` returns.
 
     Raises:
         IzooError: no rows of human driving, or unpaired rows.
@@ -92,31 +73,9 @@ def summarise(table: pd.DataFrame, seed: int = 0, resamples: int = statistics.RE
         baselines = [b for b in BASELINES if b in names and b != name]
         electric = bool((table.loc[table["policy"] == name, "engine"] == "electric").any())
         headline = UNCOMMANDED if electric and UNCOMMANDED in baselines else HUMAN
-        against = {b: compare(approach_table(table, name, b, seed, resamples), seed, resamples) for b in baselines}
+        against = {b: compare(policy_rows(table, name, b)) for b in baselines}
         summary["policies"][name] = {"headline": headline, "against": against}
     return summary
-
-
-def compare(table: pd.DataFrame, seed: int = 0, resamples: int = statistics.RESAMPLES) -> dict[str, Any]:
-    """Aggregate the benefits of a policy over approaches.
-
-    Args:
-        table: from :func:`approach_table`.
-
-    Returns:
-        ``all`` and ``unsaturated`` (without the flagged approaches), each with the estimates of
-        :func:`izoo.evaluation.aggregates.aggregates` over other intersections; ``saturated`` and ``left_out``: which
-        approaches those are.
-    """
-    counted = table[table["left_out"] == ""]
-    left_out = table[table["left_out"] != ""]
-    saturated = counted[counted["saturated"]]
-    blocks = {"all": counted, "unsaturated": counted[~counted["saturated"]]}
-    return {
-        **{name: aggregates(rows, over_intersections(rows, seed, resamples)) for name, rows in blocks.items()},
-        "saturated": [f"{row.context} {row.approach}" for row in saturated.itertuples()],
-        "left_out": [f"{row.context} {row.approach}: {row.left_out}" for row in left_out.itertuples()],
-    }
 
 
 def _counts(table: pd.DataFrame) -> dict[str, int]:
@@ -142,7 +101,7 @@ def _scores(table: pd.DataFrame) -> dict[str, dict[str, float | None]]:
     for _, row in pool(_shared(table), ["policy"]).iterrows():
         values: dict[str, float | None] = {}
         for name, score in SCORES.items():
-            value = float(row[name]) / (float(row["rows"]) if score.denominator is None else 1.0)
+            value = float(row[name]) / (1.0 if score.denominator else float(row["rows"]))
             values[name] = None if np.isnan(value) else value
         values["objective_g"] = float(row["objective_g"]) / float(row["rows"])
         scores[str(row["policy"])] = values

@@ -13,8 +13,9 @@ import pandas as pd
 
 from izoo.contexts.context import Context
 from izoo.errors import IzooError
+from izoo.evaluation.plausible import ROW_KEY, check_cells
 from izoo.evaluation.saturation import volume_over_capacity
-from izoo.files import write_text
+from izoo.files import read_text, write_text
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 
@@ -133,7 +134,7 @@ def read_csv(path: Path) -> pd.DataFrame:
         IzooError: the file cannot be read, lacks columns, or is cut short.
     """
     try:
-        text = path.read_text()
+        text = read_text(path)
         if not text.endswith("\n"):
             raise ValueError("it is cut short")  # pandas would fill the rest of the last row
         raw = pd.read_csv(io.StringIO(text), float_precision="round_trip", dtype=dict.fromkeys((*_TEXT, *_WHOLE), str))
@@ -144,6 +145,7 @@ def read_csv(path: Path) -> pd.DataFrame:
         raise IzooError(
             f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
         )
+    check_cells(raw, path, _TEXT, _WHOLE)
     rows = raw[list(COLUMNS)].to_dict("records")
     for row in rows:
         for column in (*_TEXT, *_WHOLE):
@@ -162,9 +164,16 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
     """
     if not path.exists():
         return []
-    text = path.read_text()
     try:
+        text = read_text(path)
         episodes = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
-    except ValueError as error:
+        rows = [row for rows in episodes for row in rows]
+        table = pd.DataFrame(rows, dtype=object)
+        missing = [column for column in COLUMNS if rows and column not in table]
+        if missing:
+            raise ValueError(f"rows lack {', '.join(missing)}")
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged ({error}); remove it and evaluate again.") from error
-    return [row for rows in episodes for row in rows]
+    if rows:
+        check_cells(table.drop_duplicates(list(ROW_KEY), keep="last"), path, _TEXT, _WHOLE, first=1)
+    return rows

@@ -5,4 +5,5 @@
 - :mod:`~izoo.metrics.scores`: scores per vehicle.
 - :mod:`~izoo.metrics.benefit`: benefit against human driving, paired and gated.
 - :mod:`~izoo.metrics.statistics`: aggregates with confidence intervals.
+- :mod:`~izoo.metrics.student`: the distribution that they rest on.
 """

@@ -46,6 +46,9 @@ APPROACH_METRICS: tuple[str, ...] = (
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 
+DEMAND: tuple[str, ...] = ("dropped", "waiting", "outside", "entered")
+"""The parts of the demand of the measured time, by approach: every vehicle that was due, but for the early ones."""
+
 EPISODE_METRICS: tuple[str, ...] = (
     "steps",  # control steps since warm-up
     "return",  # mean over agent-steps of the reward, summed over the episode (see the environment's docstring)

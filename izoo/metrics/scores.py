@@ -14,53 +14,54 @@ import torch
 from torch import Tensor
 
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.metrics.definitions import APPROACH_METRICS, DEMAND
 
 
 @dataclass(frozen=True)
 class Score:
-    """A score: ``sum of numerator columns / denominator column``, or the sum alone where there is no denominator.
+    """A score: ``sum of numerator columns / sum of denominator columns``, or the first alone without a denominator.
 
     Attributes:
         label: the score in words.
         numerator: names of sums, added up.
-        denominator: name of a sum, or ``None``.
+        denominator: the same; may be empty.
         unit: of the score.
         better: ``lower``, ``higher`` or ``neither``.
     """
 
     label: str
     numerator: tuple[str, ...]
-    denominator: str | None
+    denominator: tuple[str, ...]
     unit: str
     better: str
 
 
 SCORES: dict[str, Score] = {
-    "emission_g_per_vehicle": Score("emission per vehicle", ("emission_g",), "crossed", "g", "lower"),
-    "throughput": Score("vehicles that crossed", ("crossed",), None, "veh", "higher"),
-    "travel_time_s_per_vehicle": Score("travel time to the stop line", ("travel_time_s",), "crossed", "s", "lower"),
-    "approach_speed_mps": Score("approach speed", ("distance_m",), "travel_time_s", "m/s", "higher"),
-    "stopped_time_s_per_vehicle": Score("stopped time", ("stopped_time_s",), "crossed", "s", "lower"),
+    "emission_g_per_vehicle": Score("emission per vehicle", ("emission_g",), ("crossed",), "g", "lower"),
+    "throughput": Score("vehicles that crossed", ("crossed",), (), "veh", "higher"),
+    "travel_time_s_per_vehicle": Score("travel time to the stop line", ("travel_time_s",), ("crossed",), "s", "lower"),
+    "approach_speed_mps": Score("approach speed", ("distance_m",), ("travel_time_s",), "m/s", "higher"),
+    "stopped_time_s_per_vehicle": Score("stopped time", ("stopped_time_s",), ("crossed",), "s", "lower"),
     "emission_g_per_vehicle_step": Score(
-        "emission per vehicle and step", ("emission_g",), "vehicle_steps", "g", "lower"
+        "emission per vehicle and step", ("emission_g",), ("vehicle_steps",), "g", "lower"
     ),
     "emission_hdv_g_per_vehicle": Score(
-        "emission per human-driven vehicle", ("emission_hdv_g",), "crossed_hdv", "g", "lower"
+        "emission per human-driven vehicle", ("emission_hdv_g",), ("crossed_hdv",), "g", "lower"
     ),
     "region_emission_g_per_vehicle": Score(
-        "emission in the whole region per vehicle", ("region_emission_g",), "entered", "g", "lower"
+        "emission in the whole region per vehicle", ("region_emission_g",), ("entered",), "g", "lower"
     ),
-    "unfinished_share": Score("share that had not crossed", ("unfinished",), "entered", "", "lower"),
-    "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), None, "veh", "lower"),
-    "dropped_vehicles": Score("dropped before they entered", ("dropped",), None, "veh", "lower"),
-    "comfort_mps2": Score("mean absolute acceleration", ("abs_accel_sum",), "vehicle_steps", "m/s2", "lower"),
-    "jerk_mps3": Score("mean absolute jerk", ("abs_jerk_sum",), "vehicle_steps", "m/s3", "lower"),
-    "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), "min_ttc_vehicles", "s", "higher"),
-    "collisions": Score("collisions", ("collisions_cv", "collisions_hdv"), None, "", "lower"),
-    "deferred_share": Score("share of commands left to SUMO", ("deferred_steps",), "agent_steps", "", "neither"),
-    "nan_share": Score("share of commands that were NaN", ("nan_actions",), "agent_steps", "", "lower"),
-    "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), None, "veh", "lower"),
+    "served_share": Score("share of the demand that crossed", ("crossed",), DEMAND, "", "higher"),
+    "unfinished_share": Score("share that had not crossed", ("unfinished",), ("entered",), "", "lower"),
+    "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), (), "veh", "lower"),
+    "dropped_vehicles": Score("dropped before they entered", ("dropped",), (), "veh", "lower"),
+    "comfort_mps2": Score("mean absolute acceleration", ("abs_accel_sum",), ("vehicle_steps",), "m/s2", "lower"),
+    "jerk_mps3": Score("mean absolute jerk", ("abs_jerk_sum",), ("vehicle_steps",), "m/s3", "lower"),
+    "min_ttc_s": Score("smallest time to collision", ("min_ttc_sum_s",), ("min_ttc_vehicles",), "s", "higher"),
+    "collisions": Score("collisions", ("collisions_cv", "collisions_hdv"), (), "", "lower"),
+    "deferred_share": Score("share of commands left to SUMO", ("deferred_steps",), ("agent_steps",), "", "neither"),
+    "nan_share": Score("share of commands that were NaN", ("nan_actions",), ("agent_steps",), "", "lower"),
+    "red_crossings": Score("crossings on red", ("red_crossings_cv", "red_crossings_hdv"), (), "veh", "lower"),
 }
 """Every score by name, the headline first. ``emission_g_per_vehicle_step`` rewards slowness: not primary."""
 
@@ -79,14 +80,13 @@ def score_tensors(sums: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]
     """
     result: dict[str, tuple[Tensor, Tensor]] = {}
     for name, score in SCORES.items():
-        needed = (*score.numerator, *([score.denominator] if score.denominator else []))
-        if any(column not in sums for column in needed):
+        if any(column not in sums for column in (*score.numerator, *score.denominator)):
             continue
         top = torch.stack([sums[column] for column in score.numerator]).sum(0)
-        if score.denominator is None:
+        if not score.denominator:
             result[name] = (top, torch.ones_like(top, dtype=torch.bool))
             continue
-        bottom = sums[score.denominator]
+        bottom = torch.stack([sums[column] for column in score.denominator]).sum(0)
         valid = bottom > 0
         ones = torch.ones_like(bottom)
         result[name] = (torch.where(valid, top / torch.where(valid, bottom, ones), torch.zeros_like(top)), valid)
@@ -108,8 +108,8 @@ def add_scores(table: pd.DataFrame, time_weight_g_per_s: float = TIME_WEIGHT_G_P
     columns: dict[str, pd.Series] = {}
     for name, score in SCORES.items():
         top = table[list(score.numerator)].sum(axis=1)
-        bottom = None if score.denominator is None else table[score.denominator].astype(float)
-        columns[name] = top if bottom is None else (top / bottom.where(bottom > 0)).astype(float)
+        bottom = table[list(score.denominator)].sum(axis=1).astype(float)
+        columns[name] = (top / bottom.where(bottom > 0)).astype(float) if score.denominator else top
     columns["objective_g"] = table["region_emission_g"] + time_weight_g_per_s * table["region_time_s"]
     return table.drop(columns=[name for name in columns if name in table]).assign(**columns)
 

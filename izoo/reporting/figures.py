@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from izoo.evaluation.across import THRESHOLDS
 from izoo.evaluation.policies import UNCOMMANDED
 from izoo.reporting.curves import learning_curves, pareto
 from izoo.reporting.drawing import PALETTE, Figure, axis, colours, error_bars, escaped, in_percent, in_words
 from izoo.reporting.histograms import beside_published, histograms
 from izoo.reporting.material import Material
-from izoo.reporting.scored import THRESHOLDS, Scored, profile
+from izoo.reporting.scored import Scored, profile
 
 
 def forest(scored: Sequence[Scored]) -> Figure:
-    """Mean and interquartile mean of the benefit under both gates, with intervals."""
+    """Mean and interquartile mean of the benefit under both gates, with intervals where there are any."""
     data, names = [], [escaped(s.name) for s in scored][::-1]
     for gate, symbol in (("exact", "circle"), ("tested", "diamond-open")):
         for statistic, label, shift in (("mean", "mean", 0.12), ("iqm", "interquartile mean", -0.12)):
@@ -41,7 +42,7 @@ def forest(scored: Sequence[Scored]) -> Figure:
         "yaxis": {**ticks, "automargin": True, "zeroline": False},
     }
     words = [f"{s.name} {in_words(s.summary['all']['exact']['mean'])}" for s in scored]
-    caption = "Benefit over approaches with 95 % intervals. The tested gate can be switched on in the legend."
+    caption = "Benefit with 95 % intervals, where there are any. The tested gate can be switched on in the legend."
     alt = f"Mean benefit, exact gate: {'; '.join(words)}."
     return Figure("forest", "Benefit", caption, alt, data, layout, max(360, 150 + 52 * len(names)))
 
@@ -58,17 +59,20 @@ def profiles(scored: Sequence[Scored]) -> Figure:
                     "type": "scatter",
                     "mode": "lines",
                     "name": f"{escaped(s.name)} (n = {s.matrix('benefit_exact').size})",
-                    "x": np.round(100.0 * THRESHOLDS, 3).tolist(),
+                    "x": np.round(100.0 * np.array(THRESHOLDS), 3).tolist(),
                     "y": np.round(100.0 * share, 3).tolist(),
                     "line": {"color": tint[s.name], "dash": dash, "shape": "hv"},
                     "hovertemplate": "%{y:.1f} % of approaches above %{x:.1f} %<extra></extra>",
                 }
             )
     layout = {
-        "xaxis": axis("emission benefit, exact gate (%)", zeroline=True),
+        "xaxis": axis("emission benefit, exact gate (%)", zeroline=True, range=[-50, 50]),
         "yaxis": axis("approaches above it (%)", range=[0, 101]),
     }
-    caption = "Higher is better, and a curve above another everywhere is better everywhere."
+    caption = (
+        "Higher is better, and a curve above another everywhere is better everywhere. Curves are of these approaches "
+        "and training seeds, without intervals."
+    )
     alt = "Share of approaches above each benefit, a line per policy."
     return Figure("profiles", "Performance profiles", caption, alt, data, layout, 360)
 

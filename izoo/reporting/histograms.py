@@ -82,11 +82,11 @@ def histograms(scored: Sequence[Scored], title: str) -> list[Figure]:
     for k, s in enumerate(scored):
         every = s.matrix("benefit_exact").to_numpy()
         label = f"{s.name}: {title}" if s.name != title else title
-        runs = every.shape[1]
+        runs = every.shape[0]
         pooled = label if runs == 1 else f"{label}, all {runs} seeds"
         found.append(histogram(every.ravel(), pooled, f"histogram-{k}", tint[s.name]))
         if runs > 1:
-            best = every[:, s.best]
+            best = every[s.best]
             words = f"{label}, best of {runs} seeds (the paper's form)"
             found.append(histogram(best, words, f"histogram-{k}-best", tint[s.name]))
     return found

@@ -13,8 +13,8 @@ import pandas as pd
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
-from izoo.files import check_folder
-from izoo.reporting.results import RESULTS_FILE, read_results
+from izoo.files import check_folder, read_text
+from izoo.reporting.results import RESULTS_FILE, EntryRecord, read_results
 from izoo.training.runs import CONFIG_FILE, METRICS_FILE
 from izoo.training.validation import VALIDATION_FILE
 
@@ -139,14 +139,14 @@ def read_evaluation(folder: Path) -> tuple[pd.DataFrame, tuple[tuple[str, str], 
     if HUMAN not in set(table["policy"]):
         raise IzooError(f"{folder / CSV_FILE} has no rows of human driving; evaluate again with out={folder}.")
     try:
-        manifest = json.loads((folder / MANIFEST_FILE).read_text())
+        manifest = json.loads(read_text(folder / MANIFEST_FILE))
         versions, env = manifest["settings"]["versions"], manifest["settings"]["env"]
         dict(manifest["policies"])  # which a replay needs
         facts = (
             ("versions", f"izoo {versions['izoo']}, SUMO {versions['sumo']}"),
             ("episode", f"{env['horizon_s']:g} s, of which the first {env['warmup_s']:g} s are not measured"),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise IzooError(f"{folder / MANIFEST_FILE} is damaged; remove the folder and evaluate again.") from error
     return table, facts
 
@@ -194,13 +194,10 @@ def _benchmark(folder: Path, partial: bool) -> Material:
     entries: list[Entry] = []
     curves: list[Curve] = []
     for record in results.entries:
-        runs = []
-        for run in record.done:
-            table, _ = read_evaluation(folder / run.evaluation)
-            place = folder / run.run if run.run else None
-            runs.append(Evaluated(run.seed, folder / run.evaluation, table, place))
-        if runs:
-            entries.append(Entry(record.name, record.name, results.title, tuple(runs)))
+        for attribute, words in (("evaluation", ""), ("human_vehicles", ", human vehicles")):
+            runs = _evaluated(folder, record, attribute)
+            if runs:
+                entries.append(Entry(record.name + words, record.name, results.title + words, runs))
         for run in record.runs:
             curve = read_curve(folder / run.run, f"{record.name} seed {run.seed}") if run.run else None
             curves += [curve] if curve else []
@@ -216,6 +213,18 @@ def _benchmark(folder: Path, partial: bool) -> Material:
     return Material(
         results.title, "benchmark", tuple(entries), tuple(curves), _benchmark_facts(results), unfinished=undone
     )
+
+
+def _evaluated(folder: Path, record: EntryRecord, attribute: str) -> tuple[Evaluated, ...]:
+    """Return an entry's runs of one kind of evaluation; empty unless all of them have it."""
+    found = []
+    for run in record.done:
+        evaluation = folder / getattr(run, attribute)
+        if attribute != "evaluation" and not evaluation.is_dir():
+            return ()
+        table, _ = read_evaluation(evaluation)
+        found.append(Evaluated(run.seed, evaluation, table, folder / run.run if run.run else None))
+    return tuple(found)
 
 
 def _benchmark_facts(results: Any) -> tuple[tuple[str, str], ...]:

@@ -19,7 +19,7 @@ from plotly.offline import get_plotlyjs
 from izoo import __version__
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
-from izoo.evaluation.show import percent, score_rows
+from izoo.evaluation.show import intervals_in_words, percent, score_rows
 from izoo.evaluation.summary import summarise
 from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
@@ -40,13 +40,18 @@ SUMMARY_COLUMNS = (
     ("interquartile mean", "exact", "iqm"),
     ("approaches with benefit", "exact", "share_positive"),
     ("gated to 0", "exact", "share_gated"),
+    ("whole region: mean", "region_exact", "mean"),
+    ("whole region: IQM", "region_exact", "iqm"),
     ("tested gate: mean", "tested", "mean"),
     ("tested gate: IQM", "tested", "iqm"),
     ("no gate: mean", "ungated", "mean"),
     ("throughput, mean change", "throughput", "mean"),
     ("kept throughput", "throughput", "share_kept"),
+    ("demand served", "served", "policy"),
+    ("over uncommanded", "over_uncommanded", "mean"),
+    ("over uncommanded, whole region", "region_over_uncommanded", "mean"),
 )
-"""Columns of the summary: label, block and statistic of :func:`izoo.evaluation.summary.compare`."""
+"""Columns of the summary: label, part and statistic of :func:`izoo.evaluation.across.compare`."""
 Note = Callable[[str], None]
 
 
@@ -83,7 +88,7 @@ def write_report(
     path = out or results / PAGE_FILE
     if path.is_dir():
         raise IzooError(f"{path} is a folder; name a file: out={path / PAGE_FILE}.")
-    if out is not None and _is_foreign(path):
+    if _is_foreign(path):
         raise IzooError(f"{path} exists and is no report; it is not overwritten. Choose another file with out=FILE.")
     text = render(material, replay=replay, imports=imports, note=note)
     try:
@@ -98,7 +103,7 @@ def _is_foreign(path: Path) -> bool:
     """Whether a file holds something that :func:`write_report` has not written."""
     try:
         if not path.is_file() or path.stat().st_size == 0:
-            return False
+            return path.exists() and not path.is_file()
         with path.open("rb") as file:
             return b'name="generator" content="izoo.report"' not in file.read(4096)
     except OSError as error:
@@ -188,9 +193,8 @@ def _intro(material: Material, scored: Sequence[Scored]) -> str:
     approaches = len(pairs[["context_hash", "approach"]].drop_duplicates())
     seeds = int(tables[0]["seed"].nunique())
     text = f"{approaches} approaches on {pairs['intersection'].nunique()} intersections, {seeds} paired seeds each. "
-    runs = max(len(s.tables) for s in scored)
-    second = f"; the second pair, in italics, is over the training seeds (up to {runs})" if runs > 1 else ""
-    return text + f"Brackets are 95 % bootstrap intervals over intersections{second}."
+    places = [int(s.rows["intersection"].nunique()) for s in scored]
+    return text + intervals_in_words(places, [len(s.tables) for s in scored if s.trained])
 
 
 def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
@@ -210,9 +214,10 @@ def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
                 "name": scored.name,
                 "variant": variant,
                 "runs": 1 if best else runs,
-                "n": count if best else count // runs,
-                "cells": [_cell(block[part][statistic]) for _, part, statistic in SUMMARY_COLUMNS],
-                "over": _cell(scored.over_uncommanded) if scored.over_uncommanded and not variant else None,
+                "n": count,
+                "cells": [
+                    _cell(block[part][statistic]) if part in block else None for _, part, statistic in SUMMARY_COLUMNS
+                ],
                 "quiet": scored.entry.policy == UNCOMMANDED or bool(variant),
             }
         )
@@ -221,9 +226,7 @@ def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
 
 def _cell(estimate: dict[str, Any]) -> dict[str, str]:
     value, _, interval = percent(estimate).partition(" [")
-    low, high = estimate.get("over_seeds", (None, None))
-    seeds = "" if low is None or high is None else f"[{100.0 * low + 0.0:.1f}, {100.0 * high + 0.0:.1f}]"
-    return {"value": value, "interval": f"[{interval}" if interval else "", "seeds": seeds}
+    return {"value": value, "interval": f"[{interval}" if interval else ""}
 
 
 def _scores(scored: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:

@@ -121,13 +121,13 @@ class Player:
             IzooError: it cannot be played again; the message says why.
         """
         folder = scene.run.folder
-        manifest = json.loads((folder / MANIFEST_FILE).read_text())
+        manifest = json.loads(files.read_text(folder / MANIFEST_FILE))
         fingerprint = manifest["policies"].get(scene.policy, "")
         parts = [FORMAT, code_digest(), manifest["settings"], fingerprint, *_key(scene)]
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
         path = folder / FOLDER / f"{digest}.json.gz"
         with contextlib.suppress(OSError, EOFError, zlib.error, ValueError):
-            packed = path.read_bytes()
+            packed = files.read_bytes(path)
             json.loads(gzip.decompress(packed))
             return packed
         note(f"Replaying {scene.context} under {scene.policy}.")

@@ -8,6 +8,7 @@
       learning_curves.png            return and emission of all training runs; not where nothing was trained
       train/ENTRY/seedK/             a run folder of izoo.train: config.yaml, metrics.csv, checkpoints, ...
       evaluation/ENTRY/seedK/        evaluation.csv (izoo.evaluation.table), evaluation.json, summary.json
+      evaluation_human_vehicles/...  the same on CVs with the parameters of human-driven vehicles, where asked for
       leaderboard/ENTRY.json         one submission per entry (izoo.reporting.submissions)
 
 An **entry** is what is compared: an algorithm with its action (``ppo``, ``ppo_residual``), or a scripted driver
@@ -32,7 +33,8 @@ relative to the folder, so that it can be moved.
        {"name": "glide", "kind": "scripted", "algo": null, "action": null,
         "runs": [{"seed": 0, "status": "done", "run": null, "evaluation": "evaluation/glide/seed0",
                   "frames": 0, "seconds": 0.0}]}],
-     "aggregates": {"entries": {"ppo": {...}},   # izoo.evaluation.across.aggregate of its runs, against human driving
+     "aggregates": {"entries": {"ppo": {...}},   # izoo.evaluation.across.aggregate of its runs, against human driving;
+                                                # "human_vehicles": compare() of those evaluations, where there are any
                     "improvement": [...],        # izoo.evaluation.across.compare_entries
                     "profiles": {...},
                     "approaches": 105}}          # {} until every run is done
@@ -53,11 +55,12 @@ import pandas as pd
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.errors import IzooError
 from izoo.evaluation.table import CSV_FILE, read_csv
-from izoo.files import write_json
+from izoo.files import read_text, write_json
 
 FORMAT = "izoo-results-1"
 RESULTS_FILE, SETTINGS_FILE = "results.json", "settings.yaml"
 TRAIN_FOLDER, EVALUATION_FOLDER, LEADERBOARD_FOLDER = "train", "evaluation", "leaderboard"
+HUMAN_VEHICLES_FOLDER = "evaluation_human_vehicles"
 STATUSES = ("waiting", "training", "trained", "done")
 
 
@@ -80,6 +83,11 @@ class RunRecord:
     run: str | None = None
     frames: int = 0
     seconds: float = 0.0
+
+    @property
+    def human_vehicles(self) -> str:
+        """Folder of its evaluation on CVs with the parameters of human-driven vehicles, where there is one."""
+        return f"{HUMAN_VEHICLES_FOLDER}/{self.evaluation.removeprefix(f'{EVALUATION_FOLDER}/')}"
 
 
 @dataclass(frozen=True)
@@ -144,9 +152,9 @@ def read_results(folder: Path) -> Results:
     if not path.is_file():
         raise IzooError(f"{folder} has no {RESULTS_FILE}; give a folder that izoo.benchmarks.generalization wrote.")
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(read_text(path))
         found = values.get("format")
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; run the benchmark again with out={folder}, it goes on.") from error
     if found != FORMAT:
         raise IzooError(f"{path} is of the format {found!r}, not {FORMAT!r}; another version of izoo wrote it.")
@@ -166,6 +174,12 @@ def read_results(folder: Path) -> Results:
 def evaluation_of(folder: Path, run: RunRecord) -> pd.DataFrame:
     """Read the evaluation table of a run that is done."""
     return read_csv(folder / run.evaluation / CSV_FILE)
+
+
+def human_vehicles_of(folder: Path, run: RunRecord) -> pd.DataFrame | None:
+    """Read the table of a run on CVs with the parameters of human-driven vehicles; ``None``: there is none."""
+    path = folder / run.human_vehicles / CSV_FILE
+    return read_csv(path) if path.is_file() else None
 
 
 def with_run(results: Results, name: str, changed: RunRecord) -> Results:

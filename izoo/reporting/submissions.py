@@ -22,16 +22,18 @@ import pandas as pd
 from jsonschema import Draft202012Validator
 
 from izoo.errors import IzooError
-from izoo.evaluation.across import RUN, aggregate
+from izoo.evaluation.across import aggregate
+from izoo.evaluation.aggregates import RUN
 from izoo.evaluation.provenance import DECISIVE
-from izoo.files import write_json
+from izoo.files import read_text, write_json
+from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_TRAIN_SEEDS
 
-FORMAT, MERGED_FORMAT = "izoo-leaderboard-1", "izoo-leaderboard-merged-1"
+FORMAT, MERGED_FORMAT = "izoo-leaderboard-2", "izoo-leaderboard-merged-2"
 SCHEMA_FILE = "leaderboard_schema.json"
 COMPARABLE = ("protocol", "title", "train", "test", "form", "weather", "test_set", "horizon_s", "test_count")
 """Options of the protocol that submissions of one group share."""
-FULL_TRAIN_SEEDS, FULL_EVAL_SEEDS = 4, 3
-"""Seeds that the protocols ask for."""
+FULL_TRAIN_SEEDS, FULL_EVAL_SEEDS = MIN_TRAIN_SEEDS, MIN_EVAL_SEEDS
+"""Seeds that the protocols ask for: the fewest over which there are intervals."""
 
 
 @functools.cache
@@ -64,7 +66,7 @@ def make_submission(
         "eval_seeds": [int(seed) for seed in eval_seeds],
         "rows": [
             {name: None if pd.isna(value) else value for name, value in row.items()}
-            for row in rows[columns].to_dict("records")
+            for row in rows.reindex(columns=columns).astype(object).to_dict("records")
         ],
     }
     content["aggregates"] = aggregate(rows_of(content))
@@ -81,9 +83,9 @@ def content_hash(submission: Mapping[str, Any]) -> str:
 def rows_of(submission: Mapping[str, Any]) -> pd.DataFrame:
     """Return the rows of a submission as :func:`izoo.evaluation.across.aggregate` takes them."""
     table = pd.DataFrame(submission["rows"])
-    numbers = ("emission_policy_g", "emission_baseline_g", "throughput_benefit", "benefit_exact", "benefit_tested")
-    for name in numbers:
-        table[name] = table[name].astype(float)
+    for name, column in schema()["properties"]["rows"]["items"]["properties"].items():
+        if column.get("type") == ["number", "null"]:
+            table[name] = table[name].astype(float)
     return table
 
 
@@ -100,7 +102,7 @@ def read_submission(path: Path) -> dict[str, Any]:
         IzooError: the file cannot be read, or does not follow the schema; the first place that does not is named.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(read_text(path))
         json.dumps(content, allow_nan=False)  # Python's JSON reads NaN, and 1e999 as infinity
     except (OSError, ValueError, RecursionError) as error:
         raise IzooError(f"cannot read {path}: {error}; give a leaderboard file.") from error
@@ -182,8 +184,8 @@ def merge(checked: Sequence[Checked]) -> dict[str, Any]:
 
 
 def headline(line: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the number that ranks: the mean benefit under the exact gate, with its interval over intersections."""
-    return line["aggregates"]["all"]["over_intersections"]["exact"]["mean"]
+    """Return the number that ranks: the mean benefit under the exact gate, with its interval."""
+    return line["aggregates"]["all"]["exact"]["mean"]
 
 
 def _line(item: Checked) -> dict[str, Any]:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
 from izoo.files import replacing
 
-FORMAT = "izoo-checkpoint-2"
+FORMAT = "izoo-checkpoint-3"
 _NAME = re.compile(r"step-(\d+)\.pt")
 _CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
 BEST = "best.pt"
+ENTRIES = {
+    **dict.fromkeys(("frames", "features", "batches", "episodes", "first_episode"), "int"),
+    **{"seconds": "float", "options": "str", "torch_rng": "Tensor", "pasts": "list"},
+    **{"algorithm": "dict", "environments": "dict"},
+}
+"""What the checkpoint of a run holds besides its format, and the names of the types."""
 
 
 def folder_of(run_dir: Path) -> Path:
@@ -35,7 +44,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
         OSError: the disk is full or not writable; older checkpoints are untouched.
     """
     folder = folder_of(run_dir)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)  # without its parents: a run folder that was removed must not come back half empty
     path = folder / f"step-{frames:012d}.pt"
     import torch
 
@@ -43,7 +52,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
         with replacing(path) as partial:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
     except RuntimeError as error:  # torch's word for a write that failed underneath it
-        raise OSError(str(error).splitlines()[0]) from error
+        raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
     there = listed(run_dir)
     until = there.index(path) + 1
     # Later ones belong to what was given up when the run was resumed further back.
@@ -62,19 +71,51 @@ def load(path: Path) -> dict[str, Any]:
     """Read one checkpoint file.
 
     Raises:
-        IzooError: the file is missing, cut short, or not a checkpoint of izoo; the one before it is named.
+        IzooError: the file is missing, damaged, or not a checkpoint of izoo; the one before it is named.
     """
     import torch
 
     try:
+        _check_sums(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise IzooError(f"there is no checkpoint {path}.") from None
+    except _Damaged as error:
+        raise IzooError(f"{path} is damaged: {error}.{_previous(path)}") from error
     except Exception as error:  # what torch raises for damaged bytes depends on the bytes
         raise IzooError(f"{path} is cut short or not a checkpoint.{_previous(path)}") from error
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise IzooError(f"{path} is not a checkpoint of this version of izoo ({FORMAT}).{_previous(path)}")
     return state
+
+
+class _Damaged(Exception):
+    """A part of a checkpoint is not what was written."""
+
+
+def _check_sums(path: Path) -> None:
+    """Raise :class:`_Damaged` where a member of the archive does not have its checksum, which torch would not notice.
+
+    ``zipfile`` raises errors of its own for bytes that are no archive.
+    """
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            try:
+                with archive.open(member) as stream:
+                    while stream.read(1 << 20):
+                        pass
+            except Exception as error:  # a checksum, a header, or what zlib makes of either
+                raise _Damaged(f"its part {member.filename} is not what was written") from error
+
+
+def check_entries(state: Mapping[str, Any], path: Path) -> None:
+    """Raise :class:`IzooError` where a checkpoint lacks an entry of :data:`ENTRIES`, or holds another type there."""
+    for name, kind in ENTRIES.items():
+        if name not in state:
+            raise IzooError(f"{path} lacks the entry {name!r}; izoo did not write it so.{_previous(path)}")
+        if type(state[name]).__name__ != kind:
+            got = type(state[name]).__name__
+            raise IzooError(f"{path} holds a {got} as {name!r}, where there should be a {kind}.{_previous(path)}")
 
 
 def find(where: Path, which: str = "last") -> Path:
@@ -156,5 +197,7 @@ def run_of(checkpoint: Path) -> Path:
 
 
 def _previous(path: Path) -> str:
+    if path.name == BEST:
+        return " Remove it: the run goes on without, and checkpoint=last has its last weights."
     earlier = [other for other in listed(run_of(path)) if other.name < path.name]
     return f" The one before it is {earlier[-1]}: name that file instead." if earlier else " There is none before it."

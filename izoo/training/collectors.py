@@ -5,9 +5,13 @@ from __future__ import annotations
 import functools
 import gc
 import signal
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -16,12 +20,14 @@ from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
+from izoo.errors import UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv
+from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.past import EpisodePast
 
 
@@ -37,26 +43,75 @@ class ShiftedSchedule:
 
 
 class ProcessesCollector(MultiSyncCollector):
-    """TorchRL's collector with a process per environment, which says plainly which of its processes has ended."""
+    """TorchRL's collector with a process per environment, which says plainly which of its processes has ended or hangs.
+
+    Attributes:
+        watch: over its processes; to be set before the first batch.
+    """
+
+    watch: Watch
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yield batches ``[N, T]``.
 
         Raises:
-            RuntimeError: a process has ended.
+            UnfinishedError: a process has ended, or has hung and was ended.
         """
+        batches = super().iterator()
+        pids = [process.pid for process in self.procs]
         try:
-            yield from super().iterator()
+            while True:
+                with self.watch.over(pids):
+                    batch = next(batches)
+                yield batch
+        except StopIteration:
+            return
         except (OSError, RuntimeError, ValueError) as error:
+            if self.watch.hung:
+                raise UnfinishedError(
+                    f"process {self.watch.hung[0]} of {self.num_workers} that collect took no step for env.watchdog_s "
+                    "and was ended; go on with resume=RUN_DIR."
+                ) from error
             # TorchRL notices too, but then stumbles over the other processes, or over the pipe, as it may happen.
             for number, process in enumerate(self.procs):
                 code = _exit_code(process)
                 if code not in (None, -signal.SIGTERM):  # with which TorchRL ends the others
-                    raise RuntimeError(
-                        f"process {number} of {self.num_workers} that collect has ended (exit code {code}); "
-                        "what it wrote before says why, unless it was killed"
+                    raise UnfinishedError(
+                        f"process {number} of {self.num_workers} that collect has ended (exit code {code}); what it "
+                        "wrote before says why, unless it was killed. Go on with resume=RUN_DIR."
                     ) from error
             raise
+
+    def hand_over(self, policy: TensorDictModuleBase) -> None:
+        """Hand changed parameters to the processes; TorchRL would wait forever for one that does not take them.
+
+        Raises:
+            UnfinishedError: one does not; all are ended.
+        """
+        failures: list[Exception] = []
+
+        def update() -> None:
+            try:
+                self.update_policy_weights_(policy)
+            except Exception as error:
+                failures.append(error)
+
+        thread = threading.Thread(target=update, daemon=True)
+        thread.start()
+        thread.join(self.watch.patience_s)
+        if thread.is_alive():
+            for process in self.procs:
+                process.kill()
+            raise UnfinishedError(
+                "a process that collects took no new weights for env.watchdog_s; go on with resume=RUN_DIR."
+            )
+        if failures:
+            raise failures[0]
+
+    def shutdown(self, timeout: float | None = None, *args: Any, **options: Any) -> None:
+        """End the processes."""
+        self.watch.close()
+        super().shutdown(timeout, *args, **options)
 
 
 def _exit_code(process: BaseProcess) -> int | None:
@@ -73,7 +128,8 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        pasts: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`).
+        pasts: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
+        twin: where those of a run on the twin stood (:meth:`environments`).
     """
 
     def __init__(
@@ -82,10 +138,16 @@ class BatchSource:
         policy: TensorDictModuleBase,
         schedule: Schedule,
         pasts: Sequence[EpisodePast] = (),
+        twin: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         frames = frames_per_batch(config)
+        self._twin: TrainingTwinEnv | None = None
         with workers_ignore_interrupts():
-            self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
+            if config.simulator == "twin":
+                self._twin = _on_twin(config, schedule, twin)
+                self._collector: BaseCollector = _collector(self._twin, policy, frames)
+            else:
+                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -95,8 +157,19 @@ class BatchSource:
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if not isinstance(self._collector, Collector):
+        if isinstance(self._collector, ProcessesCollector):
+            self._collector.hand_over(policy)
+        elif not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
+
+    @property
+    def twin(self) -> TrainingTwinEnv | None:
+        """The environments, where they are on the twin."""
+        return self._twin
+
+    def environments(self) -> dict[str, Any]:
+        """Return where the environments stand after the last batch; nothing where they are not on the twin."""
+        return {} if self._twin is None else self._twin.state_dict()
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
@@ -115,13 +188,15 @@ def check_collector(config: TrainConfig) -> None:
 
 def num_envs(config: TrainConfig) -> int:
     """Return how many environments a batch comes from."""
+    if config.simulator == "twin":
+        return TWIN_ENVS if config.num_envs is None else config.num_envs
     return 1 if config.collector.name == "single" else config.num_workers
 
 
 def frames_per_batch(config: TrainConfig) -> int:
-    """Return the steps of a batch over all workers: ``algo.frames_per_batch``, as a multiple of their number."""
-    workers = num_envs(config)
-    return -(-config.algo.frames_per_batch // workers) * workers
+    """Return the steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number."""
+    count = num_envs(config)
+    return -(-config.algo.frames_per_batch // count) * count
 
 
 def _single(
@@ -145,6 +220,18 @@ def _parallel(
     return _collector(env, policy, frames)
 
 
+def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) -> TrainingTwinEnv:
+    return TrainingTwinEnv(
+        num_envs(config),
+        contexts=schedule,
+        config=config.env,
+        seed=config.seed,
+        threads=config.twin.threads,
+        surrogate=config.twin.surrogate,
+        state=state,
+    )
+
+
 def _multisync(
     config: TrainConfig,
     policy: TensorDictModuleBase,
@@ -152,11 +239,13 @@ def _multisync(
     pasts: Sequence[EpisodePast],
     frames: int,
 ) -> ProcessesCollector:
+    workers = config.num_workers
+    watch = Watch(workers, frames // workers, config.env.watchdog_s)
     makers = [
-        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
-        for worker in range(config.num_workers)
+        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, workers, watch.path)
+        for worker in range(workers)
     ]
-    return ProcessesCollector(
+    collector = ProcessesCollector(
         makers,
         policy,
         frames_per_batch=frames,
@@ -165,6 +254,8 @@ def _multisync(
         trust_policy=True,
         auto_register_policy_transforms=False,
     )
+    collector.watch = watch
+    return collector
 
 
 def _ray(
@@ -197,14 +288,22 @@ def _ray(
 
 
 def _worker_env(
-    config: TrainConfig, schedule: Schedule, pasts: Sequence[EpisodePast], worker: int, num_workers: int
+    config: TrainConfig,
+    schedule: Schedule,
+    pasts: Sequence[EpisodePast],
+    worker: int,
+    num_workers: int,
+    counts: Path | None = None,
 ) -> EnvBase:
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
-    done = sum(past.episode * config.env.control_steps + past.steps for past in pasts)
+    done = sum(past.episode * config.env.decisions + past.steps for past in pasts)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
-    return TrainingEnv(
+    env = TrainingEnv(
         schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, pasts=pasts
     )
+    if counts is not None:
+        env.steps_taken = open_counts(counts, num_workers)[worker : worker + 1]
+    return env
 
 
 def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:

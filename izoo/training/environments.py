@@ -5,9 +5,10 @@ Metrics matter once per episode, but every leaf of a step costs time in each of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -15,6 +16,7 @@ from torchrl.data import Unbounded
 
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
+from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 
@@ -24,14 +26,25 @@ class _Training(EcoDrivingBase):
 
     Args:
         pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+
+    Attributes:
+        steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
     """
 
     leaves = (TOTALS,)
+    steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step as the environment does, and count it."""
+        stepped = super().step_and_maybe_reset(tensordict)
+        if self.steps_taken is not None:
+            self.steps_taken += 1
+        return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         pasts, self._pasts = self._pasts, ()
@@ -47,12 +60,11 @@ class _Training(EcoDrivingBase):
         names = next((list(script.commands) for script in scripts if script.commands), ["action"])
         episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
         longest = max(len(script) for script in scripts)
-        request = TensorDict({"context": TensorDict({"episode": episodes}, self.batch_size)}, self.batch_size)
-        frame = super()._reset(request)
+        frame = super()._reset(episode=episodes)
         for step in range(longest):
             starting = torch.tensor([len(script) == longest - step for script in scripts])
             if step > 0 and starting.any():
-                frame = super()._reset(request.clone().set("_reset", starting.view(*self.batch_size, 1)))
+                frame = super()._reset(self._only(starting), episode=episodes)
             masks = frame.get(("agents", "mask")).view(-1, slots)
             waits = [longest - len(script) for script in scripts]
             rows = [
@@ -65,9 +77,13 @@ class _Training(EcoDrivingBase):
         # A script without steps belongs to an episode that was about to begin.
         unbegun = torch.tensor([len(script) == 0 for script in scripts])
         if longest > 0 and unbegun.any():
-            frame = super()._reset(request.clone().set("_reset", unbegun.view(*self.batch_size, 1)))
+            frame = super()._reset(self._only(unbegun), episode=episodes)
         self._next_episode[:] = [script.episode + self._stride for script in scripts]
         return frame
+
+    def _only(self, chosen: Tensor) -> TensorDict:
+        """Return what resets the environments ``chosen [N]`` alone."""
+        return TensorDict({"_reset": chosen.view(*self.batch_size, 1)}, self.batch_size)
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
@@ -76,6 +92,25 @@ class TrainingEnv(_Training, EcoDrivingEnv):
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
     """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
+
+
+class TrainingTwinEnv(_Training, TwinEnv):
+    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`.
+
+    Args:
+        state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
+    """
+
+    def __init__(self, *args: Any, state: Mapping[str, Any] | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._left_at = state
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        state, self._left_at = self._left_at, None
+        if not state:
+            return super()._reset(tensordict, **options)
+        self.load_state_dict(state)
+        return self.present()
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -35,6 +38,33 @@ def learner_device(name: str) -> torch.device:
 def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
     """Return a batch on the learner's device; every batch that is learned from passes here, whole and once."""
     return batch if device == COLLECTS_ON else batch.to(device)
+
+
+def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
+    """Load what :meth:`~izoo.algos.base.Algorithm.state_dict` returned.
+
+    Raises:
+        Exception: of whichever kind, where it is of an algorithm with other networks.
+    """
+    algorithm.load_state_dict(state)
+    # Optimisers take any shape, and would stumble over it in their first step.
+    for optimiser in vars(algorithm).values():
+        if isinstance(optimiser, torch.optim.Optimizer):
+            for parameter, entries in optimiser.state.items():
+                for name, entry in entries.items():
+                    if isinstance(entry, torch.Tensor) and entry.ndim > 0 and entry.shape != parameter.shape:
+                        raise ValueError(f"the optimiser's {name} is {list(entry.shape)}, not {list(parameter.shape)}")
+
+
+def is_finite(state: Any) -> bool:
+    """Whether every number in nested containers of tensors is finite."""
+    if isinstance(state, torch.Tensor):
+        return not state.is_floating_point() or bool(state.isfinite().all())
+    if isinstance(state, Mapping):
+        return all(is_finite(value) for value in state.values())
+    if isinstance(state, (list, tuple)):
+        return all(is_finite(value) for value in state)
+    return not isinstance(state, float) or math.isfinite(state)
 
 
 class Learner:
@@ -69,7 +99,7 @@ class Learner:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
-        self.algorithm.load_state_dict(state["algorithm"])
+        load_state(self.algorithm, state["algorithm"])
         self._share()
         torch.set_rng_state(state["torch_rng"])
         if self.device.type == "cuda" and "cuda_rng" in state:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
+import math
 import sys
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +18,15 @@ from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError
+from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
-from izoo.training.learner import Learner, learner_device
+from izoo.training.learner import Learner, is_finite, learner_device
 from izoo.training.past import Pasts
 from izoo.training.validation import Validator
 
-CHANGEABLE = (
-    "total_frames",
-    "num_workers",
-    "device",
-    "collector",
-    "logger",
-    "validation",
-    "evaluation",
-    "checkpoint",
-    "resume",
-)
-"""Options that may differ when a run is resumed; the others are part of what the run is."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or has become read-only."""
 MAX_LEARNER_THREADS = 8
@@ -49,56 +40,99 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     Args:
         config: the options.
         given: names of the options that were written on the command line; matters when resuming.
+
+    Raises:
+        IzooError: the options, or the run that is resumed, cannot be used; a new run leaves nothing behind.
+        UnfinishedError: the run cannot go on, for lack of room on the disk or since its numbers are not finite any
+            more; the message names the last good checkpoint.
+        KeyboardInterrupt: after Ctrl-C, once the run is closed in good order.
     """
-    source = None
-    if config.resume is None:
-        # Contexts are read before the folder is made, so that bad input leaves nothing behind.
-        learner_device(config.device)
-        check_collector(config)
-        source = config.contexts.build()
-        run_dir, state = runs.create(config), None
-    else:
-        run_dir, config, state = _resumed(config, given)
-    session = Session(config, run_dir, source or config.contexts.build())
-    if state is not None:
-        session.restore(state)
-    try:
-        session.run()
-    except OSError as error:
-        if error.errno not in NO_ROOM:
-            raise
-        kept = checkpoint.listed(run_dir)
-        raise IzooError(
-            f"cannot write to {run_dir}: {error.strerror}. The last good checkpoint is {kept[-1] if kept else 'none'}; "
-            f"make room, then go on: resume={run_dir}."
-        ) from error
+    if config.resume is not None:
+        run_dir = _run_to_resume(config, given)
+        with runs.owned(run_dir), _room(run_dir):
+            config, state, path = _resumed(config, given, run_dir)
+            session = Session(config, run_dir, config.contexts.build())
+            if state is not None:
+                session.restore(state, path)
+            session.run()
+        return run_dir
+    # Contexts are read before the folder is made, so that bad input leaves nothing behind.
+    learner_device(config.device)
+    check_collector(config)
+    source = config.contexts.build()
+    with runs.created(config) as run_dir, _room(run_dir):
+        Session(config, run_dir, source).run()
     return run_dir
 
 
-def _resumed(config: TrainConfig, given: frozenset[str]) -> tuple[Path, TrainConfig, dict[str, Any] | None]:
-    """Return the folder, the options and the state of the run to go on with; no state: it had not saved any yet."""
+@contextlib.contextmanager
+def _room(run_dir: Path) -> Iterator[None]:
+    """Say in words that the folder of a run has gone, that nothing more can be written there, or that memory is short.
+
+    Raises:
+        UnfinishedError: so it is.
+    """
+    try:
+        yield
+    except OSError as error:
+        if not run_dir.is_dir():
+            raise UnfinishedError(f"{run_dir} is gone: it was removed or renamed while its run went on.") from error
+        if error.errno not in NO_ROOM and not str(error.filename).startswith(str(run_dir)):
+            raise
+        raise UnfinishedError(f"cannot write to {run_dir}: {error.strerror}. {_last_good(run_dir)}") from error
+    except (MemoryError, RuntimeError) as error:
+        text = (str(error).splitlines() or ["out of memory"])[0]
+        if isinstance(error, RuntimeError) and "allocate" not in text:  # what torch raises is of many names
+            raise
+        remedy = "give fewer rows, smaller networks or fewer agents"
+        raise UnfinishedError(f"the memory does not suffice ({text}); {remedy}.") from error
+
+
+def _last_good(run_dir: Path) -> str:
+    """Return which checkpoint is the newest, and how to go on from there."""
+    kept = checkpoint.listed(run_dir)
+    if not kept:
+        return "No checkpoint was saved; make room and train again."
+    return f"The last good checkpoint is {kept[-1]}; make room, then go on: resume={run_dir}."
+
+
+def _run_to_resume(config: TrainConfig, given: frozenset[str]) -> Path:
+    """Return the folder of the run to go on with."""
     for name in sorted(given):
-        if name.split(".")[0] not in CHANGEABLE:
+        if name.split(".")[0] not in runs.CHANGEABLE:
             raise IzooError(
                 f"a resumed run keeps its own options, so {name} cannot be given with resume; "
-                f"only these can: {', '.join(CHANGEABLE)}."
+                f"only these can: {', '.join(runs.CHANGEABLE)}."
             )
     where = Path(config.resume or "")
-    begun = (where / runs.CONFIG_FILE).is_file() and not checkpoint.listed(where)
-    path = None if begun else checkpoint.find(where)
-    run_dir = where if path is None else checkpoint.run_of(path)
+    return where if _has_only_begun(where) else checkpoint.run_of(checkpoint.find(where))
+
+
+def _has_only_begun(where: Path) -> bool:
+    """Whether a run has saved nothing yet."""
+    return (where / runs.CONFIG_FILE).is_file() and not checkpoint.listed(where)
+
+
+def _resumed(
+    config: TrainConfig, given: frozenset[str], run_dir: Path
+) -> tuple[TrainConfig, dict[str, Any] | None, Path]:
+    """Return the options, the state and the checkpoint of the run to go on with; no state: it had not saved any yet."""
+    where = Path(config.resume or "")
+    path = None if _has_only_begun(where) else checkpoint.find(where)
     stored = runs.read_config(run_dir)
     changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
     config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
     state = None if path is None else checkpoint.load(path)
-    # The last batch of a run that is done may have gone beyond its frames.
-    if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
-        raise IzooError(
-            f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give more, "
-            "or leave total_frames out."
-        )
+    if state is not None and path is not None:
+        runs.check_state(state, stored, path)
+        # The last batch of a run that is done may have gone beyond its frames.
+        if config.total_frames < min(stored.total_frames, state["frames"]):
+            raise IzooError(
+                f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give "
+                "more, or leave total_frames out."
+            )
     runs.write_config(run_dir, config)
-    return run_dir, config, state
+    return config, state, path or run_dir
 
 
 class Session:
@@ -113,35 +147,61 @@ class Session:
     def __init__(self, config: TrainConfig, run_dir: Path, source: ContextSource) -> None:
         torch.manual_seed(config.seed)
         self.config, self.run_dir, self.source = config, run_dir, source
-        self.features = len(observation_names(config.env))
+        self.features, self._options = len(observation_names(config.env)), runs.options_digest(config)
         self.learner = Learner(config, learner_device(config.device))
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
+        self._batches: BatchSource | None = None
+        self._environments: dict[str, Any] = {}
         self._saved_at = -1
         self._plotted_s = 0.0
         self._threads = torch.get_num_threads()
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any], path: Path) -> None:
         """Go on from a checkpoint: with the weights and draws that it holds, and in the middle of its episodes.
 
         With another number of environments than before, the episodes in progress are left out.
+
+        Args:
+            state: of the checkpoint, checked (:func:`izoo.training.runs.check_state`).
+            path: where it lies, for messages.
         """
-        runs.check_layout(state["features"], self.config, self.run_dir)
+        with runs.fitting(path):
+            self.learner.load_state_dict(state)
+            environments, pasts = state["environments"], Pasts.from_state(state["pasts"])
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
-        pasts = Pasts.from_state(state["pasts"])
-        if len(pasts.pasts) == len(self.pasts.pasts):
+        if environments:
+            with runs.fitting(path):
+                episodes, later = environments["episodes"], max(environments["next_episodes"])
+            if len(episodes) == num_envs(self.config):
+                self._environments = environments
+            else:
+                self.first_episode += later
+        elif len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
         else:
             self.first_episode += pasts.next_episode
         print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
 
     def run(self) -> None:
-        """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate."""
+        """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate.
+
+        Raises:
+            UnfinishedError: the last weights could not be saved.
+            KeyboardInterrupt: Ctrl-C was pressed; what was learned until then is saved.
+        """
         self.table = records.MetricsTable(self.run_dir / runs.METRICS_FILE, self.frames)
+        if len(self.table.rows) != self.batches:
+            print(
+                f"{self.table.path} has {len(self.table.rows)} rows for {self.batches} batches: it was damaged or cut. "
+                "The run itself is whole; its curve is not.",
+                file=sys.stderr,
+                flush=True,
+            )
         self.validator = Validator(self.config, self.run_dir, self.frames)
         sinks = records.make_sinks(self.config.logger, self.run_dir)
         print(f"Run folder: {self.run_dir}", flush=True)
@@ -158,16 +218,26 @@ class Session:
             finally:
                 self.validator.close()
                 records.close_all(sinks)
-            self._evaluate()
-        if self.frames < self.config.total_frames:
+        if self.batches > 0 and self._saved_at != self.frames:
+            raise UnfinishedError(f"the last weights could not be saved. {_last_good(self.run_dir)}")
+        if interrupt.requested:
+            self._say_where_it_stopped()
+            raise KeyboardInterrupt
+        self._evaluate()
+        print(f"Run folder: {self.run_dir}", flush=True)
+
+    def _say_where_it_stopped(self) -> None:
+        if self.batches == 0:
+            print("Stopped before the first batch; nothing is kept.", flush=True)
+        elif self.frames < self.config.total_frames:
             done = f"Stopped at {self.frames:,} of {self.config.total_frames:,} frames"
             print(f"{done}; go on with: python -m izoo.train resume={self.run_dir}", flush=True)
-        print(f"Run folder: {self.run_dir}", flush=True)
 
     def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
         config = self.config
         going_on = self.pasts.pasts if self._state is not None else ()
-        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on)
+        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
+        self._batches = batches
         try:
             self._load(batches)
             latest: dict[str, float] = {}
@@ -184,7 +254,9 @@ class Session:
                             self._plot()
                     if self.validator.due(self.batches):
                         self._validate()
+            self._environments = batches.environments()
         finally:
+            self._batches = None
             batches.close()
             torch.set_num_threads(self._threads)
 
@@ -227,8 +299,10 @@ class Session:
         collected = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
         stats = episode_stats(batch)
-        self.pasts.add(batch)
+        if self.config.simulator == "sumo":
+            self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
+        self._require_finite(learned)
         torch.set_num_threads(1)
         batches.synchronise(self.learner.policy)
         seconds = time.perf_counter() - start
@@ -247,6 +321,18 @@ class Session:
             "update_s": seconds - (collected - start),
         }
 
+    def _require_finite(self, learned: Mapping[str, float]) -> None:
+        """Raise :class:`UnfinishedError` where an update has left losses or weights that are no numbers any more."""
+        bad = [name for name, value in learned.items() if name.startswith("loss") and not math.isfinite(value)]
+        if not is_finite(self.learner.algorithm.policy.state_dict()):
+            bad.append("the policy's weights")
+        if bad:
+            kept = checkpoint.listed(self.run_dir)
+            raise UnfinishedError(
+                f"training has diverged after {self.frames:,} frames: {', '.join(bad)} not finite. The last finite "
+                f"checkpoint is {kept[-1] if kept else 'none'}; train again with a lower algo.lr, or smaller rewards."
+            )
+
     def _schedule(self) -> Schedule:
         """Return the training episodes; other numbers of environments have played those that are left out."""
         schedule: Schedule = RandomSchedule(self.source, self.config.seed)
@@ -258,11 +344,13 @@ class Session:
         state = {
             **self.learner.state_dict(),
             "features": self.features,
+            "options": self._options,
             "batches": self.batches,
             "episodes": self.episodes,
             "seconds": self.seconds,
             "first_episode": self.first_episode,
             "pasts": self.pasts.state_dict(),
+            "environments": self._environments if self._batches is None else self._batches.environments(),
         }
         try:
             checkpoint.save(self.run_dir, self.frames, state, self.config.checkpoint.keep)

@@ -18,12 +18,13 @@ from izoo import __version__
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping
-from izoo.conf.train_options import CollectConfig
+from izoo.conf.train_options import TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import SumoParallelEnv
+from izoo.envs import SumoParallelEnv, TwinEnv
+from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError
+from izoo.errors import IzooError, UnfinishedError
 from izoo.files import ensure_empty, write_json
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
@@ -51,6 +52,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Raises:
         IzooError: ``out`` is missing or not empty, or the policy or the contexts cannot be used.
+        UnfinishedError: nothing more can be written.
+        KeyboardInterrupt: after Ctrl-C, once what was collected is a whole data set.
     """
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
@@ -59,14 +62,12 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     out = Path(config.out)
     ensure_empty(out, "out")
     with workers_ignore_interrupts():
-        env = SumoParallelEnv(
-            config.num_workers, contexts=RandomSchedule(source, config.seed), config=config.env, seed=config.seed
-        )
+        env = _make_env(config, RandomSchedule(source, config.seed))
         torch.manual_seed(config.seed)
         collector = Collector(
             env,
             policy,
-            frames_per_batch=-(-FRAMES_PER_BATCH // config.num_workers) * config.num_workers,
+            frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
             total_frames=-1,
             exploration_type=ExplorationType.RANDOM,
             trust_policy=True,
@@ -82,12 +83,23 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
                     break
         writer.finish_shard()
     except OSError as error:
-        raise IzooError(f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete.") from error
+        text = f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete"
+        raise UnfinishedError(f"{text}. Make room, then collect the rest into another folder.") from error
     finally:
         writer.discard()
         collector.shutdown()
     print(f"Data: {out}", flush=True)
+    if interrupt.requested:
+        raise KeyboardInterrupt
     return out
+
+
+def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
+    if config.simulator == "sumo":
+        return SumoParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
+    count = TWIN_ENVS if config.num_envs is None else config.num_envs
+    twin = config.twin
+    return TwinEnv(count, schedule, config=config.env, seed=config.seed, threads=twin.threads, surrogate=twin.surrogate)
 
 
 def make_policy(config: CollectConfig) -> TensorDictModuleBase:
@@ -210,6 +222,7 @@ class ShardWriter:
             "format": FORMAT,
             "izoo": __version__,
             "frames": sum(shard["frames"] for shard in self._shards),
+            "simulator": self.config.simulator,
             "num_workers": self.config.num_workers,
             "observation_names": list(observation_names(self.config.env)),
             "shards": self._shards,

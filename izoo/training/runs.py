@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import yaml
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from tensordict.nn import TensorDictModuleBase
-from yaml import YAMLError
+from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
 
 from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
@@ -17,23 +22,68 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import ensure_empty, write_text
+from izoo.files import claimed, ensure_empty, read_text, write_text
 from izoo.training import checkpoint
+from izoo.training.learner import load_state
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
+CHANGEABLE = (
+    "total_frames",
+    "num_workers",
+    "num_envs",
+    "twin",
+    "device",
+    "collector",
+    "logger",
+    "validation",
+    "evaluation",
+    "checkpoint",
+    "resume",
+)
+"""Options that may differ when a run is resumed; the others are part of what the run is."""
+MOST_CONFIG_BYTES, MOST_CONFIG_LEVELS = 1_000_000, 16
+_RESTORE = "restore the file, or train again"
 
 
-def create(config: TrainConfig) -> Path:
-    """Make the folder of a new run and write its options; returns its absolute path.
+@contextlib.contextmanager
+def created(config: TrainConfig) -> Iterator[Path]:
+    """Make the folder of a new run, write its options, and give its absolute path; it belongs to this process.
+
+    Where the block ends with an error before anything was learned, nothing is left behind.
 
     Raises:
-        IzooError: the folder already holds something, or cannot be made.
+        IzooError: the folder already holds something, cannot be made, or another process begins a run there.
     """
     label = f"{datetime.now():%Y-%m-%d_%H-%M-%S}-{config.algo.name}-seed{config.seed}"
     run_dir = Path(config.run_dir) if config.run_dir else Path.cwd() / "runs" / label
+    existed = run_dir.exists()
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
-    write_config(run_dir, config)
-    return run_dir
+    with owned(run_dir):
+        write_config(run_dir, config)
+        try:
+            yield run_dir
+        except BaseException:
+            if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
+                _remove(run_dir, existed)
+            raise
+
+
+@contextlib.contextmanager
+def owned(run_dir: Path) -> Iterator[None]:
+    """Keep other processes from training in a run's folder; reading it, and evaluating into it, they may.
+
+    Raises:
+        IzooError: another process trains there.
+    """
+    with claimed(checkpoint.folder_of(run_dir), "this run is being trained; wait for its end, or stop it"):
+        yield
+
+
+def _remove(run_dir: Path, existed: bool) -> None:
+    """Remove what a run has put into its folder, which was empty, and the folder unless it was there before."""
+    shutil.rmtree(run_dir, ignore_errors=True)
+    if existed:
+        run_dir.mkdir(exist_ok=True)
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
@@ -45,16 +95,85 @@ def read_config(run_dir: Path) -> TrainConfig:
     """Read the options of a run.
 
     Raises:
-        IzooError: the folder is not a run, or its options are of another version.
+        IzooError: the folder is not a run, or the file is damaged, incomplete or of another version: an option that is
+            missing must not pass for its default.
     """
     path = run_dir / CONFIG_FILE
     if not path.is_file():
         raise IzooError(f"{run_dir} has no {CONFIG_FILE}; give the folder of a training run.")
     try:
-        values: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    except (OSError, YAMLError, OmegaConfBaseException) as error:
-        raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}.") from error
-    return from_mapping(TrainConfig, values)
+        text = read_text(path, MOST_CONFIG_BYTES)
+        if not text.endswith("\n"):
+            raise ValueError("it is cut short")
+        values = _plain_yaml(text)
+    except (OSError, ValueError, YAMLError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+        raise IzooError(f"cannot read {path}: {reason}.") from error
+    if not isinstance(values, dict):
+        raise IzooError(f"{path} holds no options; {_RESTORE}.")
+    try:
+        config = from_mapping(TrainConfig, values)
+    except IzooError as error:
+        raise IzooError(f"{path}: {error}") from error
+    missing = _missing(to_mapping(config), values)
+    if missing:
+        raise IzooError(f"{path} lacks {', '.join(missing[:5])}: it is cut short or of another version; {_RESTORE}.")
+    return config
+
+
+def _plain_yaml(text: str) -> Any:
+    """Return what YAML says, without its aliases: a few lines of them stand for more than fits into the memory."""
+    loader = getattr(yaml, "CSafeLoader", SafeLoader)  # the fast one may not have been built
+    depth = 0
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if isinstance(event, AliasEvent):
+            raise ValueError("it holds YAML aliases, which izoo does not write")
+        if depth > MOST_CONFIG_LEVELS:
+            raise ValueError(f"it is nested more than {MOST_CONFIG_LEVELS} levels deep")
+    return yaml.load(text, loader)
+
+
+def _missing(whole: Any, values: Any, prefix: str = "") -> list[str]:
+    """Return the paths of the options of ``whole`` that ``values`` lacks."""
+    if not isinstance(whole, dict):
+        return []
+    found = []
+    for name, value in whole.items():
+        path = f"{prefix}{name}"
+        found += [path] if name not in values else _missing(value, values[name], f"{path}.")
+    return found
+
+
+def options_digest(config: TrainConfig) -> str:
+    """Return a digest of the options that make a run what it is: not where it lies, and none of :data:`CHANGEABLE`."""
+    values = to_mapping(from_mapping(TrainConfig, to_mapping(config)))  # 60 and 60.0 are the same
+    kept = {name: value for name, value in values.items() if name not in (*CHANGEABLE, "run_dir")}
+    kept["contexts"].pop("path", None)
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def check_state(state: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
+    """Raise :class:`IzooError` unless a checkpoint is whole and was written under the options that lie beside it."""
+    checkpoint.check_entries(state, path)
+    check_layout(state["features"], config, path)
+    if state["options"] != options_digest(config):
+        raise IzooError(
+            f"the options in {checkpoint.run_of(path) / CONFIG_FILE} are not those that {path} was trained with: the "
+            f"file was changed or damaged; {_RESTORE}."
+        )
+
+
+@contextlib.contextmanager
+def fitting(path: Path) -> Iterator[None]:
+    """Say in words that what a checkpoint holds does not fit the networks that its options describe."""
+    try:
+        yield
+    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError, LookupError) as error:
+        if isinstance(error, IzooError):
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(f"{path} does not fit the options in {CONFIG_FILE} beside it: {reason}") from error
 
 
 def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str, Any]]:
@@ -69,14 +188,10 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     path = checkpoint.find(Path(where).expanduser().absolute())
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
-    check_layout(state["features"], config, path)
+    check_state(state, config, path)
     algorithm = make_algorithm(config.algo, config.action, config.env)
-    try:
-        algorithm.load_state_dict(state["algorithm"])
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise IzooError(
-            f"{path} does not fit the options in {CONFIG_FILE} beside it: {str(error).splitlines()[0]}"
-        ) from error
+    with fitting(path):
+        load_state(algorithm, state["algorithm"])
     return algorithm, config, state
 
 

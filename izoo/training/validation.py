@@ -1,7 +1,5 @@
-"""Periodic validation: another process compares the run's weights with human driving while training goes on.
-
-``python -m izoo.training.validation CHECKPOINT RESULT`` is that process: of low priority, without workers of its own,
-and gone as soon as the run is.
+"""Periodic validation: another process (:mod:`izoo.training.validating`) compares the run's weights with human driving
+while training goes on.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import IO, Any
@@ -24,15 +21,16 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import choose_contexts, episode_seeds
-from izoo.files import write_json
+from izoo.metrics.benefit import SIGNIFICANCE
+from izoo.metrics.statistics import fall_p_value
 from izoo.training import checkpoint
 from izoo.training.records import MetricsTable
 
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
 """Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
-NICENESS = 10
-POLICY = "policy"
+PROCESS = "izoo.training.validating"
+POLICY, APPROACHES = "policy", "approaches_benefit"
 _PATIENCE_S = 0.2
 
 
@@ -94,8 +92,9 @@ class Validator:
             )
             self._begin()
             return {}
+        approaches = result.pop(APPROACHES, None)
         row = {name: value for name, value in result.items() if value is not None}
-        row["best"] = float(self._is_best(row))
+        row["best"] = float(self._is_best(row, approaches))
         self.table.append(row)
         if row["best"]:
             checkpoint.make_best(self._validating)
@@ -139,7 +138,7 @@ class Validator:
         result = self._result(self._validating)
         result.parent.mkdir(exist_ok=True)
         self._log = (self.run_dir / LOG_FILE).open("wb")
-        command = [sys.executable, "-m", "izoo.training.validation", str(self._validating), str(result)]
+        command = [sys.executable, "-m", PROCESS, str(self._validating), str(result)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         # A session of its own keeps the terminal's Ctrl-C away; the open pipe tells the process that the run lives.
         self._process = subprocess.Popen(
@@ -152,17 +151,48 @@ class Validator:
         )
 
     def _result(self, candidate: Path) -> Path:
-        return self.run_dir / RESULT_FOLDER / f"step-{checkpoint.frames_of(candidate):012d}.json"
+        return self._result_of(checkpoint.frames_of(candidate))
 
-    def _is_best(self, row: dict[str, float]) -> bool:
-        _, earlier = self.table.series("benefit")
-        lost = checkpoint.best_of(self.run_dir) is None  # a run that was resumed further back forgets a later best
-        return "benefit" in row and (lost or all(row["benefit"] > value for value in earlier))
+    def _result_of(self, frames: int) -> Path:
+        return self.run_dir / RESULT_FOLDER / f"step-{frames:012d}.json"
+
+    def _is_best(self, row: dict[str, float], approaches: dict[str, Any] | None = None) -> bool:
+        """Whether weights take the place of the best: nothing shows that they are worse than those with most benefit.
+
+        Args:
+            row: of the table.
+            approaches: intersection and benefit by approach; without them, the mean decides.
+        """
+        if "benefit" not in row or row.get("nan_share"):  # the simulator drove those whose action was NaN
+            return False
+        frames, earlier = self.table.series("benefit")
+        if checkpoint.best_of(self.run_dir) is None or not earlier:
+            return True  # a run that was resumed further back forgets a later best
+        highest = max(range(len(earlier)), key=lambda k: (earlier[k], frames[k]))
+        before = _read_result(self._result_of(int(frames[highest]))) or {}
+        if not approaches or not before.get(APPROACHES):
+            return row["benefit"] >= earlier[highest]
+        return not shown_worse(approaches, before[APPROACHES])
 
     def _close_log(self) -> None:
         if self._log is not None:
             self._log.close()
             self._log = None
+
+
+def shown_worse(new: dict[str, Any], old: dict[str, Any]) -> bool:
+    """Whether the benefits of new weights are lower than those of old ones, by a paired t-test over intersections.
+
+    Of two equally good policies the new one is taken for worse in one comparison of twenty.
+
+    Args:
+        new, old: intersection and benefit by approach.
+    """
+    shared = [key for key in new if key in old]
+    if not shared:
+        return False
+    difference = [new[key][1] - old[key][1] for key in shared]
+    return fall_p_value(difference, [new[key][0] for key in shared]) < SIGNIFICANCE
 
 
 def held_out(config: ContextsConfig) -> ContextSource:
@@ -173,13 +203,16 @@ def held_out(config: ContextsConfig) -> ContextSource:
     return config.build()
 
 
-def validate(path: Path) -> dict[str, float | None]:
+def validate(path: Path) -> dict[str, Any]:
     """Compare a checkpoint's policy with human driving in the validation contexts; return a row of the table.
 
+    Beside it, under :data:`APPROACHES`, the intersection and the benefit of every approach.
+
     ``benefit`` is the mean over approaches of the exactly gated benefit over human driving (of electric vehicles: over
-    uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out. Shares and benefits are fractions.
+    uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out; ``benefit_over_uncommanded`` has no
+    gate. Shares and benefits are fractions.
     """
-    from izoo.evaluation import evaluate_policy, summarise
+    from izoo.evaluation import approach_table, evaluate_policy, summarise
     from izoo.training import runs
 
     started = time.perf_counter()
@@ -192,23 +225,28 @@ def validate(path: Path) -> dict[str, float | None]:
     )
     summary = summarise(table)
     entry = summary["policies"][POLICY]
+    compared = approach_table(table, POLICY, entry["headline"]).query("left_out == ''")
     main, human, uncommanded = (entry["against"][baseline] for baseline in (entry["headline"], "human", "uncommanded"))
     return {
         "frames": state["frames"],
         "benefit": main["all"]["exact"]["mean"]["value"],
         "benefit_iqm": main["all"]["exact"]["iqm"]["value"],
         "benefit_unsaturated": main["unsaturated"]["exact"]["mean"]["value"],
-        "benefit_over_uncommanded": uncommanded["all"]["exact"]["mean"]["value"],
+        "benefit_over_uncommanded": uncommanded["all"]["ungated"]["mean"]["value"],
         "benefit_ungated": main["all"]["ungated"]["mean"]["value"],
         "throughput_kept": human["all"]["throughput"]["share_kept"]["value"],
+        "nan_share": summary["scores"][POLICY]["nan_share"],
         "emission_g_per_vehicle": summary["scores"][POLICY]["emission_g_per_vehicle"],
         "approaches": main["all"]["exact"]["mean"]["n"],
         "saturated": len(main["saturated"]),
         "seconds": time.perf_counter() - started,
+        APPROACHES: {
+            f"{row.context_hash} {row.approach}": [row.intersection, row.benefit_exact] for row in compared.itertuples()
+        },
     }
 
 
-def _read_result(path: Path) -> dict[str, float | None] | None:
+def _read_result(path: Path) -> dict[str, Any] | None:
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError):
@@ -221,23 +259,3 @@ def _last_line(log: Path, code: int) -> str:
         if lines:
             return lines[-1]
     return f"exit code {code}"
-
-
-def _end_with_parent() -> None:
-    def watch() -> None:
-        while os.read(0, 1):  # not sys.stdin, whose lock would be missed at the end
-            pass
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def main(checkpoint_file: str, result_file: str) -> None:
-    """Validate a checkpoint and write the row as JSON, whole or not at all."""
-    write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)
-
-
-if __name__ == "__main__":
-    _end_with_parent()
-    os.nice(NICENESS)
-    main(*sys.argv[1:])

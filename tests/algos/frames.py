@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
-from izoo.algos.sets import SetPPO
+from izoo.algos.set_ppo import SetPPO
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
 

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
+from izoo.algos.base import ACTION_VALUE
 from izoo.algos.buffer import (
     ERROR,
     NEXT_OBSERVATION,
@@ -22,7 +23,7 @@ from izoo.algos.buffer import (
     Replay,
     transitions,
 )
-from izoo.algos.ddpg import ACTION_VALUE, DDPG
+from izoo.algos.ddpg import DDPG
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping

@@ -108,3 +108,26 @@ def test_a_short_run_on_sumo(tmp_path: Path) -> None:
     assert all(math.isfinite(loss) for loss in losses)
     policy = runs.load_policy(run_dir)
     assert policy.in_keys == [base.OBSERVATION], "it acts on one vehicle's observation"
+
+
+def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:
+    with pytest.raises(IzooError, match=r"algo.credit=team .* env.reward.eta is 0.*fuel_team"):
+        compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
+    chosen = compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
+    assert chosen.env.emit == ("team_reward",)
+
+
+def test_a_short_run_for_the_team(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [
+        "algo=mappo",
+        "algo.credit=team",
+        "env.reward=fuel_team",
+        "env.hold_s=2",
+        "action=advise",
+        "contexts=pcg_easy",
+    ]
+    short = ["collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=100", "total_frames=200"]
+    assert train.main([*words, *short, "algo.frames_per_batch=100", f"run_dir={run_dir}"]) == 0
+    losses = MetricsTable(run_dir / runs.METRICS_FILE, 200).series("loss_critic")[1]
+    assert len(losses) == 2 and all(math.isfinite(loss) for loss in losses)

@@ -12,7 +12,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
 from izoo.algos.gaussian import SamplingPolicy
-from izoo.algos.ppo import PPO, PPOLoss
+from izoo.algos.losses import MaskedPPOLoss
+from izoo.algos.ppo import PPO
 from izoo.algos.ppo_config import PPOConfig
 from izoo.errors import IzooError
 
@@ -258,6 +259,6 @@ def test_bad_hyper_parameters_are_refused() -> None:
 
 def test_loss_reads_per_agent_keys() -> None:
     ppo = make_ppo()
-    assert isinstance(ppo.loss, PPOLoss)
+    assert isinstance(ppo.loss, MaskedPPOLoss)
     assert ppo.loss.tensor_keys.advantage == base.ADVANTAGE
     assert ppo.loss.tensor_keys.sample_log_prob == base.LOG_PROB

@@ -102,6 +102,12 @@ def test_constant_speed_reaches_its_speed_in_one_step_within_the_bounds() -> Non
     assert not step["agents", "defer"].any()
 
 
+def test_constant_acceleration_asks_for_two_metres_per_second_squared_whatever_it_sees() -> None:
+    step = make_driver("constant_2.0", CONFIG)(as_step(observation(speed=0.0), observation(speed=30.0)))
+    assert step["agents", "action"].squeeze(-1).tolist() == [2.0, 2.0]
+    assert not step["agents", "defer"].any()
+
+
 def test_the_names_of_drivers_are_those_of_the_table() -> None:
     assert tuple(DRIVERS) == DRIVER_NAMES
 

@@ -15,7 +15,8 @@ from izoo.algos import base
 from izoo.algos.gcrl import GCRL
 from izoo.algos.mappo import MAPPO
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig
-from izoo.algos.sets import COLUMN, FRAME, SetPPO, places
+from izoo.algos.set_ppo import SetPPO
+from izoo.algos.sets import COLUMN, FRAME, places
 from tests.algos.frames import FEATURES, HIGH, LOW, act, alone, hand_advantages, make_frames
 
 KINDS = {

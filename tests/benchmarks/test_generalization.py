@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -14,11 +15,14 @@ from pathlib import Path
 import pytest
 import torch
 from matplotlib import image
+from rich.console import Console
 
 from izoo.benchmarks import campaign, generalization
+from izoo.benchmarks.outcome import outcome_tables
 from izoo.evaluation.table import read_csv
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
+from izoo.reporting.material import collect
 from izoo.reporting.results import evaluation_of, read_results
 from izoo.training import checkpoint
 
@@ -32,6 +36,8 @@ WORDS = [
     "num_workers=0",
     'train_options=["algo.frames_per_batch=150","checkpoint.every_batches=1","algo.epochs=1"]',
 ]
+ENTRIES = {"ppo", "uncommanded", "constant_2.0", "ppo_untrained"}
+"""What is asked for, and what stands beside it."""
 
 
 def start(folder: Path, cache: Path) -> subprocess.Popen[str]:
@@ -72,7 +78,7 @@ def assert_everything_is_there(folder: Path) -> None:
     assert [int(number) for number in frames] == list(range(150, 751, 150)), "a batch was lost or counted twice"
     assert results.aggregates["entries"]["ppo"]["n"]["approaches"] == 2
     assert "paper's form" in results.aggregates["entries"]["ppo"]["best_seed"]["label"]
-    assert {pair["x"] for pair in results.aggregates["improvement"]} == {"ppo", "uncommanded"}
+    assert {pair["x"] for pair in results.aggregates["improvement"]} == ENTRIES
 
 
 def test_everything_is_there(done: tuple[Path, Path]) -> None:
@@ -102,8 +108,33 @@ def test_a_second_start_does_nothing(done: tuple[Path, Path], capsys: pytest.Cap
     folder, cache = done
     before = {path: path.stat().st_mtime_ns for path in folder.glob("*/*/*/*.csv")}
     assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
-    assert "3 of 3 jobs are done already" in capsys.readouterr().out
+    assert "5 of 5 jobs are done already" in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in folder.glob("*/*/*/*.csv")} == before
+
+
+def test_every_line_of_the_table_says_what_it_is_over_uncommanded(done: tuple[Path, Path]) -> None:
+    results = read_results(done[0])
+    text = io.StringIO()
+    Console(file=text, width=80).print(outcome_tables(results))
+    for words in ("ppo_untrained", "constant_2.0", "uncommanded", "whole region", "demand served", "fewer than 6"):
+        assert words in text.getvalue()
+    assert "…" not in text.getvalue(), "a terminal of 80 columns is too narrow"
+    for name, content in results.aggregates["entries"].items():
+        assert ("over_uncommanded" in content["all"]) == (name != "uncommanded")
+        assert 0.0 < content["all"]["served"]["policy"]["value"] <= 1.0
+    table = evaluation_of(done[0], results.entry("ppo_untrained").runs[0])
+    assert set(table["policy"]) == {"human", "uncommanded", "ppo_untrained"}
+
+
+def test_on_human_vehicles_nobody_gains_without_a_command(tmp_path: Path, done: tuple[Path, Path]) -> None:
+    words = [word.replace("ppo", "glide") for word in WORDS if not word.startswith(("frames", "train_options"))]
+    assert generalization.main([*words, "human_vehicles=true", f"out={tmp_path / 'a'}", f"cache={done[1]}"]) == 0
+    results = read_results(tmp_path / "a")
+    beside = {name: content["human_vehicles"] for name, content in results.aggregates["entries"].items()}
+    assert beside["uncommanded"]["all"]["ungated"]["mean"]["value"] == 0.0
+    assert beside["glide"]["all"]["ungated"]["mean"] == beside["glide"]["all"]["over_uncommanded"]["mean"]
+    names = {entry.name for entry in collect(tmp_path / "a").entries}
+    assert names == {"glide", "uncommanded", "glide, human vehicles", "uncommanded, human vehicles"}
 
 
 def test_the_leaderboard_files_are_in_order_but_for_what_is_missing(
@@ -194,7 +225,7 @@ def test_aggregates_and_leaderboard_files_never_lag_behind_the_runs(
         assert results.complete and results.aggregates == {}
     assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 0
     assert read_results(copy).aggregates == whole
-    assert {path.stem for path in (copy / "leaderboard").glob("*.json")} == {"ppo", "uncommanded"}
+    assert {path.stem for path in (copy / "leaderboard").glob("*.json")} == ENTRIES
 
 
 def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(

@@ -94,12 +94,13 @@ def test_aggregates_keep_training_seeds_apart() -> None:
         "intersections": 3,
         "eval_seeds": 3,
     }
-    exact = [run["exact"]["mean"] for run in found["all"]["per_seed"]]
+    exact = [run["exact"]["mean"] for run in found["per_seed"]]
     assert exact == pytest.approx([(0.1 - 0.01 * k + 0.0 - 0.2 - 0.01 * k) / 3 for k in range(4)])
     assert found["best_seed"]["seed"] == 0 and "paper's form" in found["best_seed"]["label"]
-    over = found["all"]["over_train_seeds"]["exact"]["mean"]
-    assert over["value"] == pytest.approx(sum(exact) / 4) and over["n"] == 12 and over["low"] < over["high"]
-    assert found["all"]["over_train_seeds"]["exact"]["share_gated"]["value"] == pytest.approx(1 / 3)
+    mean = found["all"]["exact"]["mean"]
+    assert mean["value"] == pytest.approx(sum(exact) / 4) and (mean["n"], mean["seeds"]) == (3, 4)
+    assert mean["low"] is None and mean["missing"].startswith("no interval: 3 intersections")
+    assert found["all"]["exact"]["share_gated"]["value"] == pytest.approx(1 / 3)
     assert found["unsaturated"] == found["all"]
     assert aggregate(rows) == found
 
@@ -190,3 +191,18 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert command.main(["validate", str(tmp_path / "nothing.json")]) == 2
     assert command.main(["merge", str(out), "--out", str(out)]) == 2
     assert "no leaderboard submission" in capsys.readouterr().err
+
+
+HOSTILE = "[red]ppo[/red] [/nonsense] \x1b[2J\x1b]0;mine\x07\u202eoppo [link=http://x]"
+
+
+def test_names_and_titles_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither Rich nor the terminal obeys what somebody wrote into a submission."""
+    content = submission(name=HOSTILE)
+    content["protocol"]["title"] = HOSTILE
+    write_submission(tmp_path / "hostile.json", sealed(content))
+    assert command.main(["validate", str(tmp_path)]) in (0, 1)
+    assert command.main(["merge", str(tmp_path), "--out", str(tmp_path / "leaderboard")]) == 0
+    shown = capsys.readouterr()
+    assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
+    assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out

@@ -115,16 +115,28 @@ def test_entries() -> None:
             parse_entry(name)
 
 
+def test_beside_what_is_trained_stands_what_is_not() -> None:
+    def names(*algos: str) -> list[str]:
+        return [entry.name for entry in GeneralizationConfig(algos=algos).entries()]
+
+    beside = ["uncommanded", "constant_2.0", "ppo_untrained", "ddpg_residual_untrained"]
+    assert sorted(names("ppo", "ddpg_residual")) == sorted([*beside, "ppo", "ddpg_residual"])
+    assert names("uncommanded", "ppo", "ppo_untrained").count("uncommanded") == 1
+    assert names("glide") == ["glide"]
+    entry = parse_entry("ddpg_residual_untrained")
+    assert (entry.kind, entry.algo, entry.action) == ("scripted", "ddpg", "residual")
+
+
 def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignore[no-untyped-def]
     config = GeneralizationConfig(
         algos=("ddpg_residual",), train_options=("algo.gamma=0.9",), horizon_s=500.0
     ).resolved()
-    run = train_config(config, make_plan(config), config.entries()[0], 3, tmp_path)
+    run = train_config(config, make_plan(config), config.entries()[-1], 3, tmp_path)
     assert (run.algo.name, run.algo.gamma, run.action.name, run.seed) == ("ddpg", 0.9, "residual", 3)
     assert (run.env.horizon_s, run.evaluation.contexts, run.run_dir) == (500.0, 0, str(tmp_path))
     assert run.validation.every_batches == 0
     chosen = dataclasses.replace(config, select="best")
-    validated = train_config(chosen, make_plan(chosen), config.entries()[0], 3, tmp_path)
+    validated = train_config(chosen, make_plan(chosen), config.entries()[-1], 3, tmp_path)
     assert validated.validation.every_batches > 0
     assert run.contexts.split == "train" and run.contexts.weather == "published"
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
+import torch
 
 from izoo.benchmarks.campaign import Campaign
+from izoo.benchmarks.contestants import _selected, untrained
 from izoo.benchmarks.generalization_options import GeneralizationConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.training import checkpoint
+from izoo.training.learner import Learner
 
 
 @pytest.mark.parametrize("validated", [True, False])
@@ -23,9 +28,20 @@ def test_the_best_weights_are_those_of_validation(
     chosen = {}
     for select in ("last", "best"):
         config = GeneralizationConfig(protocol="systematicity", algos=("uncommanded",), select=select).resolved()
-        chosen[select] = checkpoint.load(Campaign(config, tmp_path / select)._selected(tmp_path / "run"))["frames"]
+        chosen[select] = checkpoint.load(_selected(config, tmp_path / "run"))["frames"]
     assert chosen == {"last": 200, "best": 100 if validated else 200}
     assert ("too short" in capsys.readouterr().out) != validated
+
+
+def test_an_untrained_entry_is_what_the_run_of_that_seed_begins_with() -> None:
+    config = dataclasses.replace(TrainConfig(), seed=3)
+    torch.manual_seed(3)
+    begun = Learner(config, torch.device("cpu")).policy.state_dict()
+    torch.manual_seed(0)
+    entry, other = (untrained(c).state_dict() for c in (config, TrainConfig()))
+    weights = [name for name in begun if hasattr(begun[name], "dim") and begun[name].dim() == 2]
+    assert weights and all(torch.equal(begun[name], entry[name]) for name in weights)
+    assert not all(torch.equal(begun[name], other[name]) for name in weights)
 
 
 def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
@@ -34,7 +50,7 @@ def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
     for select in ("last", "best"):
         config = GeneralizationConfig(protocol="systematicity", algos=("ppo",), select=select, frames=200).resolved()
         benchmark = Campaign(config, tmp_path / select)
-        job = benchmark.jobs()[0]
+        job = next(job for job in benchmark.jobs() if job.kind == "train")
         last = checkpoint.save(benchmark._run_dir(job.entry, job.seed), 200, {"features": 1}, keep=2)
         assert benchmark._is_trained(job)
         candidate = checkpoint.make_candidate(last)

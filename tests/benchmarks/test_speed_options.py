@@ -15,6 +15,7 @@ from izoo.benchmarks import emissions, scaling, throughput
     ("main", "words", "message"),
     [
         (throughput.main, ["workers=0"], "workers is 0"),
+        (throughput.main, ["twin_threads=[0]"], "twin_threads is 0"),
         (throughput.main, ["steps=199"], "steps is 199; it must be a multiple of 200"),
         (throughput.main, ["scenarios=[lihgt]"], "Did you mean 'light'"),
         (scaling.main, ["steps=0"], "steps is 0"),
@@ -41,12 +42,12 @@ def test_throughput_compares_like_with_like(
 ) -> None:
     monkeypatch.setattr(throughput, "ROUNDS", 1)
     out = tmp_path / "rates.json"
-    assert throughput.main(["workers=1", "steps=200", "scenarios=[light]", f"out={out}"]) == 0
+    assert throughput.main(["workers=1", "steps=200", "scenarios=[light]", "twin_envs=[1,4]", f"out={out}"]) == 0
     assert "bare libsumo" in capsys.readouterr().out
     result = json.loads(out.read_text())
     rows = {row["variant"]: row for row in result["rows"]}
     bare = rows["bare libsumo"]
-    assert result["workers"] == 1 and len(rows) == 9 and bare["ratio_to_bare"] == 1.0
+    assert result["workers"] == 1 and len(rows) == 16 and bare["ratio_to_bare"] == 1.0
     assert all(row["env_steps_per_s"] > 0.0 and row["ratio_to_bare"] > 0.0 for row in rows.values())
     # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
     one, stepped = rows["one environment"], rows["one environment, step()"]
@@ -55,6 +56,9 @@ def test_throughput_compares_like_with_like(
         assert one[counted] == rows["1 worker, parallel"][counted] == rows["1 worker, multisync"][counted]
         assert stepped[counted] == rows["one, all groups, step()"][counted] == pytest.approx(one[counted], rel=0.05)
     assert one["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
+    for label in ("twin, 1 environment", "twin, 4 environments", "twin, 4 environments, 2 threads"):
+        assert rows[label]["vehicles"] == pytest.approx(one["vehicles"], rel=0.3)
+    assert rows["twin, 4 environments, PPO"]["env_steps_per_s"] > 0.0
     # The same policy meets the same traffic, wherever it runs.
     parallel, multisync = rows["1 worker, parallel, PPO"], rows["1 worker, multisync, PPO"]
     assert parallel["agents"] == pytest.approx(multisync["agents"], rel=0.2)

@@ -209,11 +209,10 @@ def test_an_episode_can_be_played_again(make: Make, parallel: bool) -> None:
     env = make(SumoParallelEnv, num_workers=2) if parallel else make()
     schedule = RoundRobinSchedule([crossing(), crossing(lane_count=1)], 9)
     env.schedule = schedule
-    shape = env.batch_size
     first = [play(env, 30, defer, env.reset()) for _ in range(3)]
     assert len({digest(part) for part in first}) == 3
     numbers = first[1]["context", "episode"][..., 0, :]
-    again = env.reset(TensorDict({"context": TensorDict({"episode": numbers}, shape)}, shape))
+    again = env.reset(episode=numbers)
     assert torch.equal(again["context", "episode"], numbers)
     assert digest(play(env, 30, defer, again)) == digest(first[1])
     # The schedule goes on where it was.

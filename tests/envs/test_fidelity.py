@@ -81,7 +81,7 @@ def test_commands_change_the_traffic(tmp_path: Path) -> None:
     env = EcoDrivingEnv(crossing(), config=CONFIG)
     try:
         frames = episode(env, steer)
-        env.reset(frames[0].select(("context", "episode")))
+        env.reset(episode=frames[0]["context", "episode"])
         again = episode(env, defer)
     finally:
         env.close()

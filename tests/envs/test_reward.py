@@ -25,23 +25,26 @@ LEAVER, EMPTY = 6, -1
 
 
 def tables() -> tuple[np.ndarray, np.ndarray]:
-    floats, terms = np.zeros((8, len(FLOATS))), np.full((8, 5), np.nan)
+    floats, terms = np.zeros((8, len(FLOATS))), np.full((8, 6), np.nan)
     floats[:, TTC] = np.inf
     for row, values in VEHICLES.items():
         floats[row, [SPEED, EMISSION, ACCEL, PREV_ACCEL, TTC]] = values
-    terms[LEAVER] = (12.0, 0.0, 1.0, -0.5, -0.25)  # of the step before
+    terms[LEAVER] = (12.0, 0.0, 1.0, -0.5, -0.25, 0.0)  # of the step before
     return floats, terms
 
 
 def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.ndarray]:
     """Return the reward and its vector for slots that hold rows 4, 1, a leaver, and nobody."""
     floats, terms = tables()
-    fleet, shared = np.empty(5), np.empty(1)
+    fleet, shared = np.empty(6), np.empty(1)
     numbers, weights, shared_weights = reward_arrays(config)
     reward_terms(rows, floats, numbers, terms, fleet, shared)
-    reward, vector = np.full(4, np.nan, np.float32), np.full((4, 11), np.nan, np.float32)
+    reward, vector = np.full(4, np.nan, np.float32), np.full((4, 13), np.nan, np.float32)
+    step = np.full(4, np.nan)
     rules = (numbers, weights, shared_weights)
-    pay(np.array([4, 1, LEAVER, EMPTY]), terms, fleet, shared, *rules, reward, vector, len(rows) == 0)
+    slots = np.array([4, 1, LEAVER, EMPTY])
+    pay(slots, terms[slots], fleet, shared, *rules, step, reward, vector, len(rows) == 0, True)
+    np.testing.assert_allclose(step, reward, rtol=1e-6)
     return reward, vector
 
 
@@ -101,11 +104,11 @@ def test_an_empty_region_pays_nothing() -> None:
 
 def test_reward_vector_holds_the_raw_columns() -> None:
     _, vector = paid(RewardConfig(eta=0.5))
-    fleet = [15.25 / 3, 1 / 3, 2.0, -5.0 / 3, -3.5 / 3]
-    assert vector[0] == pytest.approx([10.0, 0.0, 1.5, -2.0, -3.0, *fleet, 2.5])
-    assert vector[1] == pytest.approx([0.25, 1.0, 0.5, -3.0, 0.0, *fleet, 2.5])
-    assert vector[2] == pytest.approx([12.0, 0.0, 1.0, -0.5, -0.25, *fleet, 2.5])
-    assert not vector[3].any() and len(REWARD_VECTOR) == 11
+    fleet = [15.25 / 3, 1 / 3, 2.0, -5.0 / 3, -3.5 / 3, 0.0]
+    assert vector[0] == pytest.approx([10.0, 0.0, 1.5, -2.0, -3.0, 0.0, *fleet, 2.5])
+    assert vector[1] == pytest.approx([0.25, 1.0, 0.5, -3.0, 0.0, 0.0, *fleet, 2.5])
+    assert vector[2] == pytest.approx([12.0, 0.0, 1.0, -0.5, -0.25, 0.0, *fleet, 2.5])
+    assert not vector[3].any() and len(REWARD_VECTOR) == 13
 
 
 @pytest.mark.parametrize(
@@ -113,7 +116,7 @@ def test_reward_vector_holds_the_raw_columns() -> None:
     [
         RewardConfig(),
         RewardConfig(eta=0.3, soft_stop=True, tau_mps=3.0, alpha=-10.0, beta=-1.0, scale=2.0),
-        RewardConfig(eta=0.6, comfort=0.5, realism=0.25, safety=0.1),
+        RewardConfig(eta=0.6, comfort=0.5, realism=0.25, delay=-0.5, safety=0.1),
     ],
     ids=("paper", "soft", "all terms"),
 )
@@ -123,6 +126,7 @@ def test_an_episode_is_paid_by_the_equation(config: RewardConfig) -> None:
     env = EcoDrivingEnv(crossing(), config=settings, seed=2)
     try:
         steps = episode(env)
+        limits = torch.tensor(env.road.lane_limit_mps)
     finally:
         env.close()
     leavers = 0
@@ -132,13 +136,13 @@ def test_an_episode_is_paid_by_the_equation(config: RewardConfig) -> None:
     for t in range(len(steps)):
         frame = steps[t]
         if t == 0:
-            last, _, _ = individual_terms(frame["vehicles"], accel_before, config)
+            last, _, _ = individual_terms(frame["vehicles"], accel_before, config, limits)
             accel_before = accelerations(frame["vehicles"])
         acting, row = frame["agents", "mask"], frame["agents", "vehicle"]
         number = frame["vehicles", "vehicle_number"][row]
-        now, fleet, shortest = individual_terms(frame["next", "vehicles"], accel_before, config)
+        now, fleet, shortest = individual_terms(frame["next", "vehicles"], accel_before, config, limits)
         accel_before |= accelerations(frame["next", "vehicles"])
-        weights = torch.tensor([1.0, config.alpha, config.beta, config.comfort, config.realism])
+        weights = torch.tensor([1.0, config.alpha, config.beta, config.comfort, config.realism, config.delay])
         expected = torch.zeros(len(acting))
         for slot in torch.nonzero(acting).flatten().tolist():
             mine = now.get(int(number[slot]), last[int(number[slot])])
@@ -162,8 +166,8 @@ def accelerations(vehicles) -> dict[int, float]:  # type: ignore[no-untyped-def]
     return dict(zip(vehicles["vehicle_number"][there].tolist(), vehicles["accel_mps2"][there].tolist(), strict=True))
 
 
-def individual_terms(vehicles, accel_before, config):  # type: ignore[no-untyped-def]
-    """Return ``{vehicle number: terms [5]}``, their mean ``[5]``, and the smallest time to collision."""
+def individual_terms(vehicles, accel_before, config, limits):  # type: ignore[no-untyped-def]
+    """Return ``{vehicle number: terms [6]}``, their mean ``[6]``, and the smallest time to collision."""
     there = vehicles["present"]
     part = vehicles[there]
     v, a = part["speed_mps"], part["accel_mps2"]
@@ -171,11 +175,12 @@ def individual_terms(vehicles, accel_before, config):  # type: ignore[no-untyped
         [accel_before.get(n, x) for n, x in zip(part["vehicle_number"].tolist(), a.tolist(), strict=True)]
     )
     stopped = (v < config.tau_mps).float() * ((config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0)
-    terms = torch.stack([v, stopped, part["emission_g"], -a.abs(), -(a - before).abs()], -1)
+    delay = 0.5 * (1.0 - v / limits[part["region_lane"].long()].float()).clamp(min=0.0)
+    terms = torch.stack([v, stopped, part["emission_g"], -a.abs(), -(a - before).abs(), delay], -1)
     closing = v - part["leader_speed_mps"]
     ttc = torch.where(part["has_leader"] & (closing > 0), part["leader_gap_m"].clamp(min=0.0) / closing, 10.0)
     shortest = min(10.0, ttc.min().item()) if len(ttc) else 10.0
-    mean = terms.mean(0) if len(terms) else torch.zeros(5)
+    mean = terms.mean(0) if len(terms) else torch.zeros(6)
     return dict(zip(part["vehicle_number"].tolist(), terms, strict=True)), mean, shortest
 
 

@@ -145,7 +145,7 @@ def test_ctrl_c_in_a_step_leaves_no_answer_unread(pair: SumoParallelEnv) -> None
     assert not alive(stopped)
     with pytest.raises(IzooError, match=r"before reset\(\)"):
         pair.step(steer(state.clone()))
-    again = pair.reset(TensorDict({("context", "episode"): torch.tensor([[0], [1]])}, batch_size=[2]))
+    again = pair.reset(episode=[0, 1])
     played, _ = play_on(pair, 101, steer, again)
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
 
@@ -168,7 +168,7 @@ def test_a_failure_of_the_parent_leaves_no_answer_unread(
         with pytest.raises(RuntimeError, match="no memory"):
             pair.step(steer(state.clone()))
     assert not alive(stopped)
-    again = pair.reset(TensorDict({("context", "episode"): torch.tensor([[0], [1]])}, batch_size=[2]))
+    again = pair.reset(episode=[0, 1])
     played, _ = play_on(pair, 101, steer, again)
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
 
@@ -225,7 +225,7 @@ def survive(kills: int, seed: int) -> None:
     single = SumoParallelEnv(1, crossing(), config=config, seed=6)
     try:
         for number in sorted(done)[:6]:
-            start = single.reset(TensorDict({("context", "episode"): torch.tensor([[number]])}, [1]))
+            start = single.reset(episode=number)
             assert digest(play(single, config.control_steps, steer, start)[0]) == done[number]
     finally:
         single.close()

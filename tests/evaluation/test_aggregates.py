@@ -10,21 +10,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.evaluation.across import aggregate, run_rows
-from izoo.evaluation.aggregates import FIGURES, aggregates, over_intersections, over_train_seeds, plain
+from izoo.evaluation.across import aggregate, compare_entries, run_rows
+from izoo.evaluation.aggregates import FIGURES, estimates, plain_figures
 from izoo.evaluation.summary import summarise
 from izoo.evaluation.table import COLUMNS
+from izoo.metrics.benefit import benefits
 from izoo.reporting.material import Entry, Evaluated
 from izoo.reporting.scored import score
 from tests.metrics.tables import seeds_table
 
 
 def table(train_seed: int) -> pd.DataFrame:
-    """Nine approaches on five intersections, two of them saturated; throughput falls here and there."""
+    """Nine approaches on six intersections, two of them saturated; throughput falls here and there."""
     mine, world = np.random.default_rng(100 + train_seed), np.random.default_rng(9)
     parts = []
     for k in range(9):
-        intersection = f"c/{'zyxwv'[k % 5]}"
+        intersection = f"c/{'zyxwvu'[k % 6]}"
         crossed = [int(n) for n in world.integers(5, 20, 3)]
         kept = [n + int(change) for n, change in zip(crossed, mine.integers(-1, 2, 3), strict=True)]
         base, share, idle = 80.0 + 10.0 * k, 1.0 - 0.2 * mine.random(), 1.0 - 0.05 * world.random()
@@ -42,19 +43,6 @@ def table(train_seed: int) -> pd.DataFrame:
 
 
 TABLES = [table(k) for k in range(3)]
-BEFORE = {
-    "summary/all/exact/mean": (0.075736515, 0.0433035634, 0.118771616),
-    "summary/all/exact/ratio_of_sums": (0.0773930455, 0.0448450799, 0.114887253),
-    "summary/unsaturated/tested/iqm": (0.115997103, 0.0837955802, 0.141228547),
-    "summary/all/throughput/ratio_of_sums": (0.0136612022, 0.0, 0.0273972603),
-    "across/all/over_train_seeds/exact/iqm": (0.0734214609, 0.0487004492, 0.0938418803),
-    "across/all/over_intersections/tested/mean": (0.10586996, 0.0742863909, 0.131748029),
-    "across/unsaturated/over_train_seeds/exact/share_gated": (0.238095238, 0.0952380952, 0.380952381),
-    "report/all/exact/mean": (0.0768572167, 0.0540623092, 0.101467756),
-    "report/unsaturated/throughput/share_kept": (0.761904762, 0.666666667, 0.916666667),
-    "report/all/tested/ratio_of_sums": (0.103165312, 0.0774459639, 0.132160141),
-}
-"""Value and interval as three computations gave them before they became one."""
 
 
 def all_rows() -> pd.DataFrame:
@@ -69,36 +57,67 @@ def found() -> dict[str, Any]:
     return {"summary": summary, "across": aggregate(all_rows()), "report": score(entry).summary}
 
 
-@pytest.mark.parametrize("path", BEFORE)
-def test_figures_and_intervals_are_those_of_before(found: dict[str, Any], path: str) -> None:
-    for name in path.split("/"):
-        found = found[name]
-    assert (found["value"], found["low"], found["high"]) == pytest.approx(BEFORE[path], rel=1e-8, abs=1e-12)
-
-
 def test_all_three_agree_where_they_say_the_same(found: dict[str, Any]) -> None:
-    runs = found["across"]["all"]["per_seed"]
+    across, report = found["across"], found["report"]
+    first = across["per_seed"][0]
     for part, figures in FIGURES.items():
         for name in figures:
-            assert runs[0][part][name] == pytest.approx(found["summary"]["all"][part][name]["value"])
-    report = found["report"]["all"]["exact"]["mean"]
-    assert found["across"]["all"]["over_train_seeds"]["exact"]["mean"]["value"] == pytest.approx(report["value"])
-    interval = found["across"]["all"]["over_train_seeds"]["exact"]["mean"]
-    assert report["over_seeds"] == pytest.approx([interval["low"], interval["high"]], abs=0.01)
+            assert first[part][name] == pytest.approx(found["summary"]["all"][part][name]["value"])
+            assert across["all"][part][name] == report["all"][part][name]
+            mean = np.mean([seed[part][name] for seed in across["per_seed"]])
+            assert across["all"][part][name]["value"] == pytest.approx(mean)
+    assert across["unsaturated"] == report["unsaturated"]
+    assert across["saturated"] == report["saturated"] and len(across["saturated"]) == 2
+
+
+def test_three_training_seeds_have_an_interval_over_intersections_alone(found: dict[str, Any]) -> None:
+    for estimate in (found["across"]["all"]["exact"]["mean"], found["report"]["all"]["tested"]["iqm"]):
+        assert estimate["over"] == "intersections" and "not over training seeds" in estimate["missing"]
+    four = aggregate(pd.concat([all_rows(), run_rows(table(3), "ppo", 3)], ignore_index=True))
+    assert four["all"]["exact"]["mean"]["over"] == "intersections and training seeds"
+
+
+def test_the_benefit_over_uncommanded_is_paired_and_has_its_own_interval(found: dict[str, Any]) -> None:
+    """It is not the difference of two means, and its interval is not that of the benefit over human driving."""
+    block = found["summary"]["all"]
+    rows = benefits(TABLES[0].query("policy == 'ppo'"), TABLES[0].query("policy == 'uncommanded'"))
+    over = block["over_uncommanded"]["mean"]
+    assert over["value"] == pytest.approx(rows["benefit_ungated"].mean())
+    width = {name: block[name]["mean"]["high"] - block[name]["mean"]["low"] for name in ("ungated", "over_uncommanded")}
+    assert width["over_uncommanded"] != pytest.approx(width["ungated"], rel=1e-3)
+    alone = summarise(TABLES[0].query("policy != 'ppo'"))["policies"]["uncommanded"]["against"]["human"]["all"]
+    assert "over_uncommanded" not in alone
 
 
 def test_no_rows_give_no_numbers() -> None:
-    nothing = all_rows().iloc[:0]
-    for estimate in (over_intersections(nothing, 0, 10), over_train_seeds(1, 0, 10)):
-        assert aggregates(nothing, estimate)["exact"]["mean"] == {
-            **dict.fromkeys(("value", "low", "high")),
-            **{"n": 0, "groups": 0, "confidence": 0.95},
-        }
+    nothing = estimates(all_rows().iloc[:0])["exact"]["mean"]
+    assert (nothing["value"], nothing["low"], nothing["n"], nothing["missing"]) == (None, None, 0, "nothing to count")
+
+
+def test_an_approach_that_one_training_seed_lacks_is_left_out() -> None:
+    rows = all_rows()
+    lacking = rows.drop(index=rows.index[0])
+    mean = estimates(lacking)["exact"]["mean"]
+    assert mean["n"] == 8
+    kept = rows[~rows["context"].isin([rows["context"].iloc[0]])]
+    assert mean == estimates(kept)["exact"]["mean"]
 
 
 def test_plain_numbers_follow_from_the_rows() -> None:
     rows = run_rows(TABLES[0], "ppo", 0)
-    block = aggregates(rows, plain)
+    block = plain_figures(rows)
     assert block["exact"]["mean"] == pytest.approx(rows["benefit_exact"].mean())
     assert block["tested"]["share_gated"] == pytest.approx(rows["gated_tested"].mean())
     assert block["throughput"]["share_kept"] == pytest.approx((rows["throughput_benefit"] >= 0).mean())
+    assert block["region_exact"]["mean"] == pytest.approx(rows["benefit_region_exact"].mean())
+
+
+def test_every_pair_of_entries_is_compared_on_what_both_have() -> None:
+    one, other = all_rows(), all_rows()
+    other["benefit_exact"] -= 0.5
+    found = compare_entries({"one": one, "other": other.iloc[1:]})
+    assert found["approaches"] == 8
+    values = {(pair["x"], pair["y"]): pair["value"] for pair in found["improvement"]}
+    assert values == {("one", "other"): 1.0, ("other", "one"): 0.0}
+    profile = dict(zip(found["profiles"]["thresholds"], found["profiles"]["one"], strict=True))
+    assert profile[-1.0] == 1.0 and profile[1.0] == 0.0

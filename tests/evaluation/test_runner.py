@@ -7,6 +7,7 @@ import io
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -148,7 +149,9 @@ def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts
     console = Console(file=io.StringIO(), width=200)
     print_summary(summary, console)
     assert "policy: 100 % of its commands were NaN; SUMO drove those vehicles." in console.file.getvalue()
-    assert "uncommanded: " not in console.file.getvalue()
+    shown = " ".join(console.file.getvalue().split())
+    assert "policy against human (headline); 100 % of the commands NaN, driven by SUMO" in shown
+    assert "uncommanded: 0 %" not in shown and "uncommanded against human;" not in shown
 
 
 def test_an_interrupted_evaluation_goes_on_where_it_stopped(
@@ -229,7 +232,7 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
         ),
         (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
         (drivers.silent, 0, IzooError, "action"),
-        pytest.param(drivers.deadly, 1, EpisodeFailed, "died 2 times.*SIGKILL", marks=pytest.mark.slow),
+        pytest.param(drivers.deadly, 1, EpisodeFailed, "lost 2 times.*SIGKILL", marks=pytest.mark.slow),
     ],
 )
 def test_a_failing_episode_names_its_context(
@@ -304,3 +307,29 @@ def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contex
     for name in ("human", "uncommanded"):
         one, other = (table[table["policy"] == name].reset_index(drop=True) for table in tables)
         assert_frame_equal(one[list(APPROACH_METRICS)], other[list(APPROACH_METRICS)])
+
+
+@pytest.mark.slow
+def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
+    contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    """It has ended afterwards, and its episode was played by another."""
+    config = dataclasses.replace(SHORT, watchdog_s=3.0)
+    policy = drivers.Stopping(tmp_path / "stopped")
+    begin = time.monotonic()
+    table = evaluate_policy(policy, contexts[:1], SEEDS, config, num_workers=2, progress=False, cache=cache)
+    assert (tmp_path / "stopped").exists() and time.monotonic() - begin < 120.0
+    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS, config, num_workers=0, progress=False, cache=cache)
+    columns = ["policy", *APPROACH_METRICS]
+    assert_frame_equal(table[columns], gentle[columns])
+    assert not [child for child in own_children() if stopped(child)]
+
+
+def own_children() -> list[int]:
+    """Processes that this one has started."""
+    tasks = Path("/proc/self/task").iterdir()
+    return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
+
+
+def stopped(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"

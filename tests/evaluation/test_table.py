@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def test_approaches_without_demand_have_none() -> None:
 
 
 def rows(contexts: list[Context]) -> list[dict[str, object]]:
-    numbers = np.random.default_rng(0).normal(size=(len(contexts), len(COLUMNS)))
+    numbers = np.random.default_rng(0).random((len(contexts), len(COLUMNS)))
     table = [dict(zip(COLUMNS, line, strict=True)) for line in numbers.tolist()]
     return [{**row, **identity("x", c, 2**62 + k, "A")} for k, (row, c) in enumerate(zip(table, contexts, strict=True))]
 
@@ -73,10 +74,11 @@ def test_unreadable_tables_are_refused(contexts: list[Context], tmp_path: Path) 
         read_csv(tmp_path / "cut.csv")
 
 
-def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_journal_is_refused(contexts: list[Context], tmp_path: Path) -> None:
     path = tmp_path / "journal"
-    path.write_text('[{"a": 1}]\nnonsense\n[{"a": 2}]\n')
+    whole = rows(contexts)
+    path.write_text(f"{json.dumps(whole[:1])}\nnonsense\n{json.dumps(whole[1:])}\n")
     with pytest.raises(IzooError, match="damaged"):
         read_journal(path)
-    path.write_text('[{"a": 1}]\n[{"a"')
-    assert read_journal(path) == [{"a": 1}]
+    path.write_text(f"{json.dumps(whole[:1])}\n{json.dumps(whole[1:])[:30]}")
+    assert read_journal(path) == whole[:1]

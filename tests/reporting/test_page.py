@@ -62,6 +62,13 @@ def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
     assert all(figure["alt"] for figure in content["figures"].values())
     assert "-1.85 %" in text
     assert "248 of 1048" in text
+    for words in (
+        "whole region: mean",
+        "over uncommanded, whole region",
+        "demand served",
+        "fewer than 6 intersections",
+    ):
+        assert words in text
 
 
 def test_the_same_results_give_the_same_page(page: Path, evaluation: Path, tmp_path: Path, capsys) -> None:
@@ -125,12 +132,12 @@ def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_p
     content["settings"]["env"]["horizon_s"] = 77.0
     manifest.write_text(json.dumps(content))
     material = collect(run)
-    scored = {entry.name: score(entry, resamples=20) for entry in material.entries}
+    scored = {entry.name: score(entry) for entry in material.entries}
     assert scored.keys() >= {"glide on training contexts", "glide on other", "uncommanded on other"}
     assert "; 77 s" in dict(material.facts)["episode"], "the facts of each evaluation are stated"
     # Policies of one evaluation are paired, those of different ones are not.
-    assert improvement(scored["glide on other"], scored["uncommanded on other"], resamples=20) is not None
-    assert improvement(scored["glide on other"], scored["glide on training contexts"], resamples=20) is None
+    assert improvement(scored["glide on other"], scored["uncommanded on other"]) is not None
+    assert improvement(scored["glide on other"], scored["glide on training contexts"]) is None
 
 
 def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
@@ -187,6 +194,10 @@ def test_a_foreign_file_is_not_overwritten_but_a_report_is(evaluation: Path, tmp
     assert main([str(evaluation), f"out={thesis}", "replay=false"]) == 2
     assert "thesis.html exists and is no report" in capsys.readouterr().err
     assert "four years of work" in thesis.read_text()
+    results = Path(shutil.copytree(evaluation, tmp_path / "results"))
+    shutil.copyfile(thesis, results / "report.html")  # where it would go by itself
+    assert main([str(results), "replay=false"]) == 2
+    assert "four years of work" in (results / "report.html").read_text()
     for title in ("one", "two"):
         assert main([str(evaluation), f"out={page}", f"title={title}", "replay=false"]) == 0
     assert "<title>two" in page.read_text()

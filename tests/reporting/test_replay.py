@@ -73,7 +73,7 @@ def test_geometry_is_centred_on_the_stop_lines(contexts) -> None:
 
 def test_a_replay_is_the_evaluated_episode(evaluation: Path) -> None:
     (entry, _) = collect(evaluation).entries
-    best, worst = scenes(score(entry, 50))
+    best, worst = scenes(score(entry))
     assert best.benefit >= worst.benefit
     assert best.seed in {1, 2}
     with Player() as player:
@@ -90,7 +90,7 @@ def test_what_has_changed_is_not_replayed(evaluation: Path, tmp_path: Path) -> N
     folder = rename_policy(evaluation, tmp_path / "results", "glide", "other")
     (entry, _) = collect(folder).entries
     with Player() as player, pytest.raises(IzooError, match="was a Python object"):
-        player.replay(scenes(score(entry, 50))[0])
+        player.replay(scenes(score(entry))[0])
 
 
 def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None:
@@ -99,6 +99,6 @@ def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None
         path.unlink()
     (entry, _) = collect(folder).entries
     with Player() as player:
-        content = json.loads(gzip.decompress(player.replay(scenes(score(entry, 50))[0])))
+        content = json.loads(gzip.decompress(player.replay(scenes(score(entry))[0])))
     assert not content["policy"]["as_evaluated"]
     assert content["baseline"]["as_evaluated"]

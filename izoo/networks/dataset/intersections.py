@@ -19,6 +19,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError, check_choice
+from izoo.files import read_bytes
 from izoo.networks.dataset.netspec import spec_from_net
 from izoo.networks.osm.store import CMDP_FILE, load_cmdp
 
@@ -139,7 +140,7 @@ def read_inflows(path: Path, legs: tuple[str, ...], incoming: frozenset[str]) ->
         incoming: legs with incoming lanes; the lines of other legs are ignored.
     """
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_bytes(path).decode(errors="replace").splitlines()
     except OSError as error:
         raise IzooError(f"cannot read {path}: {error.strerror}; {_DOWNLOAD_HINT}.") from error
     filled = [line for line in lines if line.strip()]

@@ -13,6 +13,7 @@ import numpy as np
 
 from izoo.contexts.spec import LEG_NAMES, TURNS, Approach, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
+from izoo.files import read_bytes
 from izoo.networks.road import parse_net
 
 TURN_OF_DIRECTION = {"r": "r", "R": "r", "s": "s", "l": "l", "L": "l", "t": "l"}
@@ -36,7 +37,7 @@ def spec_from_net(path: Path, *, name: str, city: str | None, inflows: Inflows) 
             outside the range that an :class:`Approach` accepts.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise IzooError(f"cannot read the net {path}: {error.strerror}; fetch the file again.") from error
     try:

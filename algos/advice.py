@@ -1,0 +1,145 @@
+"""Policies whose origin is doing nothing: what they emit is advice, and advice of 0 changes nothing.
+
+To the algorithm, the advice *is* the action: it is what its networks emit, what it computes log-probabilities of, and
+what its losses see. A :class:`Translator` makes commands of it for the environment.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+
+from izoo.algos import base
+from izoo.algos.scripted import DEFER
+from izoo.contexts.features import feature
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import SPEED_SCALE_MPS
+from izoo.errors import IzooError
+
+ADVICE = ("agents", "advice")
+
+
+class Translator(nn.Module):
+    """Makes commands of advice.
+
+    Attributes:
+        two_sided: whether there are agents for whom advice below 0 means something.
+    """
+
+    two_sided = False
+
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what :meth:`command` needs, ``[*B, A]`` each; two-sided translators: secondly, who is guided.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            mask: ``[*B, A]``; what empty slots get does not matter.
+        """
+        raise NotImplementedError
+
+    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
+        """Return accelerations in m/s^2, and who is left to the simulator's driver, ``[*B, A]`` each.
+
+        Args:
+            seen: what :meth:`look` returned.
+            advice: ``[*B, A]``.
+        """
+        raise NotImplementedError
+
+
+class SpeedCap(Translator):
+    """Advice ``u`` in ``(0, 1)`` caps a vehicle's speed at ``(1 - u)`` times the limit; 0 and below do nothing.
+
+    A vehicle that is faster brakes, within one decision or as hard as allowed, whichever is milder. Below the cap it
+    accelerates no faster than to reach the cap at the end of the decision; the simulator keeps it to what its own
+    driver would do, so a small ``u`` changes little.
+
+    Args:
+        config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
+        brake_mps2: no advice brakes harder than this.
+    """
+
+    def __init__(self, config: EnvConfig, brake_mps2: float) -> None:
+        super().__init__()
+        names = observation_names(config)
+        if "context_speed_limit_mps" not in names:
+            raise IzooError(
+                f"action=advise caps speeds relative to the limit, but env.observed is {list(config.observed)}; add "
+                "speed_limit_mps."
+            )
+        self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
+        self.limit_scale = feature("speed_limit_mps").scale
+        self.brake_mps2, self.decision_s = brake_mps2, config.decision_s
+
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        return observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
+
+    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
+        speed, limit = seen
+        accel = ((1.0 - advice) * limit - speed) / self.decision_s
+        return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), advice <= 0.0
+
+
+class AdvisedPolicy(TensorDictModuleBase):
+    """A learned policy's action becomes ``("agents", "advice")``, and what it stands for the action.
+
+    Args:
+        learned: writes ``("agents", "action")`` ``[*B, A, 1]``, and has a ``quiet_band``.
+        translator: makes commands of it.
+    """
+
+    def __init__(self, learned: TensorDictModuleBase, translator: Translator) -> None:
+        super().__init__()
+        self.learned, self.translator = learned, translator
+        self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION, base.MASK]))
+        self.out_keys = [*learned.out_keys, ADVICE, DEFER, *([base.GUIDED] if translator.two_sided else [])]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write advice and acceleration, ``[*B, A, 1]`` each, ``defer``, and what else the learned policy writes."""
+        seen = self.translator.look(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
+        if self.translator.two_sided:
+            tensordict.set(base.GUIDED, seen[1])
+        advice = self.learned(tensordict).get(base.ACTION)
+        tensordict.set(ADVICE, advice)
+        acted, band = advice.squeeze(-1), float(self.learned.quiet_band)
+        if band > 0.0:
+            acted = acted.sign() * (acted.abs() - band).clamp_min(0.0)
+        accel, defer = self.translator.command(seen, acted)
+        tensordict.set(DEFER, defer)
+        return tensordict.set(base.ACTION, accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1))
+
+
+class Advised:
+    """An algorithm whose actions are advice; see :class:`izoo.algos.base.Algorithm`.
+
+    Args:
+        learned: the algorithm, built for advice.
+        translator: makes commands of what its policy emits.
+    """
+
+    def __init__(self, learned: base.Algorithm, translator: Translator) -> None:
+        self.learned = learned
+        self.policy = AdvisedPolicy(learned.policy, translator)
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Hand the batch on with the advice in the place of the action; the batch itself stays as it is."""
+        own = batch.copy()
+        own.set(base.ACTION, batch.get(ADVICE))
+        stats = self.learned.update(own, progress)
+        mask = batch.get(base.MASK)
+        if mask.any():
+            stats["advice_abs"] = float(batch.get(ADVICE)[mask].abs().mean())
+            stats["acting_share"] = float((~batch.get(DEFER)[mask]).float().mean())
+        return stats
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the learned algorithm's state: a translator has none."""
+        return self.learned.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.learned.load_state_dict(state)

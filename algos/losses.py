@@ -1,0 +1,268 @@
+"""Losses for agents that come and go, as TorchRL modules that stand alone.
+
+They are subclasses of TorchRL's own and take TensorDicts ``[*B]`` whose agents have a dimension more, ``[*B, A, ...]``,
+and a mask ``[*B, A]`` of the slots that hold an agent. Valid agent-steps are flattened to rows inside, so that losses,
+statistics, normalisation and logs see no padding, whatever it holds; a batch without a mask is taken for rows already.
+
+Networks are TensorDictModules. One that reads the mask beside the observations works on whole frames (a *frame* is one
+environment at one time, its agents a set): it gets all valid agents of each frame, in any number of slots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.objectives import ClipPPOLoss, DDPGLoss, ValueEstimators
+
+from izoo.algos import base
+from izoo.algos.masked_gae import MaskedGAE
+from izoo.algos.masked_rows import check_finite, is_set_module, on_rows, path_of, rows_of
+from izoo.algos.sets import COLUMN, FRAME
+from izoo.errors import IzooError
+
+
+class MaskedPPOLoss(ClipPPOLoss):
+    """TorchRL's clipped loss over the valid agent-steps of ``[*B, A]``.
+
+    Advantages are estimated first where a batch does not hold them yet; it must then be ``[*B, T]``, consecutive in its
+    last dimension (:class:`MaskedGAE`, :meth:`make_value_estimator`).
+
+    Args:
+        actor: ``ProbabilisticActor``; its action and log-probability are the batch's.
+        critic: writes ``("agents", "state_value")``.
+        clip_epsilon: bound on the change of the probability ratio.
+        entropy_coeff: weight of the entropy bonus.
+        critic_coeff: weight of the value loss.
+        loss_critic_type: ``smooth_l1`` or ``l2``.
+        value_error_clip: value errors above this give no gradient, as in RLlib; ``None`` for none.
+        kl_coeff: weight of a penalty on the divergence from the policy that collected, as in RLlib, whose median and
+            spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it in the place of the clipping, not beside it.)
+        normalize_advantage: over the valid rows of each call.
+        gamma, lmbda: of the default value estimator.
+        options: further ones of TorchRL's ``ClipPPOLoss``.
+    """
+
+    @dataclass
+    class _AcceptedKeys(ClipPPOLoss._AcceptedKeys):
+        advantage: NestedKey = base.ADVANTAGE
+        value_target: NestedKey = base.VALUE_TARGET
+        value: NestedKey = base.VALUE
+        reward: NestedKey = base.REWARD
+        done: NestedKey = base.DONE
+        terminated: NestedKey = base.TERMINATED
+        mask: NestedKey = base.MASK
+        loc: NestedKey = base.LOC
+        scale: NestedKey = base.SCALE
+
+    default_keys = _AcceptedKeys
+    team = False
+
+    def __init__(
+        self,
+        actor: ProbabilisticTensorDictSequential,
+        critic: TensorDictModuleBase,
+        *,
+        clip_epsilon: float = 0.2,
+        entropy_coeff: float = 0.0,
+        critic_coeff: float = 0.5,
+        loss_critic_type: str = "smooth_l1",
+        value_error_clip: float | None = None,
+        kl_coeff: float = 0.0,
+        normalize_advantage: bool = False,
+        gamma: float = 0.99,
+        lmbda: float = 0.95,
+        **options: Any,
+    ) -> None:
+        mask = self.default_keys().mask
+        super().__init__(
+            on_rows(actor, mask),
+            on_rows(critic, mask),
+            clip_epsilon=clip_epsilon,
+            entropy_bonus=entropy_coeff > 0,
+            entropy_coeff=entropy_coeff,
+            critic_coeff=critic_coeff,
+            loss_critic_type=loss_critic_type,
+            normalize_advantage=normalize_advantage,
+            **options,
+        )
+        self.value_error_clip, self._discounts = value_error_clip, {"gamma": gamma, "lmbda": lmbda}
+        self.register_buffer("kl_weight", torch.tensor(float(kl_coeff)))
+
+    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> MaskedPPOLoss:
+        """Make the masked estimator of advantages; ``gamma`` and ``lmbda`` may be given."""
+        if value_type not in (None, ValueEstimators.GAE):
+            raise IzooError(f"the value estimator is {value_type}; masked batches have ValueEstimators.GAE alone.")
+        keys = self.tensor_keys
+        options = {**self._discounts, **hyperparams, "mask": keys.mask, "team": self.team}
+        self.value_type = ValueEstimators.GAE
+        self._value_estimator = MaskedGAE(value_network=self.critic_network, **options)
+        self._forward_value_estimator_keys()
+        return self
+
+    def _forward_value_estimator_keys(self, **_: Any) -> None:
+        if self._value_estimator is not None:
+            keys = self.tensor_keys
+            self._value_estimator.mask = keys.mask
+            names = ("advantage", "value_target", "value", "reward", "done", "terminated")
+            self._value_estimator.set_keys(**{name: getattr(keys, name) for name in names})
+
+    def rows(self, batch: TensorDictBase) -> TensorDict:
+        """Return the valid agent-steps ``[n]`` of a batch with advantages: what the loss is computed of."""
+        keys = self.tensor_keys
+        needed: Sequence[NestedKey] = [
+            *self.actor_network.in_keys,
+            *self.critic_network.in_keys,
+            *(keys.action, keys.sample_log_prob, keys.advantage, keys.value_target),
+            *((keys.loc, keys.scale) if self.kl_weight > 0 else ()),
+        ]
+        return rows_of(batch, batch.get(keys.mask), needed)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask."""
+        rows = tensordict
+        if tensordict.get(self.tensor_keys.mask, None) is not None:
+            if tensordict.get(self.tensor_keys.advantage, None) is None:
+                tensordict = self.value_estimator(tensordict.copy(), params=self._cached_critic_network_params_detached)
+            rows = self.rows(tensordict)
+        else:
+            check_finite(rows)
+        losses = super().forward(rows)
+        if self.kl_weight > 0:
+            divergence = self.divergence(rows).mean()
+            losses.set("kl", divergence.detach())
+            losses.set("loss_kl", self.kl_weight * divergence)
+        return losses
+
+    def loss_critic(self, tensordict: TensorDictBase) -> tuple[Tensor, ...]:
+        """Return the value loss per row; errors beyond ``value_error_clip`` are flat."""
+        loss, *rest = super().loss_critic(tensordict)
+        if self.value_error_clip is not None:
+            loss = loss.clamp(max=float(self.critic_coeff) * self.value_error_clip)
+        return (loss, *rest)
+
+    def divergence(self, rows: TensorDictBase) -> Tensor:
+        """Return KL(collecting policy || policy) per row; the tanh, a bijection, does not change it.
+
+        Of advice it is that of the normal before it is censored, which is no less.
+        """
+        keys = self.tensor_keys
+        old = torch.distributions.Normal(rows.get(keys.loc), rows.get(keys.scale))
+        with self.actor_network_params.to_module(self.actor_network):
+            new = self.actor_network.get_dist(rows.select(*self.actor_network.in_keys)).base_dist
+        return torch.distributions.kl_divergence(old, getattr(new, "base_dist", new)).sum(-1)
+
+
+class MaskedMAPPOLoss(MaskedPPOLoss):
+    """:class:`MaskedPPOLoss` whose critic sees all agents of a frame.
+
+    Args:
+        actor, critic: the critic must read the mask, or rows with their frames.
+        team: estimate one advantage for the whole team from its reward (:class:`MaskedGAE`).
+        options: of :class:`MaskedPPOLoss`.
+    """
+
+    def __init__(
+        self,
+        actor: ProbabilisticTensorDictSequential,
+        critic: TensorDictModuleBase,
+        *,
+        team: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(actor, critic, **options)
+        self.team = team
+        if not is_set_module(self.critic_network):
+            raise IzooError(
+                f"the critic reads {critic.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
+                "the observations, or use MaskedPPOLoss."
+            )
+
+
+class MaskedGraphPPOLoss(MaskedPPOLoss):
+    """:class:`MaskedPPOLoss` whose actor sees the other agents of its frame, as graph networks do; the critic may.
+
+    Args:
+        actor, critic: the actor must read the mask, or rows with their frames.
+        options: of :class:`MaskedPPOLoss`.
+    """
+
+    def __init__(self, actor: ProbabilisticTensorDictSequential, critic: TensorDictModuleBase, **options: Any) -> None:
+        super().__init__(actor, critic, **options)
+        if not is_set_module(self.actor_network):
+            raise IzooError(
+                f"the actor reads {actor.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
+                "the observations, or use MaskedPPOLoss."
+            )
+
+
+class MaskedDDPGLoss(DDPGLoss):
+    """TorchRL's DDPG loss over the valid transitions of ``[*B, A]``: TD(0) targets from target copies of the networks.
+
+    Args:
+        actor: deterministic; writes the batch's action.
+        critic: reads observation and action of one agent; writes ``("agents", "state_action_value")``.
+        loss_function: ``smooth_l1`` or ``l2``.
+        gamma: discount of the default value estimator.
+        options: further ones of TorchRL's ``DDPGLoss``.
+    """
+
+    @dataclass
+    class _AcceptedKeys(DDPGLoss._AcceptedKeys):
+        state_action_value: NestedKey = base.ACTION_VALUE
+        reward: NestedKey = base.REWARD
+        done: NestedKey = base.DONE
+        terminated: NestedKey = base.TERMINATED
+        mask: NestedKey = base.MASK
+
+    default_keys = _AcceptedKeys
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        critic: TensorDictModuleBase,
+        *,
+        loss_function: str = "smooth_l1",
+        gamma: float = 0.99,
+        **options: Any,
+    ) -> None:
+        delays = {"delay_actor": True, "delay_value": True}
+        super().__init__(actor, critic, loss_function=loss_function, **{**delays, **options})
+        self.set_keys(**{name: getattr(self.default_keys(), name) for name in ("reward", "done", "terminated")})
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    def rows(self, batch: TensorDictBase) -> TensorDict:
+        """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
+        keys = self.tensor_keys
+        mask = batch.get(keys.mask)
+        own = dict.fromkeys([*self.actor_network.in_keys, *self.value_network.in_keys])
+        after = [
+            ("next", *path_of(key)) for key in (*self.actor_network.in_keys, keys.reward, keys.done, keys.terminated)
+        ]
+        gone = batch.get(("next", *path_of(keys.terminated)))
+        cleared = batch.copy()
+        for key in after[: len(self.actor_network.in_keys)]:
+            leaf = batch.get(key)
+            cleared.set(key, torch.where(gone, torch.zeros_like(leaf), leaf))
+        return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask.
+
+        The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
+        """
+        mask = tensordict.get(self.tensor_keys.mask, None)
+        if mask is None:
+            return super().forward(tensordict)
+        rows = self.rows(tensordict)
+        losses = super().forward(rows)
+        error = rows.get(self.tensor_keys.priority)
+        spread = torch.zeros(mask.shape, dtype=error.dtype, device=error.device)
+        tensordict.set(self.tensor_keys.priority, spread.masked_scatter(mask, error.detach()))
+        return losses

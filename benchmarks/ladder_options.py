@@ -1,0 +1,69 @@
+"""Options of ``python -m izoo.benchmarks.twin``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from izoo.algos.registry import DRIVER_NAMES
+from izoo.conf.built_in import CityContexts
+from izoo.conf.context_choices import ContextsConfig
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError, check_choice, check_range
+from izoo.evaluation.policies import HUMAN
+
+
+@dataclass(frozen=True)
+class LadderConfig:
+    """Options of the comparison of the twin with SUMO.
+
+    Attributes:
+        contexts: which contexts to play; every one is played at every adoption and with every demand below.
+        env: the environment.
+        num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
+        adoptions: shares of CVs; human driving is played beside them in any case.
+        demand: ``given`` as the contexts say, ``all`` with vehicles from all approaches.
+        policies: drivers, or ``module:function``.
+        exact: of which of them to compare every vehicle in every step, in the first episode of each context.
+        seeds: episodes per context; SUMO's spread over them is what differences are judged against.
+        seed: base of the episode seeds and of the drawn contexts.
+        num_workers: worker processes that play SUMO.
+        out: folder of the results; a comparison that was interrupted goes on there.
+        cache: folder of the cached episodes of human and uncommanded driving; null: the user's cache folder.
+    """
+
+    contexts: ContextsConfig = field(default_factory=CityContexts)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    num_contexts: int | None = None
+    adoptions: tuple[float, ...] = (1 / 3, 1.0)
+    demand: tuple[Literal["given", "all"], ...] = ("given", "all")
+    policies: tuple[str, ...] = ("uncommanded", "glide", "random")
+    exact: tuple[str, ...] = ("uncommanded", "glide")
+    seeds: int = 3
+    seed: int = 0
+    num_workers: int = 2
+    out: str = "twin-ladder"
+    cache: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.num_contexts is not None:
+            check_range("num_contexts", self.num_contexts, 1, 10**7)
+        check_range("seeds", self.seeds, 1, 10**6)
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        check_range("num_workers", self.num_workers, 0, 1024)
+        for adoption in self.adoptions:
+            check_range("adoptions", adoption, 0.0, 1.0)
+        for demand in self.demand:
+            check_choice("demand", demand, ("given", "all"))
+        for policy in {*self.policies, *self.exact}:
+            if policy == HUMAN:
+                raise IzooError("policies holds 'human', which is played in any case; leave it out.")
+            if ":" not in policy:
+                check_choice("policies", policy, [*DRIVER_NAMES, "module:function"])
+        if not (self.adoptions and self.demand and self.policies):
+            raise IzooError("adoptions, demand and policies each need one entry or more.")
+        for name in ("out", "cache"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))

@@ -1,0 +1,160 @@
+"""How far the twin is from SUMO, on any contexts.
+
+``python -m izoo.benchmarks.twin contexts=dataset contexts.folder=NETS`` plays the same episodes on both. For some
+policies every vehicle is compared in every step, up to where the two part; for all of them CO2, vehicles that crossed,
+travel and stopped times per approach, and what each policy gains over human driving. The folder ``out`` gets
+``ladder.json``, ``approaches.csv``, ``exact.csv``, ``ladder.png`` and the two evaluations; the same command goes on
+where it was stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo.commands.option_command import OptionCommand
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from izoo.benchmarks.ladder_options import LadderConfig
+    from izoo.contexts.context import Context
+
+SIMULATORS = ("sumo", "twin")
+
+
+def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
+    """Compare, or go on comparing; print the tables, and return the folder of the results."""
+    from rich.console import Console
+
+    from izoo.benchmarks import ladder
+    from izoo.evaluation.runner import evaluate_policy
+    from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+    from izoo.files import write_json, write_text
+
+    out = Path(config.out)
+    base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
+    contexts = variants(base, config)
+    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
+    tables = {}
+    for simulator in SIMULATORS:
+        for policy in config.policies:
+            print(f"{simulator}: {policy}", flush=True)
+            tables[simulator] = evaluate_policy(
+                policy,
+                contexts,
+                seeds,
+                config.env,
+                num_workers=config.num_workers,
+                out_dir=out / simulator,
+                cache=config.cache,
+                simulator=simulator,
+            )
+    exact = compare_steps(contexts, seeds[0], config, out / "exact.csv")
+    compared = ladder.approaches(tables["sumo"], tables["twin"])
+    rungs, gained = ladder.rungs(compared), ladder.gains(tables["sumo"], tables["twin"])
+    write_text(out / "approaches.csv", compared.to_csv(index=False))
+    write_json(
+        out / "ladder.json",
+        {
+            "contexts": len(contexts),
+            "seeds": len(seeds),
+            "exact": _records(ladder.exactness(exact)),
+            "approaches": _records(rungs),
+            "gains": _records(gained),
+            "same_order": ladder.same_order(gained),
+        },
+    )
+    ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {len(contexts)} contexts, {len(seeds)} seeds")
+    for shown in ladder.tables(ladder.exactness(exact), rungs, gained):
+        Console().print(shown)
+    print(f"Results: {out}", flush=True)
+    return out
+
+
+def _records(table: pd.DataFrame) -> Any:
+    """Return a table's rows for JSON, where NaN is null."""
+    return json.loads(table.to_json(orient="records"))
+
+
+def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
+    """Return the contexts with every demand and at every adoption that is asked for, without repetition."""
+    found = [
+        context.replace(adoption=adoption, approach=None if demand == "all" else context.approach)
+        for demand in config.demand
+        for context in base
+        for adoption in config.adoptions
+    ]
+    return list({context.content_hash: context for context in found}.values())
+
+
+def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, path: Path) -> pd.DataFrame:
+    """Play the episodes that are not in the table at ``path`` yet side by side; return it, a row per episode.
+
+    Returns:
+        ``policy``, ``context``, ``context_hash``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted`` (the first
+        step that differs; empty where none does), ``where`` (who differs there), ``ks_speed`` and ``ks_accel``.
+    """
+    import pandas as pd
+
+    from izoo.benchmarks.ladder import ks_distance
+    from izoo.benchmarks.side_by_side import SideBySide
+    from izoo.console import Progress
+    from izoo.evaluation.policies import as_candidate
+    from izoo.files import write_text
+    from izoo.networks.net.build import build_net
+    from izoo.networks.road import read_road
+
+    table = pd.read_csv(path, dtype={"parted": "Int64"}) if path.exists() else pd.DataFrame()
+    rows: list[dict[str, Any]] = table.to_dict("records")
+    done = {(row["policy"], row["context_hash"]) for row in rows}
+    todo = [(p, c) for c in contexts for p in config.exact if (p, c.content_hash) not in done]
+    both = SideBySide(config.env)
+    try:
+        with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
+            for number, (name, context) in enumerate(todo, 1):
+                policy = as_candidate(name, config.env).policy
+                parting, steps, (sumo, twin) = both.play(policy, context, seed)
+                road = read_road(build_net(context.intersection))
+                lanes = max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches)
+                rows.append(
+                    {
+                        "policy": name,
+                        "context": context.name,
+                        "context_hash": context.content_hash,
+                        "adoption": context.adoption,
+                        "demand": "all" if context.approach is None else "one",
+                        "lanes": lanes,
+                        "steps": steps,
+                        "parted": None if parting is None else parting.step,
+                        "where": "" if parting is None else str(parting),
+                        "ks_speed": ks_distance(sumo.speed, twin.speed),
+                        "ks_accel": ks_distance(sumo.accel, twin.accel),
+                    }
+                )
+                write_text(path, pd.DataFrame(rows).astype({"parted": "Int64"}).to_csv(index=False))
+                bar.update(number, context.name)
+    finally:
+        both.close()
+    return pd.DataFrame(rows).astype({"parted": "Int64"})
+
+
+COMMAND = OptionCommand(
+    name="benchmarks.twin",
+    summary="Compare the twin with SUMO on any contexts: every vehicle and step, CO2 per approach, gains of policies.",
+    examples=(
+        "izoo.benchmarks.twin contexts=pcg num_contexts=8",
+        "izoo.benchmarks.twin contexts=dataset contexts.folder=NETS adoptions=[0.33,1] policies=[uncommanded,glide]",
+        "izoo.benchmarks.twin contexts=catalogue contexts.city=atlanta num_contexts=20 demand=[all] out=atlanta",
+    ),
+    config="izoo.benchmarks.ladder_options:LadderConfig",
+    work="izoo.benchmarks.twin:run",
+)
+main = COMMAND.main
+
+if __name__ == "__main__":
+    sys.exit(main())

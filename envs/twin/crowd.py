@@ -1,0 +1,304 @@
+"""The steps of many environments in compiled code: what the policy orders, the twin's driving, and the MDP.
+
+A step has two halves, since CO2 comes in between, for the vehicles of all environments at once: :func:`drive_all` takes
+the orders, drives, and says who is where; :func:`conclude_all` counts, pays, and writes the frames.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.envs.config import KEEP_LANE
+from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
+from izoo.envs.mdp.slots import enter, leave
+from izoo.envs.mdp.state import (
+    ACCEL,
+    DEFERRED,
+    ELECTRIC,
+    EMISSION,
+    GRADE,
+    MOVES_CLASS,
+    NUMBER,
+    SPEED,
+    STEADY,
+    YIELDING,
+)
+from izoo.envs.mdp.step import conclude, emit_co2, give_orders, settle
+from izoo.envs.mdp.world import MEMBERS, SUSPECTS
+from izoo.envs.twin.arrays import (
+    ACCEL as TWIN_ACCEL,
+)
+from izoo.envs.twin.arrays import (
+    AHEAD,
+    CHANGE_COMMAND,
+    CHANGE_MODE,
+    COMMAND,
+    DRIVING,
+    FREE_SPEED,
+    LANE,
+    LANE_BACK,
+    LANE_REGION,
+    POSITION,
+    SIGNALS,
+    STATUS,
+    open_net,
+    open_state,
+)
+from izoo.envs.twin.arrays import (
+    SPEED as TWIN_SPEED,
+)
+from izoo.envs.twin.compiled import Float1, Int1, Long1, opener, tables_type
+from izoo.envs.twin.handles import world_at
+from izoo.envs.twin.stepping import step
+from izoo.envs.twin.wanting import DEFAULT_MODE, ROUTE_ONLY_MODE
+
+WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT = range(5)
+"""Columns of the addresses ``[N, 5]`` of the environments."""
+_STEPS = EPISODE_METRIC["steps"]
+
+
+class Guests(NamedTuple):
+    """Who of the twin's vehicles is in the region, and where, for the MDP.
+
+    Attributes:
+        row_of: ``[N]`` int64, row of each vehicle of the demand in the MDP's tables, -1 where it has none.
+        entry_lanes: int32, rows of the twin's lanes on which vehicles are first seen in the region.
+        lane, position, speed, signals: ``[C]``: what was last reported of the members: region lane, m, m/s, bits.
+        begun_s: ``[1]`` float64, simulated time at the first frame.
+    """
+
+    row_of: Long1
+    entry_lanes: Int1
+    lane: Long1
+    position: Float1
+    speed: Float1
+    signals: Long1
+    begun_s: Float1
+
+
+GUESTS = tables_type(Guests)
+open_guests = opener(GUESTS)
+
+
+@compiled(nogil=True)
+def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # type: ignore[no-untyped-def]
+    """Play the first half of a step in the environments ``first``, ``first + every``, ...
+
+    Args:
+        addresses: ``[N, 5]`` int64 (:data:`WORLD_AT` and those that follow it).
+        first, every: which environments.
+        step_ms: length of the step.
+        lane_change: whether lane changes are commanded.
+        like: any of the worlds; it gives the others' type.
+        changed: ``[N]`` int64 output: how many vehicles emit something else than in the step before.
+    """
+    for k in range(first, addresses.shape[0], every):
+        world = world_at(addresses[k, WORLD_AT], like)
+        net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
+        guests = open_guests(addresses[k, GUESTS_AT])
+        _pass_on_orders(world, state, lane_change)
+        step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+        _see_off(world, state, guests)
+        _welcome(world, state, guests)
+        n = _read(world.tables, net, state, guests)
+        settle(world, (guests.lane[:n], guests.position[:n], guests.speed[:n], guests.signals[:n]))
+        changed[k] = _count_changed(world.tables)
+
+
+@compiled(nogil=True)
+def conclude_all(addresses, first, every, like):  # type: ignore[no-untyped-def]
+    """Play the second half of a step in the environments ``first``, ``first + every``, ...; CO2 is there."""
+    for k in range(first, addresses.shape[0], every):
+        _conclude(world_at(addresses[k, WORLD_AT], like), addresses[k])
+
+
+@compiled(nogil=True)
+def emit_and_conclude_all(addresses, first, every, like):  # type: ignore[no-untyped-def]
+    """The same, with CO2 from the compiled surrogate."""
+    for k in range(first, addresses.shape[0], every):
+        world = world_at(addresses[k, WORLD_AT], like)
+        emit_co2(world)
+        _conclude(world, addresses[k])
+
+
+@compiled(nogil=True)
+def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
+    """Drive environments ``[n, 5]`` for some steps, uncommanded."""
+    for k in range(addresses.shape[0]):
+        for _ in range(steps):
+            step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+
+
+@compiled
+def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
+    commands, releases = give_orders(world)
+    _command(world.tables, state, commands, releases)
+    if lane_change:
+        frame = world.frame
+        _command_lanes(world.tables, state, frame.action, frame.defer, frame.lane_change)
+
+
+@compiled(borrows=True)
+def _command(tables, state, commands, releases):  # type: ignore[no-untyped-def]
+    """Command speeds; a vehicle keeps a command until the next one."""
+    for j in range(releases):
+        state.floats[tables.ints[tables.release[j], NUMBER], COMMAND] = np.nan
+    for j in range(commands):
+        state.floats[tables.ints[tables.command[j], NUMBER], COMMAND] = tables.target_mps[j]
+
+
+@compiled(borrows=True)
+def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[no-untyped-def]
+    """Command lane changes; a CV that asks to be left to its driver changes lanes as that one does."""
+    for a in range(tables.agent_row.shape[0]):
+        row = tables.agent_row[a]
+        if row < 0:
+            continue
+        v = tables.ints[row, NUMBER]
+        asks = defer[a] != 0 or np.isnan(action[a]) or tables.acting[a] < 0
+        state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
+        if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
+            state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE
+
+
+@compiled
+def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
+    """Take those who are no longer on the road out of the members."""
+    j = _gone(world.tables, state, 0)
+    while j >= 0:
+        row = world.tables.members[j]
+        guests.row_of[world.tables.ints[row, NUMBER]] = -1
+        leave(world, row)
+        j = _gone(world.tables, state, j)
+
+
+@compiled(borrows=True)
+def _gone(tables, state, first):  # type: ignore[no-untyped-def]
+    """Return the place of the first member from ``first`` on who is no longer on the road, -1 for none."""
+    for j in range(first, tables.cursor[MEMBERS]):
+        if state.ints[tables.ints[tables.members[j], NUMBER], STATUS] != DRIVING:
+            return j
+    return -1
+
+
+@compiled
+def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
+    """Give everybody who has come to the region a row."""
+    v = _newcomer(state, guests)
+    while v >= 0:
+        guests.row_of[v] = enter(world, v, state.floats[v, TWIN_ACCEL], True)
+        v = _newcomer(state, guests)
+
+
+@compiled(borrows=True)
+def _newcomer(state, guests):  # type: ignore[no-untyped-def]
+    """Return the first vehicle in the region without a row, -1 for none."""
+    for k in range(guests.entry_lanes.shape[0]):
+        v = state.lanes[guests.entry_lanes[k], LANE_BACK]
+        while v >= 0:
+            if guests.row_of[v] < 0:
+                return v
+            v = state.ints[v, AHEAD]
+    return -1
+
+
+@compiled(borrows=True)
+def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
+    """Note where the members are: region lane, lane position, speed and signal bits; return how many there are."""
+    count = tables.cursor[MEMBERS]
+    for j in range(count):
+        v = tables.ints[tables.members[j], NUMBER]
+        guests.lane[j] = net.lane_ints[state.ints[v, LANE], LANE_REGION]
+        guests.position[j] = state.floats[v, POSITION]
+        guests.speed[j] = state.floats[v, TWIN_SPEED]
+        guests.signals[j] = state.ints[v, SIGNALS]
+    return count
+
+
+@compiled(borrows=True)
+def _burns_anew(tables, row):  # type: ignore[no-untyped-def]
+    """Whether a vehicle emits something else than in the step before."""
+    return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
+
+
+@compiled(borrows=True)
+def _count_changed(tables):  # type: ignore[no-untyped-def]
+    count = 0
+    for j in range(tables.cursor[MEMBERS]):
+        count += _burns_anew(tables, tables.members[j])
+    return count
+
+
+@compiled(nogil=True)
+def gather_all(addresses, like, motion, weather, classes):  # type: ignore[no-untyped-def]
+    """Write what the surrogate needs of the vehicles that emit something new, environment after environment.
+
+    Args:
+        addresses, like: as for :func:`drive_all`.
+        motion: ``[3, n]`` float32 output: speed, acceleration, grade.
+        weather: ``[2, n]`` float32 output: temperature in C, humidity in percent.
+        classes: ``[n]`` int64 output.
+    """
+    at = 0
+    for k in range(addresses.shape[0]):
+        world = world_at(addresses[k, WORLD_AT], like)
+        begun, at = at, _gather(world.tables, motion, classes, at)
+        weather[0, begun:at] = world.rules.temperature_c
+        weather[1, begun:at] = world.rules.humidity_pct
+
+
+@compiled(borrows=True)
+def _gather(tables, motion, classes, at):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if _burns_anew(tables, row):
+            motion[0, at] = tables.floats[row, SPEED]
+            motion[1, at] = tables.floats[row, ACCEL]
+            motion[2, at] = tables.floats[row, GRADE]
+            classes[at] = tables.ints[row, MOVES_CLASS]
+            at += 1
+    return at
+
+
+@compiled(nogil=True)
+def scatter_all(addresses, like, rates_gps):  # type: ignore[no-untyped-def]
+    """Write CO2 in g of the step, from rates ``[n]`` in the order of :func:`gather_all`."""
+    at = 0
+    for k in range(addresses.shape[0]):
+        world = world_at(addresses[k, WORLD_AT], like)
+        at = _scatter(world.tables, rates_gps, world.rules.step_s, at)
+
+
+@compiled(borrows=True)
+def _scatter(tables, rates_gps, step_s, at):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if _burns_anew(tables, row):
+            tables.floats[row, EMISSION] = rates_gps[at] * step_s
+            at += 1
+    return at
+
+
+@compiled
+def _conclude(world, addresses):  # type: ignore[no-untyped-def]
+    guests = open_guests(addresses[GUESTS_AT])
+    steps = world.tables.episode[_STEPS] + 1.0
+    step_s = world.rules.step_s
+    conclude(world, guests.begun_s[0] + steps * step_s, True)
+    _give_way(world.tables, open_state(addresses[STATE_AT]), step_s)
+
+
+@compiled(borrows=True)
+def _give_way(tables, state, step_s):  # type: ignore[no-untyped-def]
+    """Mark the agents that their drivers slow for a lane change; they are left to them in the next step."""
+    for j in range(tables.cursor[MEMBERS]):
+        tables.flags[tables.members[j], YIELDING] = 0
+    for j in range(tables.cursor[SUSPECTS]):
+        row = tables.suspects[j]
+        before = tables.floats[row, SPEED] - tables.floats[row, ACCEL] * step_s
+        wished = state.floats[tables.ints[row, NUMBER], FREE_SPEED]
+        tables.flags[row, YIELDING] = (before - wished) / step_s > LANE_CHANGE_BRAKING_MPS2

@@ -1,0 +1,186 @@
+"""One environment's episode on the twin: the driving and the MDP's tables, side by side."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from izoo.emissions.kernel import KernelWeights
+from izoo.envs.backend import Play, entry_edges
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.frame import frame_fields
+from izoo.envs.mdp.state import NUMBER
+from izoo.envs.twin.arrays import (
+    ACCEL,
+    AHEAD,
+    ARRIVED,
+    DRIVING,
+    DROPPED,
+    EDGE_FIRST_LANE,
+    EDGE_LANES,
+    LANE_BACK,
+    LANE_REGION,
+    NEXT_DEPARTURE,
+    NOW_MS,
+    STATUS,
+    WAITING,
+)
+from izoo.envs.twin.compiled import directory
+from izoo.envs.twin.crowd import GUESTS, Guests, warm_up_all
+from izoo.envs.twin.handles import address_of
+from izoo.envs.twin.twin_episode import TwinEpisode
+from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, to_ms, twin_traffic
+from izoo.errors import IzooError
+from izoo.networks.net.build import build_net
+from izoo.networks.road import RoadNet, read_road
+from izoo.traffic.sampling import Traffic, sample_traffic
+
+
+class Prepared(NamedTuple):
+    """An episode at the end of its warm-up; nothing of it is bound to an environment yet."""
+
+    play: Play
+    road: RoadNet
+    traffic: Traffic
+    names: TwinWorld
+    driving: TwinEpisode
+
+
+def prepare(config: EnvConfig, play: Play) -> Prepared:
+    """Read the net, draw the traffic, and drive up to the beginning of control.
+
+    Raises:
+        IzooError: the context cannot be simulated.
+    """
+    context = play.context
+    path = build_net(context.intersection)
+    road = read_road(path)
+    try:
+        names = read_twin_world(road, path)
+    except IzooError as error:
+        raise IzooError(f"context {context.name}: {error}") from error
+    traffic = sample_traffic(context, road, play.seed, config.horizon_s)
+    driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s))
+    addresses = np.zeros((1, 5), np.int64)
+    addresses[0, 1:4] = driving.addresses
+    warm_up_all(addresses, config.warmup_steps, driving.step_ms)
+    return Prepared(play, road, traffic, names, driving)
+
+
+class TwinRun:
+    """An episode that is being played in one environment.
+
+    Args:
+        config: the environment's settings.
+        frame: the arrays of its frame (:func:`izoo.envs.mdp.frame.map_frames`, one row).
+        weights: the emission surrogates.
+        prepared: what is played.
+
+    Attributes:
+        episode: the MDP's side.
+        driving: the twin's side.
+        addresses: ``[5]`` what :mod:`izoo.envs.twin.crowd` reaches both by.
+    """
+
+    def __init__(
+        self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights, prepared: Prepared
+    ) -> None:
+        play, road, traffic, names, driving = prepared
+        self.config, self.play, self.driving = config, play, driving
+        # A row for every vehicle of the demand: compiled code cannot let tables grow. What is never used is never
+        # touched, so that it takes no memory.
+        self.episode = Episode(config, frame, weights, *play, road, traffic, capacity=len(traffic))
+        rows = len(self.episode.tables.flags)
+        edges = entry_edges(road, play.context.demand_approaches, config.step_s)
+        self._guests = Guests(
+            row_of=np.full(len(traffic), -1, np.int64),
+            entry_lanes=_lanes_of(edges, names),
+            lane=np.zeros(rows, np.int64),
+            position=np.zeros(rows),
+            speed=np.zeros(rows),
+            signals=np.zeros(rows, np.int64),
+            begun_s=np.zeros(1),
+        )
+        self._directory = directory(self._guests, GUESTS)
+        self._early = np.zeros(len(traffic), np.uint8)
+        self.addresses = (address_of(self.episode.world), *driving.addresses, self._directory.ctypes.data)
+        self._enter_all(names, road)
+
+    def _enter_all(self, names: TwinWorld, road: RoadNet) -> None:
+        """Enter everybody who is in the region when the warm-up ends, and write the first frame."""
+        state, row_of = self.driving.state, self._guests.row_of
+        for lane in _lanes_of(dict.fromkeys(name.rsplit("_", 1)[0] for name in road.lane_ids), names).tolist():
+            v = int(state.lanes[lane, LANE_BACK])
+            while v >= 0:
+                row_of[v] = self.episode.enter(v, float(state.floats[v, ACCEL]), counted=False)
+                v = int(state.ints[v, AHEAD])
+        self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
+        self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
+        self.episode.begin(self._reading(), float(self._guests.begun_s[0]))
+
+    def _reading(self) -> Reading:
+        """Return where the members are."""
+        vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
+        driving = self.driving
+        region = driving.net.lane_ints[driving.lane[vehicles], LANE_REGION].astype(np.int64)
+        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], driving.signals[vehicles]
+
+    def finish(self) -> None:
+        """Complete the metrics and the frame of the last step."""
+        state = self.driving.state
+        status = state.ints[:, STATUS]
+        outside = (status == DRIVING) & (self._guests.row_of < 0)
+        masks = (status == DROPPED, status == WAITING, outside, self._early)
+        gone = (np.flatnonzero(mask).tolist() for mask in masks)
+        self.episode.finish(Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone))
+
+    def _changing(self) -> list[np.ndarray]:
+        """Return every array that changes in the course of the episode."""
+        episode, guests, frame = self.episode, self._guests, self.episode.frame
+        clock = episode.clock
+        return [
+            *self.driving.state,
+            *episode.tables,
+            *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
+            *(guests.row_of, guests.begun_s, self._early),
+            *(frame[field.name] for field in frame_fields(self.config)),
+        ]
+
+    def pack(self) -> np.ndarray:
+        """Return the state of the episode as compressed bytes, uint8."""
+        whole = b"".join(array.tobytes() for array in self._changing())
+        return np.frombuffer(zlib.compress(whole, 1), np.uint8)
+
+    def unpack(self, packed: np.ndarray) -> None:
+        """Go on from a state of the same episode.
+
+        Raises:
+            IzooError: it is the state of another one, or of another version.
+        """
+        arrays = self._changing()
+        try:
+            whole = zlib.decompress(packed.tobytes())
+        except zlib.error:
+            whole = b""
+        if len(whole) != sum(array.nbytes for array in arrays):
+            raise IzooError(
+                f"the saved state does not fit episode {self.play.number} of the schedule: other contexts, another "
+                "configuration or another version of izoo saved it."
+            )
+        at = 0
+        for array in arrays:
+            array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
+            at += array.nbytes
+        self.episode.started_s = float(self._guests.begun_s[0])
+
+
+def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:
+    """Return the rows of the lanes of edges, int32: edge after edge, rightmost lane first."""
+    net = names.net.edge_ints
+    rows = {name: row for row, name in enumerate(names.edge_ids)}
+    found = [net[rows[edge], [EDGE_FIRST_LANE, EDGE_LANES]] for edge in edges]
+    return np.concatenate([np.arange(first, first + count, dtype=np.int32) for first, count in found])

@@ -1,0 +1,132 @@
+"""Many intersections on the twin as one TorchRL environment."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from izoo.contexts.source import Schedule
+from izoo.envs.backend import Play
+from izoo.envs.config import EnvConfig, checked_config
+from izoo.envs.env import Contexts, EcoDrivingBase
+from izoo.envs.mdp.scene import Scene
+from izoo.envs.picture import draw
+from izoo.envs.sumo.worker import usable_cores
+from izoo.envs.twin.twin_backend import TwinBackend
+from izoo.errors import IzooError, check_range
+
+
+def _planned(schedule: Schedule, number: int) -> Play:
+    return Play(*schedule(number), number)
+
+
+class TwinEnv(EcoDrivingBase):
+    """``N`` intersections on the twin, all in this process; batch size ``[N]``, and else what ``SumoParallelEnv`` is.
+
+    A context and a seed give the same trajectory whatever the number of environments and threads, and whatever was
+    played before. While episodes run, another thread prepares those that come next.
+
+    Args:
+        num_envs: ``N``.
+        contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` environments share the schedule.
+        threads: how many threads share the environments out among them; by default one per core that is usable.
+        surrogate: what computes CO2: ``torch``, the module :class:`~izoo.emissions.moves.MovesSurrogate` in one call
+            for all vehicles, or ``compiled``, the same function without torch.
+    """
+
+    backend: TwinBackend
+
+    def __init__(
+        self,
+        num_envs: int = 64,
+        contexts: Contexts | None = None,
+        *,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+        threads: int | None = None,
+        surrogate: str = "torch",
+    ) -> None:
+        config = checked_config(config)
+        backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
+        super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, 0, num_envs)
+        self.num_envs = num_envs
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
+        frame = super()._reset(tensordict, **options)
+        self._look_ahead()
+        return frame
+
+    def _look_ahead(self) -> None:
+        """Let the next episode of every environment be prepared."""
+        schedule = self.schedule
+        for index, number in enumerate(self._next_episode.tolist()):
+            self.backend.expect(index, number, functools.partial(_planned, schedule, number))
+
+    def present(self) -> TensorDict:
+        """Return the present state of all environments, to act on: what the last reset or step led to."""
+        self.require_started("present")
+        return self._frame()
+
+    def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
+        """Return the exact state of all environments as tensors and numbers: what is loaded goes on bit for bit."""
+        self.require_started("state_dict")
+        return {
+            "episodes": self.backend.numbers(),
+            "next_episodes": self._next_episode.tolist(),
+            "packed": [torch.from_numpy(packed.copy()) for packed in self.backend.pack()],
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], *_: Any, **__: Any) -> None:  # type: ignore[override]
+        """Go on from what :meth:`state_dict` returned, on the same schedule; :meth:`present` is where it stood.
+
+        Raises:
+            IzooError: another number of environments, another schedule or other settings saved it.
+        """
+        if len(state["packed"]) != self.num_envs:
+            raise IzooError(
+                f"the saved state is that of {len(state['packed'])} environments, and this has {self.num_envs}; make "
+                "one with as many."
+            )
+        plays = {index: Play(*self.schedule(number), number) for index, number in enumerate(state["episodes"])}
+        self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
+        self._next_episode[:] = state["next_episodes"]
+        self._look_ahead()
+
+    def branch(self, n: int) -> TwinEnv:
+        """Return ``n`` copies of every environment as they are now, ``[N * n]``: those of the first one come first.
+
+        What a copy plays after its present episode is of its own.
+        """
+        check_range("n", n, 1, 65536 // self.num_envs)
+        state = self.state_dict()
+        copies = TwinEnv(
+            self.num_envs * n,
+            self.schedule,
+            config=self.config,
+            threads=self.backend.wanted_threads,
+            surrogate=self.backend.surrogate,
+        )
+        for name in ("episodes", "packed"):
+            state[name] = [value for value in state[name] for _ in range(n)]
+        first = max(state["next_episodes"])
+        state["next_episodes"] = list(range(first, first + copies.num_envs))
+        copies.load_state_dict(state)
+        return copies
+
+    def scene(self, index: int = 0) -> Scene:
+        """Return the present state of an environment, whether or not it is emitted.
+
+        Raises:
+            IzooError: no episode has begun.
+        """
+        return self.backend.scene(index)
+
+    def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
+        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state of an environment."""
+        self.require_started("render")
+        return draw(self.scene(index), span_m=span_m, size_px=size_px)

@@ -1,0 +1,89 @@
+"""Every option of every command with what its type cannot be: refused in one sentence, whoever reads the options."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from izoo.algos import registry
+from izoo.algos.action import DirectAction, ResidualAction
+from izoo.benchmarks.generalization_options import GeneralizationConfig
+from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
+from izoo.conf.built_in import CatalogueContexts, CityContexts
+from izoo.conf.context_choices import PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.report_options import ReportConfig
+from izoo.conf.train_options import CollectConfig, TrainConfig
+from izoo.errors import IzooError
+
+CONFIGS: dict[str, Any] = {
+    **{f"train {name}": TrainConfig(algo=registry.preset(name)) for name in registry.choices()},
+    "train residual": TrainConfig(action=ResidualAction()),
+    "train pcg": TrainConfig(contexts=PcgContexts()),
+    "evaluate": EvaluateConfig(),
+    "evaluate catalogue": EvaluateConfig(contexts=CatalogueContexts(ids=(1,))),
+    "collect": CollectConfig(contexts=CityContexts()),
+    "report": ReportConfig(),
+    "benchmarks.generalization": GeneralizationConfig(),
+    "benchmarks.tradeoffs": TradeoffsConfig(),
+}
+"""Options that between them hold every group."""
+NOT_A_NUMBER = ("soon", [], {}, True, math.nan, math.inf, -math.inf)
+WRONG: dict[type, tuple[Any, ...]] = {
+    bool: ("soon", 2, [], {}, math.nan),
+    int: (*NOT_A_NUMBER, 0.5, -(10**30), 10**30),
+    float: NOT_A_NUMBER,
+    str: ([], {}, True),
+    list: (3, "soon", {}, math.nan, [{}], [[]]),
+}
+LISTS = {f"contexts.{name}" for name in ("city", "season", "hour", "engine", "adoption")}
+"""Options that take one value or a list of them; of an empty one, no context is left, which building them says."""
+
+
+def leaves(values: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every option that has a value, by its path."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*path, name))
+        elif value is not None:
+            yield (*path, name), value
+
+
+def changed(values: dict[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """A copy with one option changed."""
+    values = copy.deepcopy(values)
+    place = values
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = value
+    return values
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_option_refuses_what_its_type_cannot_be(name: str) -> None:
+    values, cls = to_mapping(CONFIGS[name]), type(CONFIGS[name])
+    taken, walked = [], 0
+    for path, default in leaves(values):
+        for wrong in WRONG[type(default)]:
+            if wrong == [] and ".".join(path) in LISTS:
+                continue
+            walked += 1
+            try:
+                from_mapping(cls, changed(values, path, wrong))
+                taken.append(f"{'.'.join(path)}={wrong!r}")
+            except IzooError as error:
+                assert str(error)
+    assert taken == []
+    assert walked > 10
+
+
+def test_the_walk_knows_every_action() -> None:
+    assert {type(config.action) for config in CONFIGS.values() if hasattr(config, "action")} == {
+        DirectAction,
+        ResidualAction,
+    }

@@ -1,0 +1,369 @@
+"""The twin behind the same MDP: what it emits is what SUMO's environments emit, for any number of environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv, check_env_specs
+
+from izoo.contexts.context import Context
+from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
+from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
+from izoo.envs.config import EMIT_GROUPS
+from izoo.errors import IzooError
+from tests.envs.test_determinism import by_episode, schedule
+from tests.envs.test_env import VARIANTS
+from tests.envs.worlds import Driver, at_random, crossing, defer, play, same, short, steer, steer_and_change
+
+Make = Callable[..., TwinEnv]
+EPISODES = 4
+GOLDEN = "dc986a0f8ed211e7"
+"""Digest of a fixed episode on the twin."""
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    """Build environments on the twin and close them in the end."""
+    made: list[TwinEnv] = []
+
+    def build(num_envs: int = 2, contexts: Any = None, **options: Any) -> TwinEnv:
+        contexts = crossing() if contexts is None else contexts
+        env = TwinEnv(num_envs, contexts, **({"config": short(), "threads": 1} | options))
+        made.append(env)
+        return env
+
+    yield build
+    for env in made:
+        env.close()
+
+
+# -- the same MDP as behind SUMO ---------------------------------------------------------------------------------------
+
+
+def single_lane(**changes: Any) -> Context:
+    """An approach of one lane, where the twin drives exactly as SUMO does."""
+    values = {"lane_count": 1, "phase_count": 1, "approach": "A", "lane_length_m": 150.0, "adoption": 0.4}
+    return crossing(**(values | {"inflow_vph_per_lane": 500.0} | changes))
+
+
+def briskly(tensordict: TensorDictBase) -> TensorDictBase:
+    """Steer, but fast enough that the queue moves."""
+    steer(tensordict)["agents", "action"].add_(2.0).clamp_max_(2.6)
+    return tensordict
+
+
+@pytest.mark.parametrize(
+    ("act", "seed", "changes"),
+    [
+        (briskly, 1, {}),
+        (briskly, 2, {"warmup_s": 0.0}),
+        (at_random(3), 3, {"num_agents": 2}),
+        (defer, 4, {"step_s": 1.0}),
+    ],
+    ids=["briskly", "no warm-up", "at random, few slots", "left to their drivers, long steps"],
+)
+def test_every_key_is_that_of_sumo(act: Driver, seed: int, changes: dict[str, Any]) -> None:
+    """Where the driving is the same, so is everything that is made from it: the MDP is written once."""
+    config = EnvConfig(**({"horizon_s": 150.0, "warmup_s": 20.0, "emit": EMIT_GROUPS} | changes))
+    context = single_lane()
+    envs = [EcoDrivingEnv(context, config=config, simulator=name) for name in ("sumo", "twin")]
+    compared = 0
+    try:
+        ours, theirs = (env.reset(context=context, seed=seed) for env in envs)
+        assert_close(ours, theirs, 0)
+        for step in range(config.control_steps):
+            theirs = act(theirs)
+            commanded = theirs.select(("agents", "action"), ("agents", "defer"), strict=False)
+            ours = ours.update(commanded)
+            following = [env._step(state) for env, state in zip(envs, (ours, theirs), strict=True)]
+            compared = assert_close(*following, step + 1)
+            ours, theirs = (part.exclude(("agents", "reward")) for part in following)
+    finally:
+        for env in envs:
+            env.close()
+    assert compared > 70
+    assert ours["metrics", "approach", "entered"].sum() > 3
+    assert ours["metrics", "approach", "agent_steps"].sum() > 100
+    assert ours["done"].all()
+
+
+def assert_close(ours: TensorDictBase, theirs: TensorDictBase, step: int) -> int:
+    """Compare every leaf of a step; return how many there are."""
+    leaves = dict(ours.items(True, True))
+    assert leaves.keys() == set(theirs.keys(True, True))
+    for key, value in leaves.items():
+        other = theirs.get(key)
+        assert value.dtype == other.dtype and value.shape == other.shape
+        # CO2 comes from the torch module there and from compiled code here, which differ by less than 1e-5 of it.
+        assert torch.allclose(value.double(), other.double(), rtol=1e-5, atol=1e-3), f"{key} at step {step}"
+    return len(leaves)
+
+
+# -- TorchRL's view ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_specs_of_every_variant(make: Make, variant: str) -> None:
+    env = make(config=short(**VARIANTS[variant]))
+    check_env_specs(env)
+
+
+def test_specs_are_those_of_the_parallel_environment(make: Make) -> None:
+    config = short(emit=EMIT_GROUPS, lane_change=True)
+    ours, theirs = make(config=config), SumoParallelEnv(2, crossing(), config=config)
+    try:
+        for name in ("observation_spec", "full_action_spec", "reward_spec", "full_done_spec", "state_spec"):
+            assert getattr(ours, name) == getattr(theirs, name)
+    finally:
+        theirs.close()
+
+
+def test_specs_below_transforms(make: Make) -> None:
+    transforms = Compose(
+        RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")]), StepCounter(max_steps=20)
+    )
+    check_env_specs(TransformedEnv(make(), transforms))
+
+
+def test_one_environment_alone() -> None:
+    env = EcoDrivingEnv(crossing(), config=short(), simulator="twin")
+    try:
+        check_env_specs(env)
+        env.reset(context=crossing(lane_count=1), seed=3)
+        assert env.scene().context == crossing(lane_count=1) and env.render().any()
+    finally:
+        env.close()
+
+
+def test_own_stepping_is_torchrls(make: Make) -> None:
+    lean, plain = make(), make()
+    steps = lean.config.control_steps + 20
+    ours = play(lean, steps)
+    theirs = plain.rollout(steps, steer, break_when_any_done=False, auto_reset=True)
+    assert ours["next", "done"].sum() == 2
+    for key in (("agents", "observation"), ("agents", "mask"), ("next", "agents", "reward"), ("context", "episode")):
+        assert torch.equal(ours[key], theirs[key])
+
+
+def test_partial_reset_touches_only_its_own(make: Make) -> None:
+    env, undisturbed = make(3), make(3)
+    state, other = env.reset(), undisturbed.reset()
+    for _ in range(10):
+        (_, state), (_, other) = env.step_and_maybe_reset(steer(state)), undisturbed.step_and_maybe_reset(steer(other))
+    chosen = torch.tensor([[False], [True], [False]])
+    state = env.reset(state.clone().set("_reset", chosen), select_reset_only=True)
+    assert state["context", "episode"].view(-1).tolist() == [0, 4, 2]
+    assert same(state[0], other[0]) and same(state[2], other[2])
+    assert state["metrics", "episode", "steps"].view(-1).tolist() == [10, 0, 10]
+
+
+def test_render_shows_the_present_state(make: Make) -> None:
+    env = make(2, RoundRobinSchedule([crossing(), crossing(lane_count=1)]))
+    with pytest.raises(IzooError, match=r"render\(\) came before reset"):
+        env.render()
+    state = env.reset()
+    assert env.scene(1).context.intersection != env.scene(0).context.intersection
+    before = env.render(index=1)
+    for _ in range(8):
+        _, state = env.step_and_maybe_reset(defer(state))
+    assert before.shape == (640, 640, 3) and (env.render(index=1) != before).any()
+    assert len(env.scene(1).vehicles["speed_mps"]) == int(state["vehicles", "present"][1].sum())
+
+
+# -- determinism -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def expected() -> dict[int, str]:
+    """Digest of every numbered episode, played by a single environment."""
+    env = TwinEnv(1, schedule(), config=short(), threads=1)
+    try:
+        digests = by_episode(play(env, EPISODES * env.config.control_steps))
+    finally:
+        env.close()
+    assert len(set(digests.values())) == EPISODES
+    return digests
+
+
+@pytest.mark.parametrize(("num_envs", "threads"), [(2, 1), (4, 1), (4, 2), (4, 3)])
+def test_same_for_any_number_of_environments_and_threads(
+    make: Make, expected: dict[int, str], num_envs: int, threads: int
+) -> None:
+    env = make(num_envs, schedule(), threads=threads)
+    assert by_episode(play(env, EPISODES // num_envs * env.config.control_steps)) == expected
+
+
+def test_same_whatever_was_played_before(make: Make, expected: dict[int, str]) -> None:
+    """Episodes in another order, begun anew in the middle."""
+    env = make(2, schedule())
+    env.reset()
+    state = env.reset(episode=[3, 1])
+    for _ in range(7):
+        _, state = env.step_and_maybe_reset(steer(state))
+    frames = play(env, env.config.control_steps, start=env.reset(episode=[2, 0]))
+    assert by_episode(frames) == {number: expected[number] for number in (0, 2)}
+
+
+def test_golden(expected: dict[int, str]) -> None:
+    """A change here changes what a seed means on the twin: say so in the release notes."""
+    assert expected[0] == GOLDEN
+
+
+def test_both_surrogates_agree(make: Make) -> None:
+    parts = [play(make(3, surrogate=name), 60)["next", "vehicles", "emission_g"] for name in ("torch", "compiled")]
+    assert torch.allclose(*parts, rtol=1e-4, atol=1e-5) and parts[0].sum() > 1.0
+
+
+# -- what is counted ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("changes", [{}, {"inflow_vph_per_lane": 900.0}, {"lane_count": 3, "adoption": 1.0}])
+def test_the_demand_closes(make: Make, changes: dict[str, Any]) -> None:
+    env = make(2, crossing(**changes), config=short(horizon_s=120.0))
+    last = play(env, env.config.control_steps)[:, -1]["next", "metrics", "approach"]
+    reached = sum(last[name] for name in ("dropped", "waiting", "outside", "early", "entered"))
+    assert torch.equal(last["due"], reached) and (last["due"] > 5).any()
+    assert torch.equal(last["entered"], last["crossed"] + last["unfinished"])
+
+
+def test_lane_changes_are_commanded(make: Make) -> None:
+    context = crossing(lane_count=3, adoption=1.0)
+    config = short(lane_change=True)
+    drivers = (steer_and_change, _keep_lanes)
+    lanes = [play(make(1, context, config=config), 60, act)["next", "vehicles", "lane"] for act in drivers]
+    assert not torch.equal(*lanes)
+
+
+def _keep_lanes(tensordict: TensorDictBase) -> TensorDictBase:
+    mask = tensordict["agents", "mask"]
+    tensordict["agents", "lane_change"] = torch.ones_like(mask, dtype=torch.int64)
+    return steer(tensordict)
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"threads": 0}, "threads is 0"),
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"surrogate": "onnx"}, "surrogate"),
+        ({"config": short(gui=True)}, "no window"),
+        ({"contexts": 3}, "contexts is a int"),
+    ],
+)
+def test_bad_options_are_refused(make: Make, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(IzooError, match=message):
+        make(**options)
+
+
+def test_unknown_simulator() -> None:
+    with pytest.raises(IzooError, match="simulator"):
+        EcoDrivingEnv(crossing(), simulator="cityflow")
+
+
+def test_step_before_reset_and_after_the_end(make: Make) -> None:
+    env = make()
+    idle = TensorDict({"agents": TensorDict({"action": torch.zeros(2, 64, 1)}, [2, 64])}, [2])
+    with pytest.raises(IzooError, match=r"step\(\) came before reset"):
+        env.step(idle)
+    state = env.reset()
+    for _ in range(env.config.control_steps):
+        state = env._step(steer(state)).exclude(("agents", "reward"))
+    with pytest.raises(IzooError, match="the episode ended after 110 steps"):
+        env._step(steer(state))
+    env.close()
+    with pytest.raises(IzooError, match="closed"):
+        env.reset()
+
+
+def test_too_few_approaches(make: Make) -> None:
+    with pytest.raises(IzooError, match="num_approaches"):
+        make(config=short(num_approaches=2)).reset()
+
+
+def test_a_bad_context_is_named_when_its_turn_comes(make: Make) -> None:
+    """Also where another thread prepares it."""
+    negative = lambda number: (crossing(), 5 if number < 2 else -1)  # noqa: E731
+    env = make(2, negative)
+    state = env.reset()
+    for _ in range(env.config.control_steps - 1):
+        _, state = env.step_and_maybe_reset(steer(state))
+    with pytest.raises(IzooError, match="episode seed is -1"):
+        env.step_and_maybe_reset(steer(state))
+
+
+def test_episodes_of_measured_intersections(make: Make, dataset: ContextList) -> None:
+    """The largest demand of the sample, all approaches."""
+    context = max(dataset, key=lambda context: context.flow_vph_per_lane(context.approach or "A")).replace(
+        approach=None
+    )
+    env = make(2, RandomSchedule(ContextList([context]), 1), config=short(horizon_s=200.0))
+    last = play(env, env.config.control_steps)[:, -1]
+    assert last["next", "metrics", "approach", "crossed"].sum() > 10
+
+
+# -- the exact state ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_loaded_goes_on_bit_for_bit(make: Make) -> None:
+    """Over the end of the episodes, with every key; also what the environment does in between is forgotten."""
+    options = {"config": short(emit=EMIT_GROUPS)}
+    env, other = make(3, schedule(), **options), make(3, schedule(), threads=2, **options)
+    state = env.reset()
+    for _ in range(41):
+        _, state = env.step_and_maybe_reset(steer(state))
+    saved = env.state_dict()
+    whole = play(env, 90, start=state)
+    play(other, 7)
+    other.load_state_dict(saved)
+    assert same(other.present(), state.select(*other.present().keys(True, True)))
+    resumed = play(other, 90, start=other.present())
+    assert whole["next", "done"].any() and set(whole.keys(True, True)) == set(resumed.keys(True, True))
+    for key in whole.keys(True, True):
+        assert torch.equal(whole[key], resumed[key]), key
+    assert [tensor.tolist() for tensor in env.state_dict()["packed"]] == [
+        tensor.tolist() for tensor in other.state_dict()["packed"]
+    ]
+
+
+def test_branches_begin_alike_and_go_their_own_ways(make: Make) -> None:
+    env = make(2, schedule())
+    state = env.reset()
+    for _ in range(20):
+        _, state = env.step_and_maybe_reset(steer(state))
+    branches = env.branch(3)
+    try:
+        begin = branches.present()
+        for copy in range(6):
+            assert same(begin[copy], state.select(*begin.keys(True, True))[copy // 3])
+        steered = steer(begin.clone())
+        steered["agents", "action"][3] -= 1.0
+        frames, going_on = [], steered
+        for _ in range(30):
+            frame, going_on = branches.step_and_maybe_reset(going_on)
+            frames.append(frame)
+            steer(going_on)["agents", "action"][3] -= 1.0
+        seen = torch.stack(frames, -1)["next", "agents", "observation"]
+        original = play(env, 30, start=state)["next", "agents", "observation"]
+        assert torch.equal(seen[0], original[0]) and torch.equal(seen[2], original[0])
+        assert torch.equal(seen[5], original[1]) and not torch.equal(seen[3], original[1])
+    finally:
+        branches.close()
+
+
+def test_states_of_others_are_refused(make: Make) -> None:
+    env = make(2, schedule())
+    with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
+        env.state_dict()
+    env.reset()
+    saved = env.state_dict()
+    with pytest.raises(IzooError, match="is that of 2 environments, and this has 3"):
+        make(3, schedule()).load_state_dict(saved)
+    with pytest.raises(IzooError, match="does not fit episode 0"):
+        make(2, crossing(lane_count=1)).load_state_dict(saved)

@@ -1,0 +1,309 @@
+"""How a run ends that cannot go on, and who may train in a folder: in real processes where the matter is processes."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from izoo import files, train
+from izoo.console import exit_code, graceful_interrupt
+from izoo.errors import IzooError, UnfinishedError
+from izoo.training import checkpoint, loop, runs
+from izoo.training.heartbeats import Watch, open_counts
+from izoo.training.learner import Learner, is_finite
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[8]"),
+    *("algo.frames_per_batch=50", "algo.minibatch_rows=64", "evaluation.contexts=0", "validation.every_batches=0"),
+    *("checkpoint.every_batches=1", "collector=single", "total_frames=100"),
+]
+
+
+def frames_in(run_dir: Path) -> list[int]:
+    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+        return [int(row["frames"]) for row in csv.DictReader(file)]
+
+
+def one_line(capsys: pytest.CaptureFixture[str], *parts: str) -> None:
+    """Check that the error was one line of izoo with these parts."""
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("izoo")]
+    assert len(lines) == 1 and all(part in lines[0] for part in parts), lines
+
+
+# -- one process per run -----------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
+    before = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file()}
+    program = "import sys, pathlib; from izoo.training import runs\n"
+    program += "with runs.owned(pathlib.Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", program, str(run_dir)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "mine\n"
+        assert train.main([f"resume={run_dir}", "total_frames=150"]) == 2
+        one_line(capsys, str(run_dir), "this run is being trained")
+        assert {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file()} == before
+        other.communicate("")
+    assert train.main([f"resume={run_dir}", "total_frames=150"]) == 0
+    assert frames_in(run_dir) == [50, 100, 150]
+
+
+def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> None:
+    from izoo.conf.train_options import TrainConfig
+
+    config = TrainConfig(run_dir=str(tmp_path / "run"))
+    with runs.created(config) as run_dir:
+        kept = (run_dir / runs.CONFIG_FILE).read_bytes()
+        with pytest.raises(IzooError, match="not empty"), runs.created(config):
+            pass
+        assert (run_dir / runs.CONFIG_FILE).read_bytes() == kept
+        (run_dir / runs.METRICS_FILE).touch()  # so that the folder is not taken for a start that failed
+    assert (tmp_path / "run").is_dir()
+
+
+@pytest.mark.parametrize("existed", [False, True])
+def test_a_start_that_fails_leaves_nothing(
+    existed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir = tmp_path / "run"
+    if existed:
+        run_dir.mkdir()
+
+    def refuse(*_: Any) -> None:
+        raise IzooError("the first batch cannot be collected.")
+
+    monkeypatch.setattr(loop, "BatchSource", refuse)
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 2
+    one_line(capsys, "cannot be collected")
+    assert run_dir.exists() == existed and (not existed or list(run_dir.iterdir()) == [])
+    monkeypatch.undo()
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
+
+
+@pytest.mark.parametrize("words", [["algo.hidden=[1000000,1000000]"], ["algo=ddpg", "algo.hidden=[1000000,1000000]"]])
+def test_networks_that_no_memory_holds_are_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest = [word for word in TOY if not word.startswith(("algo.hidden", "algo.minibatch"))]
+    assert train.main([*rest, *words, f"run_dir={tmp_path / 'run'}"]) == 2
+    one_line(capsys, "weights, more than")
+    assert not (tmp_path / "run").exists()
+
+
+# -- numbers that are not finite ---------------------------------------------------------------------------------------
+
+
+def test_finite_is_seen_through_containers() -> None:
+    good = {"a": [torch.ones(2), {"b": torch.arange(3)}], "c": 1.0, "d": "nan", "e": None}
+    assert is_finite(good)
+    for bad in (torch.tensor([1.0, torch.nan]), torch.tensor(torch.inf), float("nan")):
+        assert not is_finite({**good, "a": [bad]})
+
+
+@pytest.mark.parametrize("what", ["weights", "loss"])
+def test_training_stops_where_its_numbers_are_not_finite(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last finite checkpoint stays, and is what a resumed run begins from."""
+    run_dir, real, updates = tmp_path / "run", Learner.update, []
+
+    def diverge(self: Learner, batch: Any, progress: float) -> dict[str, float]:
+        stats = real(self, batch, progress)
+        updates.append(progress)
+        if len(updates) == 2:
+            if what == "loss":
+                return {**stats, "loss_objective": float("nan")}
+            with torch.no_grad():
+                next(iter(self.algorithm.policy.parameters())).view(-1)[0] = torch.nan
+        return stats
+
+    monkeypatch.setattr(Learner, "update", diverge)
+    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 1
+    one_line(capsys, "diverged after 50 frames", "step-000000000050.pt", "lr")
+    assert [path.name for path in checkpoint.listed(run_dir)] == ["step-000000000050.pt"]
+    assert is_finite(checkpoint.load(checkpoint.find(run_dir))["algorithm"])
+    monkeypatch.undo()
+    assert train.main([f"resume={run_dir}"]) == 0
+
+
+# -- the disk ----------------------------------------------------------------------------------------------------------
+
+
+def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, suffix: str) -> None:
+    """Let every file whose name ends so meet a full disk."""
+    partial, real = tmp_path / "partial", files.partial_of
+
+    def partial_of(path: Path) -> Path:
+        if not path.name.endswith(suffix):
+            return real(path)
+        partial.unlink(missing_ok=True)
+        partial.symlink_to("/dev/full")
+        return partial
+
+    monkeypatch.setattr(files, "partial_of", partial_of)
+
+
+def test_a_run_whose_last_weights_find_no_room_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
+    full(monkeypatch, tmp_path, ".pt")
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 1
+    one_line(capsys, "last weights could not be saved", "step-000000000100.pt", f"resume={run_dir}")
+    monkeypatch.undo()
+    assert train.main([f"resume={run_dir}"]) == 0
+    assert frames_in(run_dir) == [50, 100, 150, 200]
+
+
+def test_resuming_on_a_full_disk_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
+    full(monkeypatch, tmp_path, runs.CONFIG_FILE)
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 1
+    one_line(capsys, "No space left on device", "step-000000000100.pt")
+    assert runs.read_config(run_dir).total_frames == 100
+
+
+def test_a_run_folder_that_is_removed_does_not_come_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir, real = tmp_path / "run", Learner.update
+
+    def remove(self: Learner, batch: Any, progress: float) -> dict[str, float]:
+        if progress > 0:
+            shutil.rmtree(run_dir, ignore_errors=True)
+        return real(self, batch, progress)
+
+    monkeypatch.setattr(Learner, "update", remove)
+    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 1
+    one_line(capsys, f"{run_dir} is gone")
+    assert not run_dir.exists()
+
+
+# -- Ctrl-C ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c() -> None:
+    def work() -> int:
+        with graceful_interrupt():
+            os.kill(os.getpid(), signal.SIGINT)
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt as error:
+                raise SystemError("returned a result with an exception set") from error
+        return 0
+
+    assert exit_code("train", work) == 130
+    with pytest.raises(SystemError), graceful_interrupt():  # without Ctrl-C it is a defect
+        raise SystemError("returned a result with an exception set")
+
+
+def test_ctrl_c_in_the_last_batch_is_not_swallowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A benchmark would begin its next job; the run itself is whole."""
+    run_dir, real = tmp_path / "run", Learner.update
+
+    def press(self: Learner, batch: Any, progress: float) -> dict[str, float]:
+        if progress > 0:
+            os.kill(os.getpid(), signal.SIGINT)
+        return real(self, batch, progress)
+
+    monkeypatch.setattr(Learner, "update", press)
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 130
+    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 100
+    monkeypatch.undo()
+    assert train.main([f"resume={run_dir}"]) == 0
+
+
+def test_ctrl_c_before_the_first_batch_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = loop.Session._learn
+
+    def press(self: loop.Session, interrupt: Any, sinks: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        real(self, interrupt, sinks)
+
+    monkeypatch.setattr(loop.Session, "_learn", press)
+    assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 130
+    assert not (tmp_path / "run").exists()
+
+
+# -- processes that hang -----------------------------------------------------------------------------------------------
+
+
+def test_a_process_that_owes_steps_and_takes_none_is_ended() -> None:
+    """Those that have done their part, and those that still take steps, go on."""
+    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(3)]
+    watch = Watch(3, steps=10, patience_s=0.4)
+    counts = open_counts(watch.path, 3)
+    try:
+        counts[:] = 10
+        with watch.over([process.pid for process in sleepers]):  # everybody has done the first batch
+            time.sleep(0.1)
+        counts[0] = 20
+        with watch.over([process.pid for process in sleepers]):
+            for _ in range(8):
+                counts[1] += 1
+                time.sleep(0.15)
+        assert watch.hung == [2]
+        assert [process.poll() for process in sleepers[:2]] == [None, None]
+        assert sleepers[2].wait(10) == -signal.SIGKILL
+    finally:
+        watch.close()
+        for process in sleepers:
+            process.kill()
+            process.wait()
+    assert not watch.path.exists()
+
+
+@pytest.mark.slow
+def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [word for word in TOY if not word.startswith(("collector", "total_frames"))]
+    words += ["collector=multisync", "num_workers=2", "total_frames=100000000", "env.watchdog_s=4"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 200
+        while not checkpoint.listed(run_dir) and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.1)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        collecting = [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        assert len(collecting) == 2
+        begin = time.monotonic()
+        os.kill(collecting[1], signal.SIGSTOP)
+        _, error = process.communicate(timeout=100)
+        assert process.returncode == 1 and "Traceback" not in error, error
+        assert "took no" in error and "env.watchdog_s" in error and time.monotonic() - begin < 60
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(collecting[1], 0)
+            raise AssertionError("the stopped process is still there")
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_unfinished_work_is_one_sentence_and_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> int:
+        raise UnfinishedError("the disk is full; make room.")
+
+    assert exit_code("train", work) == 1
+    assert capsys.readouterr().err == "izoo train: the disk is full; make room.\n"

@@ -1,0 +1,63 @@
+"""The option that says which simulator plays: in training, in collected data and in evaluations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from izoo import collect, evaluate, train
+from izoo.training import runs
+
+EASY = ["contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=60"]
+
+
+def test_a_run_on_the_twin_says_so(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [*EASY, "simulator=twin", "num_envs=8", "twin.threads=2", "algo.hidden=[16]", "evaluation.contexts=0"]
+    words += ["algo.frames_per_batch=400", "total_frames=800", "validation.every_batches=2", "validation.contexts=1"]
+    assert train.main([*words, f"run_dir={run_dir}"]) == 0
+    config = runs.read_config(run_dir)
+    assert (config.simulator, config.num_envs, config.twin.threads) == ("twin", 8, 2)
+    assert len((run_dir / "validation.csv").read_text().splitlines()) == 2
+
+
+def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*EASY, "policy=glide", "seeds=1", "num_contexts=1", "num_workers=0", f"cache={tmp_path / 'cache'}"]
+    settings = {}
+    for simulator in ("sumo", "twin"):
+        out = tmp_path / simulator
+        assert evaluate.main([*words, f"simulator={simulator}", f"out={out}"]) == 0
+        settings[simulator] = json.loads((out / "evaluation.json").read_text())["settings"]
+    assert "Evaluating glide on the twin" in capsys.readouterr().out
+    assert [settings[name]["simulator"] for name in settings] == ["sumo", "twin"]
+    # Rows of both in one folder would be mixed up.
+    assert evaluate.main([*words, "simulator=twin", f"out={tmp_path / 'sumo'}"]) == 2
+    assert "simulator sumo -> twin" in capsys.readouterr().err
+
+
+def test_data_from_the_twin(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", f"out={out}"]) == 0
+    assert json.loads((out / "manifest.json").read_text())["simulator"] == "twin"
+    steps = collect.load(out)
+    assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["num_envs=256"], "set num_workers, or simulator=twin"),
+        (["simulator=twin", "collector=multisync"], "collector=multisync is a way to step SUMO"),
+        (["simulator=twin", "twin.threads=0"], "twin.threads is 0"),
+        (["simulator=twin", "num_envs=0"], "num_envs is 0"),
+        (["simulator=twin", "env.gui=true"], "the twin has no window"),
+        (["simulator=cityflow"], "sumo, twin"),
+    ],
+)
+def test_what_the_twin_cannot_do_is_refused(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train.main([*EASY, *words, f"run_dir={tmp_path / 'run'}"]) == 2
+    assert message in capsys.readouterr().err
