@@ -20,6 +20,7 @@ from izoo.training.learner import Learner
 def test_the_best_weights_are_those_of_validation(
     validated: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "run").mkdir()
     for frames in (100, 200):
         checkpoint.save(tmp_path / "run", frames, {"features": 1}, keep=2)
     first = checkpoint.listed(tmp_path / "run")[0]
@@ -51,7 +52,9 @@ def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
         config = GeneralizationConfig(protocol="systematicity", algos=("ppo",), select=select, frames=200).resolved()
         benchmark = Campaign(config, tmp_path / select)
         job = next(job for job in benchmark.jobs() if job.kind == "train")
-        last = checkpoint.save(benchmark._run_dir(job.entry, job.seed), 200, {"features": 1}, keep=2)
+        run_dir = benchmark._run_dir(job.entry, job.seed)
+        run_dir.mkdir(parents=True)
+        last = checkpoint.save(run_dir, 200, {"features": 1}, keep=2)
         assert benchmark._is_trained(job)
         candidate = checkpoint.make_candidate(last)
         trained[select] = benchmark._is_trained(job)

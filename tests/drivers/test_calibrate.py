@@ -32,6 +32,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 SHORT = ("--warmup", "20", "--draws", "20", "--chains", "2")
 
 
+@pytest.mark.slow
 def test_from_a_file_to_contexts(
     pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

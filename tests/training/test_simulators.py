@@ -13,6 +13,7 @@ from izoo.training import runs
 EASY = ["contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=60"]
 
 
+@pytest.mark.slow
 def test_a_run_on_the_twin_says_so(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [*EASY, "simulator=twin", "num_envs=8", "twin.threads=2", "algo.hidden=[16]", "evaluation.contexts=0"]
