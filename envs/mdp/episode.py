@@ -139,7 +139,7 @@ class Episode:
 
     @property
     def held_up(self) -> tuple[np.ndarray, np.ndarray]:
-        """What has become of each vehicle of the demand, and how many are held up outside: they change as it goes on."""
+        """What has become of each vehicle of the demand, and how many are held up outside, as of now."""
         return self._demand.fate, self._demand.outside
 
     # The methods below change the tables; they come in the order of a step.
