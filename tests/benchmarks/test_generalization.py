@@ -26,6 +26,8 @@ from izoo.reporting.material import collect
 from izoo.reporting.results import evaluation_of, read_results
 from izoo.training import checkpoint
 
+pytestmark = pytest.mark.slow
+
 WORDS = [
     "protocol=systematicity",
     "algos=[ppo,uncommanded]",

@@ -167,6 +167,7 @@ env.close()
 """
 
 
+@pytest.mark.slow
 def test_a_forked_process_that_ends_leaves_its_parents_workers_alone() -> None:
     done = subprocess.run([sys.executable, "-c", FORK], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

@@ -187,6 +187,7 @@ def walk(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return made
 
 
+@pytest.mark.slow
 def test_missing_and_mistyped_entries_are_refused(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = checkpoint.find(run_dir)
     passed = []

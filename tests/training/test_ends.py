@@ -44,6 +44,7 @@ def one_line(capsys: pytest.CaptureFixture[str], *parts: str) -> None:
 # -- one process per run -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, f"run_dir={run_dir}"]) == 0

@@ -67,6 +67,7 @@ def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
         collector.shutdown()
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_single_environments(policy: TensorDictModuleBase) -> None:
     expected = [alone(worker, copy.deepcopy(policy)) for worker in range(2)]
     before = torch.get_rng_state()

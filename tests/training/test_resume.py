@@ -71,7 +71,7 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
 @pytest.mark.parametrize(
     "words",
     [
-        pytest.param(["collector=single"], id="single-ppo"),
+        pytest.param(["collector=single"], id="single-ppo", marks=pytest.mark.slow),
         pytest.param(["simulator=twin", "num_envs=4", "twin.threads=2"], id="twin-ppo", marks=pytest.mark.slow),
         pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
     ],
