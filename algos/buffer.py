@@ -175,7 +175,8 @@ class Replay:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned into an empty replay."""
+        """Restore what :meth:`state_dict` returned; what was held before goes."""
+        self.buffer.empty()
         if not state:
             return
         rows = TensorDict(batch_size=[len(state["rows"][STEPS])])
