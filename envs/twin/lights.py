@@ -20,9 +20,9 @@ RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
 
 
 @compiled
-def show_signals(net, state):  # type: ignore[no-untyped-def]
-    """Set the letters of all signals to those of the present time."""
-    now_ms = state.clock[NOW_MS]
+def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
+    """Set the letters of all signals to those of the coming step: SUMO begins it with every switch that falls in it."""
+    now_ms = state.clock[NOW_MS] + step_ms - 1
     for program in range(net.program_ints.shape[0]):
         if now_ms < state.program_switch_ms[program]:
             continue

@@ -93,7 +93,7 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
         net_at, traffic_at, state_at: addresses of the directories, see :mod:`izoo.envs.twin.compiled`.
     """
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
-    show_signals(net, state)
+    show_signals(net, state, step_ms)
     state.clock[ITEM_TOTAL] = 0
     activate_busy(net, state)
     forget_empty(state)

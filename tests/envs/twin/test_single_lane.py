@@ -59,16 +59,19 @@ LIGHT = {"inflow_vph_per_lane": 250.0}
 SHORT = {"inflow_vph_per_lane": 700.0, "lane_length_m": 150.0, "offset_s": 3.0}
 LEFTS = {"inflow_vph_per_lane": 600.0, "phase_count": 2, "lane_length_m": 500.0, "green_s": 20.0}
 FAST = {"inflow_vph_per_lane": 500.0, "approach": "B", "speed_limit_mps": 20.0}
+BETWEEN_STEPS = {"green_s": 24.385, "red_s": 21.517, "offset_s": 2.938}
+"""Signals that change between two steps."""
 
 
 @pytest.mark.parametrize(
     ("features", "commands"),
     [
-        *((features, None) for features in (LIGHT, SHORT, LEFTS, FAST)),
+        *((features, None) for features in (LIGHT, SHORT, LEFTS, FAST, BETWEEN_STEPS)),
         (LIGHT, waves),
         (SHORT, waves),
         (LEFTS, waves),
         (FAST, waves),
+        (BETWEEN_STEPS, waves),
     ],
 )
 def test_whole_episodes(features: dict[str, Any], commands: Any) -> None:
