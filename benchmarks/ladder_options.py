@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from izoo.algos.registry import DRIVER_NAMES
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
+from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
 from izoo.evaluation.policies import HUMAN
@@ -47,11 +47,7 @@ class LadderConfig:
     cache: str | None = None
 
     def __post_init__(self) -> None:
-        if self.num_contexts is not None:
-            check_range("num_contexts", self.num_contexts, 1, 10**7)
-        check_range("seeds", self.seeds, 1, 10**6)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        check_range("num_workers", self.num_workers, 0, 1024)
+        check_episodes(self)
         for adoption in self.adoptions:
             check_range("adoptions", adoption, 0.0, 1.0)
         for demand in self.demand:
@@ -59,8 +55,7 @@ class LadderConfig:
         for policy in {*self.policies, *self.exact}:
             if policy == HUMAN:
                 raise IzooError("policies holds 'human', which is played in any case; leave it out.")
-            if ":" not in policy:
-                check_choice("policies", policy, [*DRIVER_NAMES, "module:function"])
+            check_policy("policies", policy)
         if not (self.adoptions and self.demand and self.policies):
             raise IzooError("adoptions, demand and policies each need one entry or more.")
         for name in ("out", "cache"):

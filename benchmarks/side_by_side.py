@@ -96,7 +96,11 @@ class SideBySide:
         found: Parting | None = None
         motions = [Motion(), Motion()]
         environments: list[Any] = [self._sumo, self._twin]
-        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        with (
+            torch.random.fork_rng(devices=[]),
+            set_exploration_type(ExplorationType.DETERMINISTIC),
+            torch.no_grad(),
+        ):
             states = [env.reset(context=context, seed=seed) for env in environments]
             for step in range(1, self._sumo.config.control_steps + 1):
                 # Policies that draw draw the same for both.

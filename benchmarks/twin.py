@@ -96,8 +96,8 @@ def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, 
     """Play the episodes that are not in the table at ``path`` yet side by side; return it, a row per episode.
 
     Returns:
-        ``policy``, ``context``, ``context_hash``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted`` (the first
-        step that differs; empty where none does), ``where`` (who differs there), ``ks_speed`` and ``ks_accel``.
+        ``policy``, ``context``, ``context_hash``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted``
+        (the first step that differs; empty where none does), ``where`` (who differs there), ``ks_speed``, ``ks_accel``.
     """
     import pandas as pd
 
@@ -111,8 +111,8 @@ def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, 
 
     table = pd.read_csv(path, dtype={"parted": "Int64"}) if path.exists() else pd.DataFrame()
     rows: list[dict[str, Any]] = table.to_dict("records")
-    done = {(row["policy"], row["context_hash"]) for row in rows}
-    todo = [(p, c) for c in contexts for p in config.exact if (p, c.content_hash) not in done]
+    done = {(row["policy"], row["context_hash"], row["seed"]) for row in rows}
+    todo = [(p, c) for c in contexts for p in config.exact if (p, c.content_hash, seed) not in done]
     both = SideBySide(config.env)
     try:
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
@@ -126,6 +126,7 @@ def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, 
                         "policy": name,
                         "context": context.name,
                         "context_hash": context.content_hash,
+                        "seed": seed,
                         "adoption": context.adoption,
                         "demand": "all" if context.approach is None else "one",
                         "lanes": lanes,

@@ -24,10 +24,8 @@ def place(state, v, lane):  # type: ignore[no-untyped-def]
     """Enter vehicle ``v`` into the order of ``lane`` by its position, behind others at the same place."""
     ints, lanes = state.ints, state.lanes
     position = state.floats[v, POSITION]
-    ahead, behind = -1, lanes[lane, LANE_BACK]
     # From upstream: who comes onto a lane is mostly its last vehicle.
-    ahead = behind
-    behind = -1
+    ahead, behind = lanes[lane, LANE_BACK], -1
     while ahead >= 0 and state.floats[ahead, POSITION] < position:
         behind = ahead
         ahead = ints[ahead, AHEAD]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.conf.built_in import CityContexts
@@ -54,14 +54,25 @@ class EvaluateConfig:
     cache: str | None = None
 
     def __post_init__(self) -> None:
-        if self.num_contexts is not None:
-            check_range("num_contexts", self.num_contexts, 1, 10**7)
-        check_range("seeds", self.seeds, 1, 10**6)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        check_range("num_workers", self.num_workers, 0, 1024)
-        if self.policy is not None and ":" not in self.policy:
-            check_choice("policy", self.policy, [*DRIVER_NAMES, "module:function"])
+        check_episodes(self)
+        if self.policy is not None:
+            check_policy("policy", self.policy)
         for name in ("run", "out", "cache"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
+
+
+def check_episodes(config: Any) -> None:
+    """Raise :class:`IzooError` where options on how many episodes are played, and by whom, are out of range."""
+    if config.num_contexts is not None:
+        check_range("num_contexts", config.num_contexts, 1, 10**7)
+    check_range("seeds", config.seeds, 1, 10**6)
+    check_range("seed", config.seed, 0, 2**31 - 1)
+    check_range("num_workers", config.num_workers, 0, 1024)
+
+
+def check_policy(what: str, policy: str) -> None:
+    """Raise :class:`IzooError` unless a policy is a driver's name, or looks like ``module:function``."""
+    if ":" not in policy:
+        check_choice(what, policy, [*DRIVER_NAMES, "module:function"])

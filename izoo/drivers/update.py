@@ -16,7 +16,9 @@ SMALLEST_GAP_M = 0.01
 
 
 def next_speed(log_parameters: Array, speed: Array, gap: Array, leader_speed: Array, step_s: float) -> Array:
-    """Return the speed after one step behind a leader that keeps its own (spec 3).
+    """Return the speed after one step behind a leader that keeps its own.
+
+    The intelligent driver model (Treiber, Hennecke and Helbing, Physical Review E 62, 2000):
 
     ``a = alpha (1 - (v / v0)^4 - (s* / s)^2)`` with ``s* = s0 + max(0, v T + v dv / (2 sqrt(alpha beta)))``; within the
     step the gap closes, but does not open.
