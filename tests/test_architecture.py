@@ -27,11 +27,12 @@ FLOORS = (
     {"drivers", "envs"},
     {"algos"},
     {"conf"},
+    {"zoo"},
     {"evaluation"},
     {"training"},
     {"reporting"},
     {"commands"},
-    {"benchmarks", "train", "evaluate", "collect", "report", "leaderboard", "zoo"},
+    {"benchmarks", "train", "evaluate", "collect", "report", "leaderboard"},
     {"docs"},
 )
 """Rooms from the ground up; rooms that share a floor do not know each other."""

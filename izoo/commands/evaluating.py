@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from izoo import zoo
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.mapping import to_mapping
+from izoo.conf.mapping import to_mapping, with_given
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
@@ -22,9 +21,6 @@ from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, descri
 from izoo.evaluation.show import print_summary
 from izoo.evaluation.summary import summarise
 from izoo.training import checkpoint, runs
-
-EPISODE_LENGTH = ("horizon_s", "warmup_s")
-"""Settings that training may shorten; evaluations play full episodes unless these options are given."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +77,15 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
         name = config.policy.rpartition(":")[2]
-        policy = as_candidate(config.policy, config.env, name).policy
-        return Subject(name, policy, config.contexts, config.env, Path.cwd(), config.policy)
+        env = config.env
+        if zoo.named(config.policy):
+            env = with_given(zoo.load(name).env, env, given, "env")
+        policy = as_candidate(config.policy, env, name).policy
+        return Subject(name, policy, config.contexts, env, Path.cwd(), config.policy)
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, _ = runs.load_algorithm(path)
-    full = {name: getattr(EnvConfig(), name) for name in EPISODE_LENGTH}
-    env = merge_env(dataclasses.replace(trained.env, **full), config.env, given)
+    env = with_given(zoo.full_episodes(trained.env), config.env, given, "env")
     there, given_names = observation_names(trained.env), observation_names(env)
     if there != given_names:
         changed = [f"+{name}" for name in given_names if name not in there]
@@ -100,21 +98,6 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     contexts = trained.contexts if own else config.contexts
     name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
-
-
-def merge_env(trained: EnvConfig, chosen: EnvConfig, given: frozenset[str]) -> EnvConfig:
-    """Return the environment ``trained`` with the ``env`` options that were given, those of its groups one by one."""
-    merged: Any = trained
-    for path in sorted(name.split(".")[1:] for name in given if name.startswith("env.")):
-        merged = _with_option(merged, chosen, path)
-    return merged
-
-
-def _with_option(base: Any, chosen: Any, path: list[str]) -> Any:
-    """Return the dataclass ``base`` with the option at ``path`` taken from ``chosen``."""
-    name, *rest = path
-    value = getattr(chosen, name)
-    return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
 
 
 def _label(subject: Subject, config: EvaluateConfig) -> str:

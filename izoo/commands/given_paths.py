@@ -11,6 +11,7 @@ from izoo.contexts.cities.rebuilt import city_name
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import check_folder
 from izoo.training import checkpoint
+from izoo.zoo import shelf
 
 if TYPE_CHECKING:
     from izoo.conf.evaluate_options import EvaluateConfig
@@ -38,7 +39,7 @@ def check_evaluate(config: EvaluateConfig) -> None:
         _check_results(Path(config.out))
     if config.run is not None:
         checkpoint.find(Path(config.run), config.checkpoint)
-    elif config.policy is not None and ":" in config.policy:
+    elif config.policy is not None and ":" in config.policy and not shelf.named(config.policy):
         _check_module(config.policy)
     _check_contexts(config.contexts)
 
@@ -49,9 +50,15 @@ def check_collect(config: CollectConfig) -> None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
     drivers = [name for name in DRIVER_NAMES if name != "human"]
-    if config.policy not in drivers and not Path(config.policy).expanduser().exists():
+    if (
+        not shelf.named(config.policy)
+        and config.policy not in drivers
+        and not Path(config.policy).expanduser().exists()
+    ):
         error = unknown_choice("policy", config.policy, drivers)
-        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
+        raise IzooError(
+            f"{error} Or name a shipped policy, zoo:NAME, or the folder of a training run; there is none at that path."
+        )
     _check_contexts(config.contexts)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from izoo.algos.registry import AlgoConfig
@@ -45,6 +45,27 @@ def to_mapping(config: Any) -> Any:
     if isinstance(config, (list, tuple)):
         return [to_mapping(value) for value in config]
     return config
+
+
+def with_given(base: T, chosen: T, given: Iterable[str], group: str) -> T:
+    """Return the options ``base`` with those of ``chosen`` that were written on the command line.
+
+    Args:
+        base, chosen: the same dataclass.
+        given: paths of the options that were written.
+        group: the path of this group of options, as ``env``.
+    """
+    merged = base
+    for path in sorted(name.split(".") for name in given if name.startswith(f"{group}.")):
+        merged = _with_option(merged, chosen, path[1:])
+    return merged
+
+
+def _with_option(base: Any, chosen: Any, path: Sequence[str]) -> Any:
+    """Return the dataclass ``base`` with the option at ``path`` taken from ``chosen``."""
+    name, *rest = path
+    value = getattr(chosen, name)
+    return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
 
 
 def field_types(cls: Any) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import Any
 import cloudpickle
 from torch import nn
 
+from izoo import zoo
 from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
@@ -55,16 +56,22 @@ class Candidate:
 
 
 def as_candidate(policy: str | Policy, config: EnvConfig, name: str | None = None) -> Candidate:
-    """Return the candidate that ``policy`` means: a driver's name, ``module:function``, or the policy itself.
+    """Return the candidate that ``policy`` means: a driver's name, ``zoo:NAME``,
+    ``module:function``, or the policy itself.
 
     Raises:
         IzooError: no such driver or function.
     """
     if isinstance(policy, str):
+        shipped = zoo.named(policy)
+        if shipped:
+            trained = zoo.load(shipped)
+            trained.check_observed(config)
+            return as_candidate(trained.policy, config, name or shipped)
         if ":" in policy:
             return as_candidate(import_policy(policy), config, name or policy.rpartition(":")[2])
         if policy not in DRIVERS:
-            raise unknown_choice("policy", policy, [*DRIVERS, "module:function"])
+            raise unknown_choice("policy", policy, [*DRIVERS, "zoo:NAME", "module:function"])
         return as_candidate(make_driver(policy, config), config, name or policy)
     if not callable(policy):
         raise IzooError(f"a {type(policy).__name__} is no policy; give a driver's name, a module or a callable.")

@@ -16,7 +16,7 @@ from typing import Any
 import pandas as pd
 from tensordict import TensorDictBase
 
-from izoo import files
+from izoo import files, zoo
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
@@ -199,7 +199,7 @@ class Player:
             places += checkpoint.listed(scene.run.run)[::-1]
             places += [path for path in sorted(checkpoint.folder_of(scene.run.run).glob("*.pt")) if path not in places]
         if source and not places:
-            if ":" in source and not self._imports:
+            if ":" in source and not zoo.named(source) and not self._imports:
                 raise IzooError(f"the policy is the code {source}; imports=true allows to import it.")
             yield as_candidate(source, config, name)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -14,10 +15,10 @@ from torchrl.collectors import Collector
 from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
-from izoo import __version__
+from izoo import __version__, zoo
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import RandomDriver, make_driver
-from izoo.conf.mapping import to_mapping
+from izoo.conf.mapping import to_mapping, with_given
 from izoo.conf.train_options import TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
@@ -45,7 +46,7 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Args:
         config: the options.
-        given: unused; commands share one signature.
+        given: names of the options that were written on the command line; matters where a policy ships with its own.
 
     Returns:
         The folder.
@@ -57,6 +58,10 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     """
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
+    shipped = zoo.named(config.policy)
+    if shipped:
+        env = with_given(zoo.load(shipped).env, config.env, given, "env")
+        config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
     out = Path(config.out)
@@ -103,11 +108,16 @@ def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase
 
 
 def make_policy(config: CollectConfig) -> TensorDictModuleBase:
-    """Return the policy that ``config.policy`` names: a scripted driver, or the policy of a training run."""
+    """Return the policy that ``config.policy`` names: a scripted driver, a shipped policy, or that of a training run."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed)
     if config.policy in SCRIPTED:
         return make_driver(config.policy, config.env)
+    shipped = zoo.named(config.policy)
+    if shipped:
+        trained = zoo.load(shipped)
+        trained.check_observed(config.env)
+        return trained.policy
     algorithm, trained, _ = runs.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(

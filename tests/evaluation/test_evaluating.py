@@ -10,9 +10,10 @@ import pytest
 import yaml
 
 import izoo.conf
-from izoo.commands.evaluating import merge_env, resolve
+from izoo.commands.evaluating import resolve
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.conf.mapping import with_given
 from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
@@ -71,11 +72,11 @@ def test_yaml_equals_dataclass() -> None:
 def test_a_run_keeps_its_environment_but_for_what_is_given() -> None:
     trained = EnvConfig(num_agents=7, step_s=1.0)
     chosen = EnvConfig(num_agents=9, horizon_s=300.0)
-    assert merge_env(trained, chosen, frozenset()) == trained
-    merged = merge_env(trained, chosen, frozenset({"env.horizon_s", "contexts"}))
+    assert with_given(trained, chosen, frozenset(), "env") == trained
+    merged = with_given(trained, chosen, frozenset({"env.horizon_s", "contexts"}), "env")
     assert merged == EnvConfig(num_agents=7, step_s=1.0, horizon_s=300.0)
     paid = EnvConfig(reward=RewardConfig(eta=0.5, beta=-1.0))
-    merged = merge_env(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}))
+    merged = with_given(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}), "env")
     assert merged.reward == RewardConfig(eta=0.5, beta=-1.0, alpha=-1.0), "one option of a group leaves the others"
 
 

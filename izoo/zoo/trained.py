@@ -1,0 +1,116 @@
+"""A trained policy and the options without which it means nothing, in one file."""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo.algos.action import ActionConfig
+from izoo.algos.registry import AlgoConfig, make_algorithm
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.files import replacing
+from izoo.zoo import shelf
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+
+FORMAT = "izoo-policy-1"
+KEPT = ("algo", "action", "env")
+"""The options of a run that decide what its policy does."""
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """A policy that was trained, with what it has to be played with.
+
+    Attributes:
+        name: its name in tables.
+        policy: reads ``("agents", "observation")`` ``[*B, A, F]`` and ``("agents", "mask")`` ``[*B, A]`` and writes
+            ``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and, where its action mode knows it, ``("agents", "defer")``.
+        env: the environment that it was trained in: what it observes, and how long a decision lasts.
+        algo, action: how its networks were made.
+    """
+
+    name: str
+    policy: TensorDictModuleBase
+    env: EnvConfig
+    algo: AlgoConfig
+    action: ActionConfig
+
+    def check_observed(self, env: EnvConfig) -> None:
+        """Raise :class:`IzooError` unless ``env`` lets the policy observe what it was trained on."""
+        if observation_names(env) != observation_names(self.env):
+            raise IzooError(
+                f"the policy {self.name} was trained on other observations than the env options describe; "
+                "leave env.observed and env.neighbours out."
+            )
+
+
+def full_episodes(env: EnvConfig) -> EnvConfig:
+    """Return an environment that training may have shortened, and kept from emitting, with what evaluations play."""
+    whole = EnvConfig()
+    return dataclasses.replace(env, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s, emit=whole.emit)
+
+
+def load(name: str) -> TrainedPolicy:
+    """Return a policy that ships with izoo, ready to act.
+
+    Raises:
+        IzooError: no policy of that name ships; the message lists those that do.
+    """
+    return read(shelf.weights(name))
+
+
+def read(path: Path) -> TrainedPolicy:
+    """Read a policy that :func:`write` wrote. Nothing that a foreign file may hold is run.
+
+    Raises:
+        IzooError: the file is missing, damaged, or of another version.
+    """
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise IzooError(f"{path} is damaged: its part {damaged} is not what was written; get it again.")
+        state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise IzooError(f"there is no policy {path}.") from None
+    except IzooError:
+        raise
+    except Exception as error:  # what damaged bytes raise depends on the bytes
+        raise IzooError(f"{path} is cut short or not a policy; get it again.") from error
+    if not isinstance(state, dict) or state.get("format") != FORMAT:
+        raise IzooError(f"{path} is not a policy of this version of izoo ({FORMAT}); export it from its run again.")
+    try:
+        config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
+        policy = make_algorithm(config.algo, config.action, config.env).policy
+        policy.load_state_dict(state["policy"])
+    except (IzooError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(f"{path} does not hold a policy that this version of izoo can build: {reason}") from error
+    return TrainedPolicy(path.stem, policy.eval(), config.env, config.algo, config.action)
+
+
+def write(path: Path, config: TrainConfig, policy: TensorDictModuleBase) -> None:
+    """Write the policy of a run, and of its options those in :data:`KEPT`; all or nothing.
+
+    Args:
+        path: the file; its stem becomes the policy's name.
+        config: options of the run.
+        policy: the algorithm's.
+    """
+    import torch
+
+    options = to_mapping(dataclasses.replace(config, env=full_episodes(config.env)))
+    state = {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()}
+    with replacing(path) as partial:
+        torch.save({"format": FORMAT, "options": {name: options[name] for name in KEPT}, "policy": state}, partial)
