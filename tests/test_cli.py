@@ -246,6 +246,8 @@ MISSING = {
     "evaluate run=.": "holds no checkpoint",
     "evaluate policy=no_such_package.drivers:calm": "there is no module 'no_such_package'",
     "evaluate policy=glide contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "evaluate policy=zoo:nobody": "unknown policy 'zoo:nobody'",
+    "collect policy=zoo:nobody out=data": "unknown policy 'zoo:nobody'",
     "collect policy=nowhere out=data": "there is none at that path",
     "collect policy=random": "out is missing",
     "collect policy=random out=data contexts=dataset contexts.path=nowhere": "nowhere does not exist",

@@ -61,7 +61,7 @@ def test_the_wheel_holds_all_modules_and_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for top in ("izoo", *MAPPING):
         for path in (ROOT / top).rglob("*"):
-            if path.suffix in (".py", ".yaml", ".json", ".csv", ".osm") and "__pycache__" not in path.parts:
+            if path.suffix in (".py", ".yaml", ".json", ".csv", ".osm", ".pt") and "__pycache__" not in path.parts:
                 inside = MAPPING.get(top, top)
                 assert f"{inside}/{path.relative_to(ROOT / top).as_posix()}" in names
     assert "izoo/py.typed" in names

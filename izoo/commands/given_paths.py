@@ -50,15 +50,10 @@ def check_collect(config: CollectConfig) -> None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
     drivers = [name for name in DRIVER_NAMES if name != "human"]
-    if (
-        not shelf.named(config.policy)
-        and config.policy not in drivers
-        and not Path(config.policy).expanduser().exists()
-    ):
-        error = unknown_choice("policy", config.policy, drivers)
-        raise IzooError(
-            f"{error} Or name a shipped policy, zoo:NAME, or the folder of a training run; there is none at that path."
-        )
+    known = shelf.named(config.policy) or config.policy in drivers
+    if not known and not Path(config.policy).expanduser().exists():
+        error = unknown_choice("policy", config.policy, [*drivers, "zoo:NAME"])
+        raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     _check_contexts(config.contexts)
 
 

@@ -15,15 +15,7 @@ from izoo.zoo import shelf
 ELSEWHERE = ("path", "drivers")
 """Options of contexts that name a place on one machine."""
 NOT_TOLD = (
-    "run_dir",
-    "resume",
-    "num_workers",
-    "device",
-    "logger",
-    "checkpoint",
-    "validation",
-    "evaluation",
-    "env.emit",
+    *("run_dir", "resume", "num_workers", "device", "logger", "checkpoint", "validation", "evaluation", "env.emit"),
 )
 """Options of a run that have no part in what was learned."""
 

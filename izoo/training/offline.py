@@ -108,7 +108,7 @@ def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase
 
 
 def make_policy(config: CollectConfig) -> TensorDictModuleBase:
-    """Return the policy that ``config.policy`` names: a scripted driver, a shipped policy, or that of a training run."""
+    """Return the policy that ``config.policy`` names: a scripted driver, a shipped policy, or that of a run."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed)
     if config.policy in SCRIPTED:

@@ -1,6 +1,7 @@
 """Trained policies that ship with izoo: their weights, the options that they were trained with, and their cards.
 
-``zoo.load(NAME)`` returns one; ``policy=zoo:NAME`` is the same for commands. ``python -m izoo.zoo list`` shows them all.
+``zoo.load(NAME)`` returns one; ``policy=zoo:NAME`` is the same for commands. ``python -m izoo.zoo list``
+shows them all.
 """
 
 from izoo.zoo.shelf import PREFIX, card, check_name, named, names

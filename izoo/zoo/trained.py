@@ -33,7 +33,8 @@ class TrainedPolicy:
     Attributes:
         name: its name in tables.
         policy: reads ``("agents", "observation")`` ``[*B, A, F]`` and ``("agents", "mask")`` ``[*B, A]`` and writes
-            ``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and, where its action mode knows it, ``("agents", "defer")``.
+            ``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and, where its action mode knows it,
+            ``("agents", "defer")``.
         env: the environment that it was trained in: what it observes, and how long a decision lasts.
         algo, action: how its networks were made.
     """
