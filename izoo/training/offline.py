@@ -58,13 +58,13 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     """
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
+    out = Path(config.out)
     shipped = zoo.named(config.policy)
     if shipped:
         env = with_given(zoo.load(shipped).env, config.env, given, "env")
         config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
-    out = Path(config.out)
     ensure_empty(out, "out")
     with workers_ignore_interrupts():
         env = _make_env(config, RandomSchedule(source, config.seed))
@@ -115,9 +115,9 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
         return make_driver(config.policy, config.env)
     shipped = zoo.named(config.policy)
     if shipped:
-        trained = zoo.load(shipped)
-        trained.check_observed(config.env)
-        return trained.policy
+        found = zoo.load(shipped)
+        found.check_observed(config.env)
+        return found.policy
     algorithm, trained, _ = runs.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(

@@ -5,6 +5,6 @@ shows them all.
 """
 
 from izoo.zoo.shelf import PREFIX, card, check_name, named, names
-from izoo.zoo.trained import TrainedPolicy, load, read, write
+from izoo.zoo.trained import TrainedPolicy, full_episodes, load, read, write
 
-__all__ = ["PREFIX", "TrainedPolicy", "card", "check_name", "load", "named", "names", "read", "write"]
+__all__ = ["PREFIX", "TrainedPolicy", "card", "check_name", "full_episodes", "load", "named", "names", "read", "write"]
