@@ -41,10 +41,14 @@ class TwinConfig:
         threads: threads that share the environments out among them; null: one per core.
         surrogate: what computes CO2: ``torch``, the module in one call for all vehicles, or ``compiled``, the same
             function without torch, which is faster on a CPU.
+        stagger: environments of a training run begin at random phases of their first episodes, so that every batch sees
+            all times of an episode; until there nobody commands the CVs, and these episodes are left out of what is
+            logged. false: all episodes begin, and end, together.
     """
 
     threads: int | None = None
     surrogate: Literal["torch", "compiled"] = "torch"
+    stagger: bool = True
 
     def __post_init__(self) -> None:
         if self.threads is not None:

@@ -298,7 +298,8 @@ class Session:
         batch = batches.next()
         collected = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
-        stats = episode_stats(batch)
+        staggered = self.config.simulator == "twin" and self.config.twin.stagger
+        stats = episode_stats(batch, num_envs(self.config) if staggered else 0)
         if self.config.simulator == "sumo":
             self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
