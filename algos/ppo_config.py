@@ -160,6 +160,9 @@ class MAPPOConfig(PPOConfig):
         credit: ``agent``: every CV's advantage is estimated from its own rewards, which end when it leaves; ``team``:
             one is estimated from the team's rewards, which go on, and shared by all CVs. ``team`` needs a reward that
             is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
+        control_variate: take from the team's reward what it was at the same time of the uncommanded episode of the same
+            context and seed, which says how busy it is there just then, whatever the CVs do: less variance, no bias.
+            Needs ``credit=team`` and ``simulator=twin``, which plays these episodes beside the training.
         critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
             output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
         critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
@@ -167,12 +170,18 @@ class MAPPOConfig(PPOConfig):
 
     name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
     credit: Literal["agent", "team"] = "agent"
+    control_variate: bool = False
     critic_queries: int = 4
     critic_embedding: int = 128
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("algo.credit", self.credit, ("agent", "team"))
+        if self.control_variate and self.credit != "team":
+            raise IzooError(
+                "algo.control_variate=true needs algo.credit=team: an agent's own return ends when it leaves, which "
+                "its actions decide, so that taking something from it at every step would pay leaving early or late."
+            )
         check_range("algo.critic_queries", self.critic_queries, 1, 64)
         check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
 
