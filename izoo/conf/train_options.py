@@ -116,11 +116,13 @@ class ValidationConfig:
             intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
             becoming the best.
         seeds: paired episodes per context, 3 or more.
+        simulator: what plays them: ``sumo``, which is what counts, or ``twin``, its compiled copy.
     """
 
     every_batches: int = 10
     contexts: int = 4
     seeds: int = 3
+    simulator: Literal["sumo", "twin"] = "sumo"
 
     def __post_init__(self) -> None:
         check_range("validation.every_batches", self.every_batches, 0, 10**9)
@@ -165,8 +167,8 @@ class TrainConfig:
         checkpoint: when the run's state is saved.
         validation: the comparison that goes on beside training, and chooses the best weights.
         evaluation: the comparison that ends the run.
-        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. Validation and the
-            comparison that ends the run are on SUMO either way.
+        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. The comparison that ends
+            the run is on SUMO either way.
         twin: how the twin runs.
         seed: base seed: episodes, drivers, network weights, exploration.
         num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and processes

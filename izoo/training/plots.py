@@ -71,6 +71,8 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
 def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title: str) -> None:
     """Draw return and emission of several runs against environment steps, and save the picture as PNG.
 
+    Where all have been compared with the same episodes without the policy, what they saved stands beside.
+
     Lines are running means over a fifth of a run's batches, at most 20, without the first of them, which would be means
     of fewer; runs of one choice share a colour, and their first, second, ... share a line style across choices.
 
@@ -79,10 +81,12 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
         path: of the picture.
         title: of the picture.
     """
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    compared = all(table.series(PAIRED_PANELS[0][0][0])[1] for tables in runs.values() for table in tables)
+    panels = (*(PAIRED_PANELS[0] if compared else ()), *PANELS[:2])
+    figure = Figure(figsize=(3 + 4 * len(panels), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
-    for axes, (name, label) in zip(figure.subplots(1, 2), PANELS[:2], strict=True):
+    for axes, (name, label) in zip(figure.subplots(1, len(panels)), panels, strict=True):
         for (choice, tables), colour in zip(runs.items(), cycle(matplotlib.color_sequences["tab10"]), strict=False):
             for number, table in enumerate(tables):
                 frames, values = table.series(name)
