@@ -19,6 +19,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torchrl.modules import ValueNorm
 from torchrl.objectives import ClipPPOLoss, DDPGLoss, ValueEstimators
 
 from izoo.algos import base
@@ -45,6 +46,10 @@ class MaskedPPOLoss(ClipPPOLoss):
         kl_coeff: weight of a penalty on the divergence from the policy that collected, as in RLlib, whose median and
             spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it in the place of the clipping, not beside it.)
         normalize_advantage: over the valid rows of each call.
+        value_norm: one of TorchRL's. The critic then learns value targets in the unit of their spread, and what it says
+            is turned back where advantages are estimated; the running statistics are of valid agent-steps, and move
+            with each estimate. (In TorchRL's ``MAPPOLoss`` the errors are scaled alone: the critic itself still has to
+            reach values of any size.)
         gamma, lmbda: of the default value estimator.
         options: further ones of TorchRL's ``ClipPPOLoss``.
     """
@@ -76,6 +81,7 @@ class MaskedPPOLoss(ClipPPOLoss):
         value_error_clip: float | None = None,
         kl_coeff: float = 0.0,
         normalize_advantage: bool = False,
+        value_norm: ValueNorm | None = None,
         gamma: float = 0.99,
         lmbda: float = 0.95,
         **options: Any,
@@ -92,6 +98,7 @@ class MaskedPPOLoss(ClipPPOLoss):
             normalize_advantage=normalize_advantage,
             **options,
         )
+        self.value_norm = value_norm
         self.value_error_clip, self._discounts = value_error_clip, {"gamma": gamma, "lmbda": lmbda}
         self.register_buffer("kl_weight", torch.tensor(float(kl_coeff)))
 
@@ -100,7 +107,13 @@ class MaskedPPOLoss(ClipPPOLoss):
         if value_type not in (None, ValueEstimators.GAE):
             raise IzooError(f"the value estimator is {value_type}; masked batches have ValueEstimators.GAE alone.")
         keys = self.tensor_keys
-        options = {**self._discounts, **hyperparams, "mask": keys.mask, "team": self.team}
+        options = {
+            **self._discounts,
+            **hyperparams,
+            "mask": keys.mask,
+            "team": self.team,
+            "value_norm": self.value_norm,
+        }
         self.value_type = ValueEstimators.GAE
         self._value_estimator = MaskedGAE(value_network=self.critic_network, **options)
         self._forward_value_estimator_keys()
@@ -139,6 +152,12 @@ class MaskedPPOLoss(ClipPPOLoss):
             losses.set("kl", divergence.detach())
             losses.set("loss_kl", self.kl_weight * divergence)
         return losses
+
+    def _critic_loss_inputs(self, target_return: Tensor, state_value: Tensor, old_state_value: Tensor | None) -> Any:
+        """Return what the value loss compares: TorchRL's hook for normalisation."""
+        if self.value_norm is not None:
+            target_return = self.value_norm.normalize(target_return)
+        return target_return, state_value, old_state_value
 
     def loss_critic(self, tensordict: TensorDictBase) -> tuple[Tensor, ...]:
         """Return the value loss per row; errors beyond ``value_error_clip`` are flat."""

@@ -10,15 +10,19 @@ al., arXiv 1810.00825). Keeping the own embedding matters, since vehicles leave 
 from __future__ import annotations
 
 import torch
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos import base
 from izoo.algos.losses import MaskedMAPPOLoss
+from izoo.algos.masked_gae import TEAM_REWARD
 from izoo.algos.ppo_config import MAPPOConfig
 from izoo.algos.set_ppo import SetPPO
 from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out
 
+TEAM_BASELINE = "team_baseline"
+"""Key of the control variate ``[*B, T, 1]`` under ``"next"``: see :meth:`MAPPO.advantages`."""
 COUNT_SCALE = 10.0
 """The number of agents enters the critic divided by this."""
 
@@ -98,3 +102,23 @@ class MAPPO(SetPPO):
     def make_loss(self) -> MaskedMAPPOLoss:
         """Return the loss of ``actor`` and ``critic``."""
         return MaskedMAPPOLoss(self.actor, self.critic, team=self.config.credit == "team", **self.loss_options())
+
+    @torch.no_grad()
+    def advantages(self, batch: TensorDictBase) -> TensorDict:
+        """Estimate advantages and flatten, as PPO does; with ``control_variate`` of what differs from doing nothing.
+
+        Then ``("next", "team_baseline")``, what the team was paid at the same time of the uncommanded episode of the
+        same context and seed, is taken from the team's reward. This biases no gradient. The uncommanded episode is
+        decided by context and seed alone, so its rewards ``b`` are the same whatever is done here; nor can an action
+        decide how many of them are summed, since the team's return ends with the episode and not with a vehicle. Given
+        the state and the seed, the sum of future ``b`` is thus a constant, and the mean over actions of a constant
+        times the gradient of their log-probability is 0: a baseline that depends on the input (Mao et al., arXiv
+        1807.02264). The critic learns the value of the difference; with ``gae_lambda`` below 1 estimates are biased
+        by its errors, no otherwise than without. Per-agent rewards have no such baseline: their return ends when the
+        vehicle leaves, which actions do decide.
+        """
+        if self.config.control_variate:
+            batch = batch.copy()
+            key = ("next", TEAM_REWARD)
+            batch.set(key, batch.get(key) - batch.get(("next", TEAM_BASELINE)))
+        return super().advantages(batch)

@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torchrl.modules import ValueNorm
 from torchrl.objectives.value import GAE
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
@@ -37,6 +38,8 @@ class MaskedGAE(GAE):
         mask: key of the mask.
         team: see above; the value network must then write ``[*M, 1]`` for frames.
         team_reward: key of the team's reward ``[*B, T, 1]`` under ``"next"``.
+        value_norm: of networks whose values are normalised: estimates are made of what it turns them back into, and it
+            then learns from the value targets of the valid agent-steps (of the team: of all frames).
         options: of TorchRL's ``GAE``.
     """
 
@@ -49,10 +52,12 @@ class MaskedGAE(GAE):
         mask: NestedKey = base.MASK,
         team: bool = False,
         team_reward: NestedKey = TEAM_REWARD,
+        value_norm: ValueNorm | None = None,
         **options: Any,
     ) -> None:
         super().__init__(gamma=gamma, lmbda=lmbda, value_network=on_rows(value_network, mask), **options)
         self.mask, self.team, self.team_reward = mask, team, team_reward
+        self.value_norm = value_norm
         self.set_keys(
             advantage=base.ADVANTAGE,
             value_target=base.VALUE_TARGET,
@@ -94,6 +99,7 @@ class MaskedGAE(GAE):
         advantage, target = generalized_advantage_estimate(
             self.gamma, self.lmbda, value, following, reward, done, terminated, time_dim=1
         )
+        self._learn_scale(target[mask])
         return _valid(advantage, mask), _valid(target, mask)
 
     def _team(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
@@ -114,7 +120,17 @@ class MaskedGAE(GAE):
         advantage, target = generalized_advantage_estimate(
             self.gamma, self.lmbda, value, following, reward, done, terminated, time_dim=1
         )
+        self._learn_scale(target.reshape(-1, 1))
         return _valid(advantage.unsqueeze(2), mask), _valid(target.unsqueeze(2), mask)
+
+    def _learn_scale(self, targets: Tensor) -> None:
+        """Let the normalisation follow value targets ``[n, 1]``."""
+        if self.value_norm is not None and len(targets) > 0:
+            self.value_norm.update(targets)
+
+    def _true(self, values: Tensor) -> Tensor:
+        """Return values of the network in the unit of the rewards."""
+        return values if self.value_norm is None else self.value_norm.denormalize(values)
 
     def _mask(self, batch: TensorDictBase, like: Tensor) -> Tensor:
         mask = batch.get(self.mask, None)
@@ -124,7 +140,7 @@ class MaskedGAE(GAE):
         """Return the values ``[wanted.sum(), 1]`` of the agents ``wanted`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
         network, key = self.value_network, self.tensor_keys.value
         if not is_set_module(network):
-            return network(rows_of(frames, wanted, network.in_keys)).get(key)
+            return self._true(network(rows_of(frames, wanted, network.in_keys)).get(key))
         some = wanted.any(-1)
         # Everyone of a frame is needed, whoever is wanted.
         everyone = frames.get(self.mask)[some] | wanted[some]
@@ -134,7 +150,7 @@ class MaskedGAE(GAE):
             part = slice(begin, begin + FRAMES_AT_ONCE)
             rows = rows_of(chosen[part], everyone[part], network.in_keys, origin[part])
             parts.append(network(rows).get(key)[wanted[part][everyone[part]]])
-        return torch.cat(parts)
+        return self._true(torch.cat(parts))
 
     def team_values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:
         """Return one value per frame, ``[N, T, 1]``, where ``wanted`` ``[N, T]``, 0 elsewhere."""
@@ -153,7 +169,7 @@ class MaskedGAE(GAE):
                 seen.set(source, part.get(source))
             found.append(network.module(seen).get(self.tensor_keys.value))
         values = torch.zeros(*wanted.shape, 1, device=wanted.device)
-        return values.masked_scatter(wanted.unsqueeze(-1), torch.cat(found)) if found else values
+        return values.masked_scatter(wanted.unsqueeze(-1), self._true(torch.cat(found))) if found else values
 
 
 def _valid(values: Tensor, mask: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.modules import ProbabilisticActor, ValueOperator
+from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
 from izoo.algos import base
 from izoo.algos.action import Rest
@@ -20,6 +20,9 @@ from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameter
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.masked_gae import TEAM_REWARD
 from izoo.algos.ppo_config import PPOConfig
+
+POPART_BETA = 0.99
+"""What is left of a batch's weight in the statistics one batch later."""
 
 
 def make_actor(
@@ -32,6 +35,13 @@ def make_actor(
     network = base.mlp(features, config.hidden, 2, config.activation, last_gain=0.01)
     extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, rest)  # type: ignore[arg-type]
     return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, rest)
+
+
+def make_value_norm(name: str) -> ValueNorm | None:
+    """Return the normalisation of value targets that the option ``algo.value_norm`` names."""
+    if name == "none":
+        return None
+    return RunningValueNorm() if name == "running" else PopArtValueNorm(beta=POPART_BETA)
 
 
 def make_critic(features: int, config: PPOConfig) -> ValueOperator:
@@ -97,6 +107,7 @@ class PPO:
             "critic_coeff": config.value_coeff,
             "loss_critic_type": config.value_loss,
             "value_error_clip": config.value_error_clip,
+            "value_norm": make_value_norm(config.value_norm),
             "kl_coeff": config.kl_coeff,
             "gamma": config.gamma,
             "lmbda": config.gae_lambda,
@@ -171,12 +182,13 @@ class PPO:
             self.loss.kl_weight.mul_(0.5)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return weights, optimiser state and the adaptive penalty."""
+        """Return weights, optimiser state, the adaptive penalty and the scale of value targets."""
         return {
             "policy": self.policy.state_dict(),
             "critic": self.critic.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "kl_weight": float(self.loss.kl_weight),
+            "value_norm": {} if self.loss.value_norm is None else self.loss.value_norm.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -185,3 +197,5 @@ class PPO:
         self.critic.load_state_dict(state["critic"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.loss.kl_weight.fill_(state["kl_weight"])
+        if self.loss.value_norm is not None:
+            self.loss.value_norm.load_state_dict(state["value_norm"])

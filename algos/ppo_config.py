@@ -15,6 +15,7 @@ from izoo.errors import IzooError, check_choice, check_range
 
 ACTIVATIONS = ("tanh", "relu", "silu")
 """Names of the activations that networks may have."""
+VALUE_NORMS = ("none", "running", "popart")
 
 
 MOST_WEIGHTS = 10**8
@@ -55,6 +56,9 @@ class PPOConfig(AlgoConfig):
         value_coeff: weight of the value loss (RLlib 1.0; ours 0.5). The networks are separate, so with Adam it matters
             for gradient clipping alone.
         value_loss: ``l2`` (RLlib) or ``smooth_l1`` (ours: bounded gradients).
+        value_norm: ``none`` (RLlib, ours), or how the scale of value targets is followed, in which the value function
+            then learns, since returns differ a hundredfold between contexts: ``running``, mean and spread of all
+            targets so far; ``popart``, of those of the last hundred batches or so (TorchRL's modules of these names).
         value_error_clip: squared value errors above this give no gradient (RLlib 10); ``null`` for none (ours).
         entropy_coeff: weight of the entropy bonus (RLlib 0; ours the same).
         kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
@@ -87,6 +91,7 @@ class PPOConfig(AlgoConfig):
     clip_epsilon: float = 0.2
     value_coeff: float = 0.5
     value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
+    value_norm: Literal["none", "running", "popart"] = "none"
     value_error_clip: float | None = None
     entropy_coeff: float = 0.0
     kl_coeff: float = 0.0
@@ -111,6 +116,7 @@ class PPOConfig(AlgoConfig):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_choice("algo.value_norm", self.value_norm, VALUE_NORMS)
         check_choice("algo.activation", self.activation, ACTIVATIONS)
         check_widths("algo.hidden", self.hidden)
 
@@ -154,6 +160,9 @@ class MAPPOConfig(PPOConfig):
         credit: ``agent``: every CV's advantage is estimated from its own rewards, which end when it leaves; ``team``:
             one is estimated from the team's rewards, which go on, and shared by all CVs. ``team`` needs a reward that
             is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
+        control_variate: take from the team's reward what it was at the same time of the uncommanded episode of the same
+            context and seed, which says how busy it is there just then, whatever the CVs do: less variance, no bias.
+            Needs ``credit=team`` and ``simulator=twin``, which plays these episodes beside the training.
         critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
             output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
         critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
@@ -161,12 +170,18 @@ class MAPPOConfig(PPOConfig):
 
     name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
     credit: Literal["agent", "team"] = "agent"
+    control_variate: bool = False
     critic_queries: int = 4
     critic_embedding: int = 128
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("algo.credit", self.credit, ("agent", "team"))
+        if self.control_variate and self.credit != "team":
+            raise IzooError(
+                "algo.control_variate=true needs algo.credit=team: an agent's own return ends when it leaves, which "
+                "its actions decide, so that taking something from it at every step would pay leaving early or late."
+            )
         check_range("algo.critic_queries", self.critic_queries, 1, 64)
         check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
 

@@ -49,9 +49,10 @@ class SetNetwork(nn.Module):
 
 def spread_out(rows: Tensor, mask: Tensor) -> Tensor:
     """Return ``[*M, A, ...]``: the ``rows`` ``[n, ...]`` where ``mask`` ``[*M, A]`` is true, 0 elsewhere."""
-    return rows.new_zeros(*mask.shape, *rows.shape[1:]).masked_scatter(
-        mask.reshape(*mask.shape, *(1,) * (rows.ndim - 1)), rows
-    )
+    # Several times faster than masked_scatter, on CPUs.
+    held = mask.reshape(-1).nonzero()[:, 0]
+    spread = rows.new_zeros(mask.numel(), *rows.shape[1:]).index_copy(0, held, rows)
+    return spread.reshape(*mask.shape, *rows.shape[1:])
 
 
 class Sets:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,22 @@ class TwinEnv(EcoDrivingBase):
         schedule = self.schedule
         for index, number in enumerate(self._next_episode.tolist()):
             self.backend.expect(index, number, functools.partial(_planned, schedule, number))
+
+    def advance(self, decisions: Sequence[int]) -> TensorDict:
+        """Play on in each environment for so many decisions, every CV left to its driver; return the state to act on.
+
+        So environments that began together are each in another phase of their episodes.
+
+        Args:
+            decisions: ``[N]``, fewer than an episode has left.
+
+        Raises:
+            IzooError: an episode would end.
+        """
+        self.require_started("advance")
+        with self.used_by_one_thread():
+            self.backend.advance(decisions)
+            return self._frame()
 
     def present(self) -> TensorDict:
         """Return the present state of all environments, to act on: what the last reset or step led to."""

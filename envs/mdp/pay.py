@@ -98,11 +98,15 @@ def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, 
 
 
 @compiled(borrows=True)
-def team_pay(fleet, shared, numbers, weights, shared_weights):  # type: ignore[no-untyped-def]
-    """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid."""
+def team_pay(fleet, shared, numbers, weights, shared_weights, empty):  # type: ignore[no-untyped-def]
+    """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid.
+
+    In an empty region nothing is shared; of sums, those who are held up outside remain.
+    """
     total = 0.0
     for s in range(NUM_SHARED):
-        total += shared_weights[s] * shared[s]
+        if not empty:
+            total += shared_weights[s] * shared[s]
     for c in range(NUM_TERMS):
         total += weights[c] * fleet[c]
     return total / numbers.scale

@@ -149,7 +149,8 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     if begins:
         out.team_reward[0] = 0.0
     if measured:
-        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights)
+        empty = rows.shape[0] == 0
+        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, empty)
     release(tables, out.agent_terminated, out.agent_done, begins)
     observe(
         tables.agent_row,

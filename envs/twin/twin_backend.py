@@ -14,7 +14,7 @@ from izoo.compiling import compiling_once
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.twin.crowd import conclude_all, drive_all, emit_and_conclude_all, gather_all, scatter_all
@@ -128,17 +128,40 @@ class TwinBackend:
             ended = int(np.flatnonzero(self.frames["done"])[0])
             steps = self._run(ended).episode.steps
             raise IzooError(f"the episode ended after {steps} steps; call reset() before the next step.")
-        like = self._run(0).episode.world
-        self._step(self._addresses, like, meanwhile)
+        self._step(None, meanwhile)
         for _ in range(1, self.config.hold_steps):
             # An episode that ends within a decision ends it.
-            self._step(self._addresses[self._left > 0], like)
+            self._step(self._left > 0)
         for index in np.flatnonzero(self._left == 0).tolist():
             self._run(index).finish()
         return ()
 
-    def _step(self, addresses: np.ndarray, like: Any, meanwhile: Callable[[], None] | None = None) -> None:
-        """Simulate one step of the environments at ``addresses``."""
+    def advance(self, decisions: Sequence[int]) -> None:
+        """Play on in each environment for so many decisions, with every CV left to its driver.
+
+        Args:
+            decisions: ``[N]``; so few that no episode ends.
+
+        Raises:
+            IzooError: an episode would end.
+        """
+        steps = np.asarray(decisions, np.int64) * self.config.hold_steps
+        if steps.shape != (self.num_envs,) or (steps < 0).any() or (steps >= self._left).any():
+            raise IzooError(
+                f"advance({list(decisions)[:8]}...): give each of {self.num_envs} environments 0 or more decisions, "
+                "and fewer than its episode has left."
+            )
+        self.frames["action"][:] = 0.0
+        self.frames["defer"][:] = 1
+        self.frames["lane_change"][:] = KEEP_LANE
+        for step in range(int(steps.max())):
+            self._step(steps > step)
+        self.frames["defer"][:] = 0
+
+    def _step(self, chosen: np.ndarray | None, meanwhile: Callable[[], None] | None = None) -> None:
+        """Simulate one step of the environments ``chosen`` ``[N]`` bool; ``None``: of all."""
+        like = self._run(0).episode.world
+        addresses = self._addresses if chosen is None else self._addresses[chosen]
         lane_change = self.config.lane_change
         self._share_out(
             lambda first, every: drive_all(addresses, first, every, self._step_ms, lane_change, like, self._changed),
@@ -149,7 +172,7 @@ class TwinBackend:
             self._share_out(lambda first, every: conclude_all(addresses, first, every, like))
         else:
             self._share_out(lambda first, every: emit_and_conclude_all(addresses, first, every, like))
-        self._left[self._left > 0] -= 1
+        self._left[slice(None) if chosen is None else chosen] -= 1
 
     def _share_out(self, work: Callable[[int, int], None], meanwhile: Callable[[], None] | None = None) -> None:
         """Do ``work(first, every)`` for all environments, in all threads."""

@@ -52,6 +52,28 @@ class TwinConfig:
 
 
 @dataclass(frozen=True)
+class TrainingTwinConfig(TwinConfig):
+    """How a training run uses the twin; of no concern on SUMO.
+
+    Attributes:
+        threads, surrogate: see :class:`TwinConfig`.
+        stagger: environments of a training run begin at random phases of their first episodes, so that every batch sees
+            all times of an episode; until there nobody commands the CVs, and these episodes are left out of what is
+            logged. false: all episodes begin, and end, together.
+        compare_every: each so many-th training episode is compared with the same one under human and under uncommanded
+            driving, which the learning curve shows; these are played beside the training, and kept in the cache. 0:
+            none.
+    """
+
+    stagger: bool = True
+    compare_every: int = 8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range("twin.compare_every", self.compare_every, 0, 10**6)
+
+
+@dataclass(frozen=True)
 class LoggerConfig:
     """Where metrics go besides ``metrics.csv``, which is always written.
 
@@ -94,11 +116,13 @@ class ValidationConfig:
             intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
             becoming the best.
         seeds: paired episodes per context, 3 or more.
+        simulator: what plays them: ``sumo``, which is what counts, or ``twin``, its compiled copy.
     """
 
     every_batches: int = 10
     contexts: int = 4
     seeds: int = 3
+    simulator: Literal["sumo", "twin"] = "sumo"
 
     def __post_init__(self) -> None:
         check_range("validation.every_batches", self.every_batches, 0, 10**9)
@@ -143,8 +167,8 @@ class TrainConfig:
         checkpoint: when the run's state is saved.
         validation: the comparison that goes on beside training, and chooses the best weights.
         evaluation: the comparison that ends the run.
-        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. Validation and the
-            comparison that ends the run are on SUMO either way.
+        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. The comparison that ends
+            the run is on SUMO either way.
         twin: how the twin runs.
         seed: base seed: episodes, drivers, network weights, exploration.
         num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and processes
@@ -168,7 +192,7 @@ class TrainConfig:
     validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
     simulator: Literal["sumo", "twin"] = "sumo"
-    twin: TwinConfig = field(default_factory=TwinConfig)
+    twin: TrainingTwinConfig = field(default_factory=TrainingTwinConfig)
     seed: int = 0
     num_workers: int = 2
     num_envs: int | None = None
@@ -189,8 +213,18 @@ class TrainConfig:
         check_range("total_frames", self.total_frames, 1, 10**12)
         if getattr(self.algo, "credit", "agent") == "team":
             self._credit_the_team()
+        if getattr(self.algo, "control_variate", False) and self.simulator != "twin":
+            raise IzooError(
+                "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
+                "twin does beside training; choose simulator=twin, or algo.control_variate=false."
+            )
         for name in ("run_dir", "resume"):
             _make_absolute(self, name)
+
+    @property
+    def staggered(self) -> int:
+        """How many of the first episodes begin at random phases."""
+        return (self.num_envs or TWIN_ENVS) if self.simulator == "twin" and self.twin.stagger else 0
 
     def _credit_the_team(self) -> None:
         """Refuse a reward that is not the team's, and let the environment emit the team's."""

@@ -12,13 +12,16 @@ from izoo.reporting.drawing import PALETTE, QUIET, Figure, axis, escaped
 from izoo.reporting.material import Curve
 
 CURVES = {
+    "co2_saved_over_uncommanded": "training: CO2 saved over uncommanded CVs (share)",
+    "co2_saved_over_human": "training: CO2 saved over human driving (share)",
     "return": "return per episode",
     "emission_g_per_vehicle": "CO2 per vehicle (g)",
     "throughput_veh_per_episode": "vehicles through per episode",
     "stopped_time_s_per_vehicle": "stopped time per vehicle (s)",
 }
 """Columns of ``metrics.csv`` that are drawn."""
-CURVE_POINTS = 400
+CURVE_POINTS, BAND_POINTS = 400, 100
+BAND_CAPTION = "The band reaches from the lowest to the highest training seed, the thick line is their mean."
 TRADED = ("emission_g_per_vehicle", "travel_time_s_per_vehicle")
 """Columns of ``tradeoffs.csv`` that the Pareto plot shows."""
 
@@ -58,32 +61,79 @@ def _family(run: str) -> str:
 def _curve(
     name: str, tables: Sequence[tuple[str, Any]], column: str, label: str, shades: Mapping[str, str], window: int
 ) -> Figure:
-    """Lines against environment steps; training batches are noisy, so their running mean is drawn."""
+    """Lines against environment steps; training batches are noisy, so their running mean is drawn.
+
+    Where a policy has several training seeds, a band beside their lines reaches from the lowest to the highest.
+    """
     data: list[dict[str, Any]] = []
+    ends: list[str] = []
+    families: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for run, table in tables:
-        series = table[["frames", column]].dropna() if column in table else pd.DataFrame({"frames": [], column: []})
-        width = max(1, min(window, len(series) // 5))
-        smooth = series[column].rolling(width, min_periods=1).mean().to_numpy(float)
-        keep = np.unique(np.linspace(0, max(len(series) - 1, 0), CURVE_POINTS).astype(int))[: len(series)]
-        family = _family(run)
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines+markers" if window == 1 else "lines",
-                "name": escaped(family),
-                "legendgroup": escaped(family),
-                "showlegend": all(line["legendgroup"] != escaped(family) for line in data),
-                "x": series["frames"].to_numpy(float)[keep].tolist(),
-                "y": [float(f"{value:.6g}") for value in smooth[keep]],
-                "hovertemplate": f"{escaped(run)}<br>%{{x}}: %{{y:.4g}}<extra></extra>",
-                "line": {"color": shades[family], "width": 1.7},
-                "opacity": 0.85,
-            }
-        )
+        x, y = _smoothed(table, column, window)
+        family, keep = _family(run), np.unique(np.linspace(0, max(len(x) - 1, 0), CURVE_POINTS).astype(int))[: len(x)]
+        families.setdefault(family, []).append((x, y))
+        line = {
+            "mode": "lines+markers" if window == 1 else "lines",
+            "showlegend": len(families[family]) == 1,
+            "x": x[keep].tolist(),
+            "y": _short(y[keep]),
+            "hovertemplate": f"{escaped(run)}<br>%{{x}}: %{{y:.4g}}<extra></extra>",
+            "line": {"color": shades[family], "width": 1.7},
+            "opacity": 0.85,
+        }
+        data.append(_trace(family, line))
+        if len(y):
+            ends.append(f"{run} ends at {y[-1]:.4g}")
+    banded = {family: lines for family, lines in families.items() if len(lines) > 1}
+    for trace in data:
+        if trace["legendgroup"] in map(escaped, banded):
+            trace |= {"opacity": 0.35, "line": {**trace["line"], "width": 1.0}}
+    for family, lines in banded.items():
+        data += _band(family, lines, shades[family])
     layout = {"xaxis": axis("environment steps"), "yaxis": {"automargin": True}, "showlegend": len(tables) > 1}
-    ends = [f"{run} ends at {line['y'][-1]:.4g}" for (run, _), line in zip(tables, data, strict=True) if line["y"]]
     alt = f"{label} against environment steps; {'; '.join(ends)}."
-    return Figure(name, label, "", alt, data, layout, 280)
+    return Figure(name, label, BAND_CAPTION if banded else "", alt, data, layout, 280)
+
+
+def _smoothed(table: Any, column: str, window: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and running mean of a column, without the rows that lack it."""
+    series = table[["frames", column]].dropna() if column in table else pd.DataFrame({"frames": [], column: []})
+    width = max(1, min(window, len(series) // 5))
+    smooth = series[column].rolling(width, min_periods=1).mean()
+    return series["frames"].to_numpy(float), smooth.to_numpy(float)
+
+
+def _band(family: str, lines: Sequence[tuple[np.ndarray, np.ndarray]], colour: str) -> list[dict[str, Any]]:
+    """Return what lies between the lowest and the highest of several lines, and their mean, where all of them are."""
+    if any(len(x) == 0 for x, _ in lines):
+        return []
+    begin, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    if end <= begin:
+        return []
+    x = np.linspace(begin, end, BAND_POINTS)
+    values = np.stack([np.interp(x, own, y) for own, y in lines])
+    low, high = values.min(0), values.max(0)
+    area = {
+        "x": [*x.tolist(), *x[::-1].tolist()],
+        "y": _short(np.concatenate([low, high[::-1]])),
+        "fill": "toself",
+        "fillcolor": colour,
+        "line": {"width": 0},
+        "mode": "lines",
+        "opacity": 0.18,
+        "hoverinfo": "skip",
+    }
+    text = f"{escaped(family)}, mean of {len(lines)} seeds<br>%{{x:.0f}}: %{{y:.4g}}<extra></extra>"
+    mean = {"x": x.tolist(), "y": _short(values.mean(0)), "mode": "lines", "line": {"color": colour, "width": 2.6}}
+    return [_trace(family, {**part, "showlegend": False}) for part in (area, {**mean, "hovertemplate": text})]
+
+
+def _trace(family: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "scatter", "name": escaped(family), "legendgroup": escaped(family), **values}
+
+
+def _short(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
 
 
 def _readable(column: str) -> str:

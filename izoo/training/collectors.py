@@ -26,7 +26,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.errors import UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv
+from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.past import EpisodePast
 
@@ -221,14 +221,16 @@ def _parallel(
 
 
 def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) -> TrainingTwinEnv:
+    count = num_envs(config)
     return TrainingTwinEnv(
-        num_envs(config),
+        count,
         contexts=schedule,
         config=config.env,
         seed=config.seed,
         threads=config.twin.threads,
         surrogate=config.twin.surrogate,
         state=state,
+        phases=random_phases(count, config.env.decisions, config.seed) if config.twin.stagger else None,
     )
 
 

@@ -20,6 +20,9 @@ from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 
+NUMBERS = "context_ids"
+"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
+
 
 class _Training(EcoDrivingBase):
     """Adds :data:`TOTALS` to what an environment emits, and plays episodes in progress up to where they stood.
@@ -95,22 +98,37 @@ class TrainingParallelEnv(_Training, SumoParallelEnv):
 
 
 class TrainingTwinEnv(_Training, TwinEnv):
-    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS`.
+    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS` and :data:`NUMBERS`.
 
     Args:
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
+        phases: ``[N]`` decisions that nobody commands at the beginning of each environment's first episode; ``None``:
+            episodes begin, and so end, together.
     """
 
-    def __init__(self, *args: Any, state: Mapping[str, Any] | None = None, **options: Any) -> None:
+    leaves = (TOTALS, NUMBERS)
+
+    def __init__(
+        self, *args: Any, state: Mapping[str, Any] | None = None, phases: Sequence[int] | None = None, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
-        self._left_at = state
+        self._left_at, self._phases = state, phases
+        self.observation_spec[NUMBERS] = Unbounded(self.reader.tensors[NUMBERS].shape, dtype=torch.int64)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
-        state, self._left_at = self._left_at, None
-        if not state:
-            return super()._reset(tensordict, **options)
-        self.load_state_dict(state)
-        return self.present()
+        state, phases = self._left_at, self._phases
+        self._left_at = self._phases = None
+        if state:
+            self.load_state_dict(state)
+            return self.present()
+        frame = super()._reset(tensordict, **options)
+        return frame if phases is None else self.advance(phases)
+
+
+def random_phases(num_envs: int, decisions: int, seed: int) -> list[int]:
+    """Return how many decisions of its first episode each environment skips: evenly spread, in random order."""
+    order = torch.randperm(num_envs, generator=torch.Generator().manual_seed(seed))
+    return (order * decisions // num_envs).tolist()
 
 
 def split_totals(totals: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

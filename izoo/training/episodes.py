@@ -8,7 +8,7 @@ from izoo.algos.base import MASK, REWARD
 from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.masked import masked_mean
 from izoo.metrics.scores import score_tensors
-from izoo.training.environments import split_totals
+from izoo.training.environments import NUMBERS, split_totals
 
 LOGGED_SCORES = {
     "emission_g_per_vehicle": "emission_g_per_vehicle",
@@ -22,11 +22,12 @@ LOGGED_SCORES = {
 """Scores that training logs, and the name each has in ``metrics.csv``."""
 
 
-def episode_stats(batch: TensorDictBase) -> dict[str, float]:
+def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     """Summarise a batch: the reward of all valid agent-steps, and the scores of the episodes that ended in it.
 
     Args:
         batch: ``[N, T]`` steps of a training environment.
+        partial: episodes with numbers below this were not commanded from their beginning on; no scores of theirs.
 
     Episodes that were lost with their worker report no steps, and are left out.
 
@@ -41,9 +42,12 @@ def episode_stats(batch: TensorDictBase) -> dict[str, float]:
         stats["reward"] = float(masked_mean(reward, mask, tuple(range(mask.ndim))))
     ended = batch.get(("next", "done")).squeeze(-1)
     totals = batch.get(("next", TOTALS))[ended]
-    totals = totals[split_totals(totals)[0]["steps"] > 0]
+    whole = split_totals(totals)[0]["steps"] > 0
+    stats["episodes"] = float(whole.sum())
+    if partial > 0:
+        whole &= batch.get(("next", NUMBERS))[ended][:, 0] >= partial
+    totals = totals[whole]
     count = len(totals)
-    stats["episodes"] = float(count)
     if count == 0:
         return stats
     episode, approach = split_totals(totals)

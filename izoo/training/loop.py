@@ -24,6 +24,7 @@ from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
 from izoo.training.learner import Learner, is_finite, learner_device
+from izoo.training.paired import Paired
 from izoo.training.past import Pasts
 from izoo.training.validation import Validator
 
@@ -154,6 +155,7 @@ class Session:
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
         self._batches: BatchSource | None = None
+        self._paired: Paired | None = None
         self._environments: dict[str, Any] = {}
         self._saved_at = -1
         self._plotted_s = 0.0
@@ -238,6 +240,8 @@ class Session:
         going_on = self.pasts.pasts if self._state is not None else ()
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
         self._batches = batches
+        if config.simulator == "twin":
+            self._paired = Paired(config, self._schedule())
         try:
             self._load(batches)
             latest: dict[str, float] = {}
@@ -258,6 +262,9 @@ class Session:
         finally:
             self._batches = None
             batches.close()
+            if self._paired is not None:
+                self._paired.close()
+                self._paired = None
             torch.set_num_threads(self._threads)
 
     def _validate(self) -> None:
@@ -297,8 +304,12 @@ class Session:
         torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
         batch = batches.next()
         collected = time.perf_counter()
+        stats = episode_stats(batch, self.config.staggered)
+        if self._paired is not None:
+            self._paired.add_team_rewards(batch)
+            stats |= self._paired.compare(batch)
+        beside = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
-        stats = episode_stats(batch)
         if self.config.simulator == "sumo":
             self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
@@ -318,7 +329,8 @@ class Session:
             **stats,
             **learned,
             "collect_s": collected - start,
-            "update_s": seconds - (collected - start),
+            "beside_s": beside - collected,
+            "update_s": seconds - (beside - start),
         }
 
     def _require_finite(self, learned: Mapping[str, float]) -> None:

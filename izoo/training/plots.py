@@ -21,6 +21,14 @@ PANELS = (
     ("throughput_veh_per_episode", "vehicles through per episode"),
     ("stopped_time_s_per_vehicle", "stopped time per vehicle, s"),
 )
+PAIRED_PANELS = (
+    (
+        ("co2_saved_over_human", "CO2 saved over human driving"),
+        ("co2_saved_over_uncommanded", "CO2 saved over uncommanded CVs"),
+    ),
+    (("crossed_relative_to_human", "vehicles through, of human driving's"),),
+)
+"""Training episodes beside the same ones without the policy (:mod:`izoo.training.paired`)."""
 VALIDATION_PANELS = (
     (("benefit", "benefit over human driving"), ("benefit_over_uncommanded", "benefit over uncommanded CVs")),
     (("throughput_kept", "approaches that kept their throughput"),),
@@ -38,15 +46,20 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
     """Draw return, emission, throughput and stopped time against environment steps.
 
     Thin lines are single batches; thick ones their running mean over a fifth of the points, at most 20. Where the run
-    has validated, two more panels show the benefit and the share of approaches that kept their throughput.
+    has validated, two more panels show the benefit and the share of approaches that kept their throughput; where its
+    episodes were compared with the same ones without the policy, two more show what it saved.
     """
     validated = validation is not None and bool(validation.rows)
-    figure = Figure(figsize=(14 if validated else 10, 6.5), layout="constrained")
+    paired = bool(table.series(PAIRED_PANELS[0][0][0])[1])
+    columns = 2 + paired + validated
+    figure = Figure(figsize=(2 + 4 * columns, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
-    grid = figure.subplots(2, 3 if validated else 2)
+    grid = figure.subplots(2, columns)
+    if paired:
+        _paired_panels(list(grid[:, 2]), table)
     if validated:
-        _validation_panels(list(grid[:, 2]), validation)  # type: ignore[arg-type]
+        _validation_panels(list(grid[:, -1]), validation)  # type: ignore[arg-type]
     for axes, (name, label) in zip(grid[:, :2].flat, PANELS, strict=True):
         frames, values = table.series(name)
         axes.plot(frames, values, color="tab:blue", alpha=0.3, linewidth=1)
@@ -58,6 +71,8 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
 def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title: str) -> None:
     """Draw return and emission of several runs against environment steps, and save the picture as PNG.
 
+    Where all have been compared with the same episodes without the policy, what they saved stands beside.
+
     Lines are running means over a fifth of a run's batches, at most 20, without the first of them, which would be means
     of fewer; runs of one choice share a colour, and their first, second, ... share a line style across choices.
 
@@ -66,10 +81,12 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
         path: of the picture.
         title: of the picture.
     """
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    compared = all(table.series(PAIRED_PANELS[0][0][0])[1] for tables in runs.values() for table in tables)
+    panels = (*(PAIRED_PANELS[0] if compared else ()), *PANELS[:2])
+    figure = Figure(figsize=(3 + 4 * len(panels), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
-    for axes, (name, label) in zip(figure.subplots(1, 2), PANELS[:2], strict=True):
+    for axes, (name, label) in zip(figure.subplots(1, len(panels)), panels, strict=True):
         for (choice, tables), colour in zip(runs.items(), cycle(matplotlib.color_sequences["tab10"]), strict=False):
             for number, table in enumerate(tables):
                 frames, values = table.series(name)
@@ -86,6 +103,18 @@ def _save(figure: Figure, path: Path) -> None:
     """Write the picture whole or not at all."""
     with replacing(path, durable=False) as partial:
         figure.savefig(partial, format="png", dpi=110)
+
+
+def _paired_panels(panels: list[Axes], table: MetricsTable) -> None:
+    for axes, columns in zip(panels, PAIRED_PANELS, strict=True):
+        for (name, label), colour in zip(columns, ("tab:green", "tab:gray"), strict=False):
+            frames, values = table.series(name)
+            percent = [100.0 * value for value in values]
+            axes.plot(frames, percent, color=colour, alpha=0.3, linewidth=1)
+            axes.plot(frames, _running_mean(percent), color=colour, linewidth=2, label=label)
+        _label(axes, "training, %")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1, frameon=False, fontsize="small")
+    panels[0].axhline(0.0, color="black", linewidth=0.8)
 
 
 def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:

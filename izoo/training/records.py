@@ -22,7 +22,9 @@ SHOWN = (
     ("return", "return {:.1f}"),
     ("emission_g_per_vehicle", "{:.1f} g/veh"),
     ("throughput_veh_per_episode", "{:.0f} veh/episode"),
+    ("co2_saved_over_uncommanded", "{:+.1%} CO2 saved over uncommanded"),
     ("validation_benefit", "validation {:+.1%}"),
+    ("validation_benefit_over_uncommanded", "({:+.1%} over uncommanded)"),
 )
 """Numbers that are shown while a run trains, and how."""
 WANDB_HOST = "api.wandb.ai"

@@ -221,7 +221,14 @@ def validate(path: Path) -> dict[str, Any]:
     contexts = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
     seeds = episode_seeds(VALIDATION_SEED, options.seeds)
     table = evaluate_policy(
-        algorithm.policy.eval(), contexts, seeds, config.env, num_workers=0, progress=False, name=POLICY
+        algorithm.policy.eval(),
+        contexts,
+        seeds,
+        config.env,
+        num_workers=0,
+        progress=False,
+        name=POLICY,
+        simulator=options.simulator,
     )
     summary = summarise(table)
     entry = summary["policies"][POLICY]

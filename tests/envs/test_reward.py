@@ -10,7 +10,7 @@ import torch
 
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, RewardConfig
-from izoo.envs.mdp.pay import pay, reward_arrays, reward_terms
+from izoo.envs.mdp.pay import pay, reward_arrays, reward_terms, team_pay
 from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.envs.mdp.state import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
 from tests.envs.worlds import crossing, episode, short
@@ -216,3 +216,15 @@ def test_reward_settings_do_not_change_what_happens() -> None:
         finally:
             env.close()
     assert torch.equal(*speeds)
+
+
+def test_nothing_is_shared_with_the_team_in_an_empty_region() -> None:
+    """As nobody is paid there: a time to collision that nobody has is no merit."""
+    config = RewardConfig(safety=2.0)
+    numbers, weights, shared_weights = reward_arrays(config)
+    floats, terms = tables()
+    fleet, shared = np.empty(6), np.empty(1)
+    for rows, expected in ((ROWS, (FLEET + 2.0 * 2.5) / 15), (ROWS[:0], 0.0)):
+        reward_terms(rows, floats, numbers, terms, fleet, shared)
+        found = team_pay(fleet, shared, numbers, weights, shared_weights, len(rows) == 0)
+        assert found == pytest.approx(expected)

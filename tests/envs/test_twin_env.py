@@ -174,6 +174,27 @@ def test_render_shows_the_present_state(make: Make) -> None:
     assert len(env.scene(1).vehicles["speed_mps"]) == int(state["vehicles", "present"][1].sum())
 
 
+def test_environments_advance_by_themselves(make: Make) -> None:
+    """Each comes to where it comes when its CVs are deferred, and commands mean something again afterwards."""
+    config = short(hold_s=2.0, emit=EMIT_GROUPS)
+    env, plain = make(3, schedule(), config=config), make(3, schedule(), config=config)
+    with pytest.raises(IzooError, match=r"advance\(\) came before reset"):
+        env.advance([1, 2, 3])
+    env.reset()
+    state = env.advance([0, 7, 3])
+    other = plain.reset()
+    for decision in range(8):
+        for index, wanted in enumerate((0, 7, 3)):
+            assert wanted != decision or same(state[index], other[index].select(*state.keys(True, True)))
+        _, other = plain.step_and_maybe_reset(defer(other))
+    assert state["metrics", "episode", "steps"].view(-1).tolist() == [0, 28, 12]
+    steered = play(env, 6, steer, start=state)["next", "vehicles"]
+    assert not steered["deferred"][steered["is_cv"]].all(), "commands count again"
+    for wrong in ([1, 2], [-1, 0, 0], [0, 0, config.decisions]):
+        with pytest.raises(IzooError, match="fewer than its episode has left"):
+            env.advance(wrong)
+
+
 # -- determinism -------------------------------------------------------------------------------------------------------
 
 

@@ -56,3 +56,24 @@ def test_learning_curves_smooth_and_leave_out_gaps() -> None:
     assert figure.data[0]["y"][-1] == pytest.approx(
         2.0, abs=0.1
     )  # a running mean, where the column jumps between 1 and 3
+
+
+def test_seeds_of_a_policy_get_a_band_and_their_mean() -> None:
+    """Two seeds of one policy and one of another; the first begin and end at different steps."""
+    frames = np.arange(1, 101) * 100.0
+    runs = {"ppo seed 0": (frames, 0.01), "ppo seed 1": (frames + 1000.0, 0.03), "ddpg seed 0": (frames, 0.02)}
+    curves = [
+        Curve(name, pd.DataFrame({"frames": steps, "co2_saved_over_uncommanded": value}))
+        for name, (steps, value) in runs.items()
+    ]
+    (figure,) = learning_curves(curves)
+    assert figure.name == "curve-co2-saved-over-uncommanded" and "lowest to the highest" in figure.caption
+    area, mean = (trace for trace in figure.data[3:])
+    assert [trace["legendgroup"] for trace in figure.data] == ["ppo", "ppo", "ddpg", "ppo", "ppo"]
+    assert [trace["showlegend"] for trace in figure.data] == [True, False, True, False, False]
+    assert mean["y"] == pytest.approx([0.02] * len(mean["y"]))
+    assert (min(area["y"]), max(area["y"])) == (0.01, 0.03)
+    assert (mean["x"][0], mean["x"][-1]) == (1100.0, 10000.0), "where both are"
+    assert figure.data[0]["opacity"] < figure.data[2]["opacity"], "single seeds stand back"
+    (alone,) = learning_curves(curves[2:])
+    assert alone.caption == "" and len(alone.data) == 1

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from izoo.training.plots import PANELS, VALIDATION_PANELS, draw_learning_curve
+from izoo.training.paired import KEPT, SAVED
+from izoo.training.plots import PAIRED_PANELS, PANELS, VALIDATION_PANELS, draw_learning_curve
 from izoo.training.records import MetricsTable
 
 
@@ -18,13 +19,16 @@ def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:
     return MetricsTable.read(path)
 
 
+@pytest.mark.parametrize("paired", [False, True])
 @pytest.mark.parametrize("frames_per_row", [50, 3_900, 1_234_567])
-def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: int) -> None:
-    metrics = table(tmp_path / "m.csv", [name for name, _ in PANELS], frames_per_row)
+def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: int, paired: bool) -> None:
+    compared = [name for panel in PAIRED_PANELS for name, _ in panel]
+    assert compared == [*SAVED.values(), KEPT], "they are the columns of metrics.csv"
+    metrics = table(tmp_path / "m.csv", [*(name for name, _ in PANELS), *compared * paired], frames_per_row)
     validated = [name for panel in VALIDATION_PANELS for name, _ in panel]
     figure = draw_learning_curve(metrics, "run", table(tmp_path / "v.csv", validated, frames_per_row))
     figure.canvas.draw()
-    assert len(figure.axes) == 6
+    assert len(figure.axes) == (8 if paired else 6)
     for axes in figure.axes:
         low, high = axes.get_xlim()
         shown = [
@@ -35,4 +39,4 @@ def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: 
         assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes)), [s.get_text() for s in shown]
         legend = axes.get_legend()
         assert legend is None or not legend.get_window_extent().overlaps(axes.get_window_extent())
-    assert sum(axes.get_legend() is not None for axes in figure.axes) == 2
+    assert sum(axes.get_legend() is not None for axes in figure.axes) == (4 if paired else 2)

@@ -1,0 +1,110 @@
+"""The control variate: what it takes from advantages no action decides, and with it gradients vary less."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from izoo.algos import base
+from izoo.algos.mappo import MAPPO, TEAM_BASELINE
+from izoo.algos.masked_gae import TEAM_REWARD
+from izoo.algos.ppo_config import MAPPOConfig
+from izoo.errors import IzooError
+from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
+
+GAMMA = 0.9
+
+
+def make(control_variate: bool, lmbda: float = 1.0) -> MAPPO:
+    torch.manual_seed(2)
+    small = {"hidden": (6, 6), "critic_queries": 2, "critic_embedding": 4, "gamma": GAMMA, "reward_scale": 1.0}
+    config = MAPPOConfig(credit="team", control_variate=control_variate, gae_lambda=lmbda, **small)  # type: ignore[arg-type]
+    return MAPPO(config, FEATURES, LOW, HIGH)
+
+
+def episodes(algorithm: MAPPO, seed: int) -> TensorDict:
+    """Two whole episodes of six steps, in one of which vehicles leave early; a busy and an idle place."""
+    batch = act(algorithm, make_frames(seed=seed), seed)
+    done = torch.zeros(2, 6, 1, dtype=torch.bool)
+    done[:, -1] = True
+    batch["next", "done"], batch["next", "terminated"] = done, done.clone()
+    generator = torch.Generator().manual_seed(seed)
+    busy = torch.randn(2, 6, 1, generator=generator) * 10.0
+    batch["next", TEAM_BASELINE] = busy
+    mask = batch[base.MASK]
+    action = torch.where(mask.unsqueeze(-1), batch[base.ACTION], 0.0).sum(-2)
+    batch["next", TEAM_REWARD] = busy + action
+    return batch
+
+
+def raw_advantages(algorithm: MAPPO, batch: TensorDict) -> torch.Tensor:
+    """Advantages ``[2, 6, A]`` before they are normalised."""
+    estimator, kept = algorithm.loss.value_estimator, {}
+    forward = estimator.forward
+
+    def remember(*args: object, **options: object) -> TensorDict:
+        kept["estimated"] = forward(*args, **options)  # type: ignore[arg-type]
+        return kept["estimated"]
+
+    estimator.forward = remember  # type: ignore[method-assign]
+    try:
+        algorithm.advantages(batch)
+    finally:
+        del estimator.forward
+    return kept["estimated"][base.ADVANTAGE].squeeze(-1)
+
+
+def test_what_is_taken_away_depends_on_no_action() -> None:
+    """It is the discounted sum of the uncommanded rewards to the end of the episode, whoever left before."""
+    plain, less = make(False), make(True)
+    for seed in range(3):
+        batch = episodes(plain, seed)
+        other = batch.clone()
+        other[base.ACTION] = torch.randn_like(other[base.ACTION])
+        other["next", TEAM_REWARD] = torch.randn_like(other["next", TEAM_REWARD]) * 100.0
+        running, expected = torch.zeros(2), torch.zeros(2, 6)
+        for t in reversed(range(6)):
+            running = batch["next", TEAM_BASELINE][:, t, 0] + GAMMA * running
+            expected[:, t] = running
+        mask = batch[base.MASK]
+        expected = torch.where(mask, expected.unsqueeze(-1), 0.0)
+        for played in (batch, other):
+            taken = raw_advantages(plain, played) - raw_advantages(less, played)
+            torch.testing.assert_close(taken, expected, rtol=1e-4, atol=1e-3)
+
+
+def gradients(algorithm: MAPPO, episodes_of: int) -> torch.Tensor:
+    """Policy gradients ``[episodes, parameters]``, one per draw of actions and of the place."""
+    found = []
+    parameters = [p for p in algorithm.loss.actor_network_params.values(True, True) if p.requires_grad]
+    for seed in range(episodes_of):
+        batch = episodes(algorithm, seed)
+        mask = batch[base.MASK]
+        advantage = raw_advantages(algorithm, batch)[mask]
+        rows = TensorDict({base.OBSERVATION: batch[base.OBSERVATION][mask], base.ACTION: batch[base.ACTION][mask]})
+        rows.batch_size = [len(advantage)]
+        with algorithm.loss.actor_network_params.to_module(algorithm.loss.actor_network):
+            log_prob = algorithm.loss.actor_network.get_dist(rows).log_prob(rows[base.ACTION])
+        own = torch.autograd.grad((log_prob * advantage).sum() / 12.0, parameters)
+        found.append(torch.cat([part.reshape(-1) for part in own]))
+    return torch.stack(found)
+
+
+def test_the_gradient_is_the_same_in_the_mean_and_varies_less() -> None:
+    """Over 400 episodes: means agree within their errors, while the spread falls to less than half."""
+    plain, less = gradients(make(False), 400), gradients(make(True), 400)
+    difference = plain - less
+    error = difference.std(0) / 400**0.5
+    moving = error > 1e-9
+    deviations = (difference.mean(0)[moving] / error[moving]).abs()
+    assert float(deviations.max()) < 4.5, "that many parameters, some reach 3"
+    assert float((deviations < 2.0).float().mean()) > 0.8
+    assert float(less.std(0)[moving].mean()) < 0.5 * float(plain.std(0)[moving].mean())
+    signal = less.mean(0)[moving] / (less.std(0)[moving] / 400**0.5)
+    assert float(signal.abs().max()) > 5.0, "there is a gradient to be biased"
+
+
+def test_it_needs_the_teams_credit() -> None:
+    with pytest.raises(IzooError, match=r"control_variate=true needs algo.credit=team"):
+        MAPPOConfig(control_variate=True)

@@ -1,0 +1,145 @@
+"""Training episodes beside the same ones without the policy."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from izoo import train
+from izoo.algos.base import ACTION, MASK
+from izoo.algos.mappo import TEAM_BASELINE
+from izoo.algos.scripted import UncommandedDriver
+from izoo.conf.compose import compose_config
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts.source import RandomSchedule
+from izoo.envs import EcoDrivingEnv
+from izoo.envs.mdp.frame import TEAM_REWARD
+from izoo.envs.mdp.observation import SPEED_SCALE_MPS
+from izoo.errors import IzooError
+from izoo.evaluation.baselines import baseline_context
+from izoo.training import paired, runs
+from izoo.training.collectors import BatchSource
+from izoo.training.paired import KEPT, SAVED, Paired
+from izoo.training.records import MetricsTable
+from tests.envs.worlds import defer
+
+WORDS = [
+    *("contexts=pcg_easy", "contexts.adoption=1.0", "contexts.inflow_vph_per_lane=500", "env.horizon_s=105"),
+    *("env.warmup_s=20", "env.hold_s=2", "env.reward=fuel_team", "simulator=twin", "num_envs=4", "twin.threads=1"),
+    *("twin.surrogate=compiled", "twin.compare_every=2", "algo=mappo", "algo.credit=team"),
+    *("algo.control_variate=true", "algo.frames_per_batch=48"),
+]
+"""Episodes of 42.5 decisions."""
+
+
+class Crawl(UncommandedDriver):
+    """Every CV drives at 6 m/s at most."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        super().forward(tensordict)
+        tensordict["agents", "defer"] = ~tensordict[MASK]
+        speed = tensordict["agents", "observation"][..., :1] * SPEED_SCALE_MPS
+        return tensordict.set(ACTION, ((6.0 - speed) / 2.0).clamp(-3.0, 2.6))
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paired, "BLOCK", 4)
+
+
+def config(*words: str) -> TrainConfig:
+    return compose_config("train", TrainConfig, [*WORDS, *words])
+
+
+def schedule(options: TrainConfig) -> RandomSchedule:
+    return RandomSchedule(options.contexts.build(), options.seed)
+
+
+def collected(options: TrainConfig, driver: UncommandedDriver, batches: int) -> list[TensorDictBase]:
+    with contextlib.closing(BatchSource(options, driver, schedule(options))) as source:
+        return [source.next().clone() for _ in range(batches)]
+
+
+def test_uncommanded_training_is_what_it_is_compared_with(tmp_path: Path) -> None:
+    """Batch after batch, at whichever phase: the same rewards, and nothing saved."""
+    options = config()
+    assert options.env.decisions == 43, "the last decision is shorter"
+    rows = []
+    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+        for batch in collected(options, UncommandedDriver(), 8):
+            beside.add_team_rewards(batch)
+            torch.testing.assert_close(batch["next", TEAM_BASELINE], batch["next", TEAM_REWARD], rtol=0.0, atol=0.0)
+            rows.append(beside.compare(batch))
+    assert float(batch["next", TEAM_REWARD].std()) > 0.0
+    found = [row for row in rows if row]
+    assert sum(row["compared_episodes"] for row in found) >= 2
+    assert all(row[SAVED["uncommanded"]] == 0.0 for row in found)
+    assert any(row[SAVED["human"]] != 0.0 for row in found), "other vehicles"
+
+
+def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
+    options = config("twin.stagger=false", "env.horizon_s=185")
+    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+        batches = collected(options, Crawl(), 7)
+        for batch in batches:
+            beside.add_team_rewards(batch)
+        rows = [row for row in map(beside.compare, batches) if row]
+    assert rows and all(row[SAVED["uncommanded"]] < -0.05 for row in rows)
+    assert all(row[SAVED["human"]] != 0.0 and row[KEPT] > 0.0 for row in rows)
+    less = torch.cat([(b["next", TEAM_REWARD] - b["next", TEAM_BASELINE]).flatten() for b in batches])
+    assert float(less.mean()) < 0.0
+
+
+def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = dataclasses.replace(config(), env=dataclasses.replace(config().env, emit=("metrics", TEAM_REWARD)))
+    order = schedule(options)
+    with contextlib.closing(Paired(options, order, tmp_path)) as beside:
+        human = beside._compared["human"].episodes([2, 10])
+        with contextlib.closing(EcoDrivingEnv(order, config=options.env, simulator="twin")) as env:
+            context, seed = order(10)
+            state, rewards = env.reset(context=baseline_context(context), seed=seed), []
+            for _ in range(options.env.decisions):
+                state = env.step_lean(defer(state))
+                rewards.append(float(state[TEAM_REWARD]))
+    np.testing.assert_allclose(human[10].team_reward, rewards, rtol=1e-4, atol=1e-5)
+    assert float(human[10].totals[0]) == options.env.control_steps
+    monkeypatch.setattr(paired.Baseline, "_play", lambda *_: pytest.fail("it was played before"))
+    with contextlib.closing(Paired(options, order, tmp_path)) as other:
+        again = other._compared["human"].episodes([10])[10]
+    assert np.array_equal(again.totals, human[10].totals)
+    next(path for path in tmp_path.rglob("*.npy")).write_bytes(b"damaged")
+    monkeypatch.undo()
+    monkeypatch.setattr(paired, "BLOCK", 4)
+    with contextlib.closing(Paired(options, order, tmp_path)) as third:
+        mended = third._compared["human"].episodes([2, 10])
+    assert all(np.array_equal(mended[number].totals, human[number].totals) for number in human)
+
+
+def test_a_control_variate_needs_the_twin() -> None:
+    with pytest.raises(IzooError, match=r"control_variate=true .* choose simulator=twin"):
+        compose_config(
+            "train",
+            TrainConfig,
+            ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team"],
+        )
+    with pytest.raises(IzooError, match=r"compare_every is -1"):
+        config("twin.compare_every=-1")
+
+
+def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With random phases and advice; training is the same whether episodes are compared or not."""
+    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
+    words = [*WORDS, "action=advise", "evaluation.contexts=0", "validation.every_batches=0", "total_frames=480"]
+    words += ["algo.value_norm=running", "algo.epochs=1"]
+    for name, every in (("compared", 2), ("alone", 0)):
+        assert train.main([*words, f"twin.compare_every={every}", f"run_dir={tmp_path / name}"]) == 0
+    tables = [MetricsTable.read(tmp_path / name / runs.METRICS_FILE) for name in ("compared", "alone")]
+    assert len(tables[0].series(SAVED["human"])[1]) > 0 and tables[1].series(SAVED["human"])[1] == []
+    for column in ("reward", "loss_critic", "grad_norm"):
+        assert tables[0].series(column) == tables[1].series(column)
