@@ -8,7 +8,7 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.errors import check_range
+from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
     from izoo.algos.base import Algorithm
@@ -34,6 +34,7 @@ class Rest:
     two_sided: bool = False
 
     def __post_init__(self) -> None:
+        check_types("action", self)
         check_range("action.act_share", self.act_share, 1e-6, 0.5)
         check_range("action.spread", self.spread, 1e-3, 10.0)
 
@@ -56,6 +57,9 @@ class DirectAction:
     """
 
     name: Literal["direct"] = "direct"
+
+    def __post_init__(self) -> None:
+        check_types("action", self)
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
@@ -83,6 +87,7 @@ class AdviseAction:
     spread: float = 0.35
 
     def __post_init__(self) -> None:
+        check_types("action", self)
         check_range("action.depth", self.depth, 0.01, 1.0)
         check_range("action.brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
         _ = self.rest
@@ -121,6 +126,7 @@ class ResidualAction:
     spread: float = 0.35
 
     def __post_init__(self) -> None:
+        check_types("action", self)
         check_range("action.half_width_mps2", self.half_width_mps2, 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2")
         _ = self.rest
 

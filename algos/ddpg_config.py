@@ -7,7 +7,7 @@ from typing import Literal
 
 from izoo.algos.ppo_config import ACTIVATIONS, check_widths
 from izoo.algos.registry import AlgoConfig
-from izoo.errors import check_choice, check_range
+from izoo.errors import check_choice, check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,7 @@ class DDPGConfig(AlgoConfig):
     save_replay: bool = True
 
     def __post_init__(self) -> None:
+        check_types("algo", self)
         for name in ("frames_per_batch", "minibatch_rows", "replay_rows", "n_step"):
             check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
         for name in ("learning_starts", "random_frames"):

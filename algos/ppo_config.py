@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from izoo.algos.registry import AlgoConfig
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_range, check_types
 
 ACTIVATIONS = ("tanh", "relu", "silu")
 """Names of the activations that networks may have."""
-VALUE_NORMS = ("none", "running", "popart")
-
 
 MOST_WEIGHTS = 10**8
 """Weights of a network, in all: 400 MB, and twice as much again for Adam."""
@@ -106,6 +104,7 @@ class PPOConfig(AlgoConfig):
     initial_spread: float = 0.35
 
     def __post_init__(self) -> None:
+        check_types("algo", self)
         for name in ("frames_per_batch", "epochs", "minibatch_rows"):
             check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
         if self.rows_per_epoch is not None:
@@ -116,8 +115,6 @@ class PPOConfig(AlgoConfig):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_choice("algo.value_norm", self.value_norm, VALUE_NORMS)
-        check_choice("algo.activation", self.activation, ACTIVATIONS)
         check_widths("algo.hidden", self.hidden)
 
     @classmethod
@@ -176,7 +173,6 @@ class MAPPOConfig(PPOConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_choice("algo.credit", self.credit, ("agent", "team"))
         if self.control_variate and self.credit != "team":
             raise IzooError(
                 "algo.control_variate=true needs algo.credit=team: an agent's own return ends when it leaves, which "

@@ -20,7 +20,7 @@ from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
-from izoo.errors import IzooError, check_range, unknown_choice
+from izoo.errors import IzooError, check_range, check_types, unknown_choice
 
 DEFER, LANE_CHANGE = ("agents", "defer"), ("agents", "lane_change")
 
@@ -172,6 +172,7 @@ class GlideConfig:
     push_mps2: float = 1.0
 
     def __post_init__(self) -> None:
+        check_types("glide", self)
         for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
             check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
         check_range("glide.max_lanes", self.max_lanes, 0, 100)

@@ -42,6 +42,7 @@ from izoo.reporting.results import (
 )
 from izoo.training import checkpoint, runs
 from izoo.training.loop import train
+from izoo.training.records import MetricsTable
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Job:
     seed: int
 
     def __str__(self) -> str:
-        return f"{self.kind} {self.entry.name}" + (f", seed {self.seed}" if self.entry.kind == "trained" else "")
+        return f"{self.kind} {self.entry.name}" + (f", seed {self.seed}" if self.entry.seeded else "")
 
 
 class Campaign:
@@ -87,11 +88,13 @@ class Campaign:
 
     def jobs(self) -> list[Job]:
         """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""
-        jobs = [Job("evaluate", entry, 0) for entry in self.entries if entry.kind == "scripted"]
+        jobs = [Job("evaluate", entry, 0) for entry in self.entries if not entry.seeded]
         for seed in range(self.config.seeds or 0):
             for entry in self.entries:
                 if entry.kind == "trained":
-                    jobs += [Job("train", entry, seed), Job("evaluate", entry, seed)]
+                    jobs.append(Job("train", entry, seed))
+                if entry.seeded:
+                    jobs.append(Job("evaluate", entry, seed))
         return jobs
 
     @contextlib.contextmanager
@@ -256,7 +259,7 @@ class Campaign:
     def _index(self) -> Results:
         records = []
         for entry in self.entries:
-            seeds = range(self.config.seeds or 0) if entry.kind == "trained" else range(1)
+            seeds = range(self.config.seeds or 0) if entry.seeded else range(1)
             made = [
                 RunRecord(
                     seed=seed,
@@ -302,5 +305,6 @@ def _frames(run_dir: Path) -> int:
 
 
 def _seconds(run_dir: Path) -> float:
-    path = run_dir / runs.METRICS_FILE
-    return float(pd.read_csv(path)["seconds"].max()) if path.is_file() else 0.0
+    """Seconds that a run was trained for, so far."""
+    _, seconds = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
+    return max(seconds, default=0.0)

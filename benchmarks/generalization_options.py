@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from izoo.algos.registry import DRIVER_NAMES, choices
 from izoo.envs.config import EnvConfig
-from izoo.errors import IzooError, check_range, unknown_choice
+from izoo.errors import IzooError, check_range, check_types, unknown_choice
 
 T = TypeVar("T", bound="GeneralizationConfig")
 SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
@@ -75,7 +75,7 @@ class Entry:
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
 
-    An algorithm before its first update is ``scripted`` and has an ``algo``.
+    An algorithm before its first update is ``scripted`` and has an ``algo``: its weights depend on the training seed.
     """
 
     name: str
@@ -85,6 +85,11 @@ class Entry:
     policy: str | None = None
     floor_mps: float | None = None
     options: tuple[str, ...] = ()
+
+    @property
+    def seeded(self) -> bool:
+        """Whether every training seed is a policy of its own."""
+        return self.algo is not None
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,7 @@ class GeneralizationConfig:
     cache: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("", self)
         ranges: dict[str, tuple[float, float]] = {
             "seeds": (1, 1000),
             "episodes": (1, 10**8),

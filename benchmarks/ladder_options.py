@@ -10,7 +10,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.evaluation.policies import HUMAN
 
 
@@ -47,6 +47,7 @@ class LadderConfig:
     cache: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("", self)
         check_episodes(self)
         for adoption in self.adoptions:
             check_range("adoptions", adoption, 0.0, 1.0)

@@ -17,7 +17,8 @@ from izoo.envs.config import EnvConfig
 from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.show import figure_table, intervals_in_words, stacked
+from izoo.evaluation.show import figure_table, intervals_in_words, nan_in_words, stacked
+from izoo.metrics.scores import nan_share_of
 from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of, human_vehicles_of
 from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
@@ -54,9 +55,15 @@ def sum_up(folder: Path, results: Results) -> dict[str, Any]:
     """Return the ``aggregates`` of the index (:mod:`izoo.reporting.results`)."""
     done = [entry for entry in results.entries if entry.done]
     rows = {entry.name: entry_rows(folder, entry) for entry in done}
-    beside = {entry.name: human_vehicles(folder, entry) for entry in done}
+    beside = {entry.name: {"nan_share": nan_share(folder, entry), **human_vehicles(folder, entry)} for entry in done}
     entries = {name: {**aggregate(table), **beside[name]} for name, table in rows.items()}
     return {"entries": entries, **compare_entries(rows)}
+
+
+def nan_share(folder: Path, entry: EntryRecord) -> float:
+    """Return the share of an entry's commands that were NaN, over its training seeds: SUMO drove those vehicles."""
+    tables = [evaluation_of(folder, run) for run in entry.done]
+    return nan_share_of(table[table["policy"] == entry.name] for table in tables)
 
 
 def human_vehicles(folder: Path, entry: EntryRecord) -> dict[str, Any]:
@@ -92,6 +99,8 @@ def outcome_tables(results: Results) -> Group:
     places = [content["n"]["intersections"] for content in entries.values()]
     trained = [len(entry.done) for entry in results.entries if entry.kind == "trained"]
     words = f"{intervals_in_words(places, trained)} Over uncommanded: without gate, so that a loss shows."
+    shares = {name: content.get("nan_share") for name, content in entries.items()}
+    words = "\n".join([words, *(nan_in_words(name, share) for name, share in shares.items() if share)])
     return Group(*shown, Text(words))
 
 

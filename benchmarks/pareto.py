@@ -55,10 +55,11 @@ def points(folder: Path, results: Results, weights: Mapping[str, Mapping[str, fl
             if not rows:
                 rows.append({"point": HUMAN, "kind": "human", **_scores(pooled.loc[HUMAN])})
             floor = float(entry.name.removeprefix(FLOOR_INFIX)) if entry.name.startswith(FLOOR_INFIX) else np.nan
-            about = {"point": entry.name, "train_seed": run.seed, "kind": entry.kind, "floor_mps": floor}
+            seed = run.seed if entry.algo else pd.NA
+            about = {"point": entry.name, "train_seed": seed, "kind": entry.kind, "floor_mps": floor}
             rows.append({**about, **weights.get(entry.name, {}), **_scores(pooled.loc[entry.name])})
     table = pd.DataFrame(rows, columns=["point", "train_seed", "kind", *swept, "floor_mps", *SCORES])
-    table["train_seed"] = table["train_seed"].astype("Int64").where(table["kind"] == "trained")
+    table["train_seed"] = table["train_seed"].astype("Int64")
     table["throughput_kept"] = table["throughput"] >= table["throughput"].iloc[0]
     table["on_front"] = on_front(table[list(AXES)].to_numpy(float), table["throughput_kept"].to_numpy(bool))
     return table

@@ -7,6 +7,7 @@ every other exception is a defect of izoo and keeps its traceback.
 from __future__ import annotations
 
 import difflib
+import math
 import numbers
 import types
 import typing
@@ -71,18 +72,19 @@ def check_seed(seed: object, what: str = "seed") -> int:
 def check_types(group: str, config: Any) -> None:
     """Raise :class:`IzooError` where a field of a dataclass holds another type than it declares.
 
-    Numbers, switches, texts, what may be missing (``None``), and tuples of them are checked; whole numbers pass for
-    real ones, lists for tuples. Other fields check themselves.
+    Finite numbers, switches, texts, names out of a few, what may be missing (``None``), and lists of them are checked;
+    whole numbers pass for real ones, lists for tuples. Other fields check themselves.
 
     Args:
-        group: the group of options, for messages.
+        group: the group of options, for messages; empty where there is none.
         config: an instance; its class must be defined in a module, where its annotations can be read.
     """
     for name, kind in typing.get_type_hints(type(config)).items():
         legal = _legal(kind)
         value = getattr(config, name, None)
         if legal is not None and not any(check(value) for _, check in legal):
-            raise IzooError(f"{group}.{name} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+            option = f"{group}.{name}" if group else name
+            raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
 
 
 _Kind = tuple[str, Callable[[object], bool]]
@@ -95,7 +97,10 @@ def _is_bool(value: object) -> bool:
 _SCALARS: dict[Any, _Kind] = {
     bool: ("true or false", _is_bool),
     int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not _is_bool(value)),
-    float: ("a number", lambda value: isinstance(value, numbers.Real) and not _is_bool(value)),
+    float: (
+        "a finite number",
+        lambda value: isinstance(value, numbers.Real) and not _is_bool(value) and math.isfinite(value),
+    ),
     str: ("text", lambda value: isinstance(value, str)),
     type(None): ("null", lambda value: value is None),
 }
@@ -109,7 +114,10 @@ def _legal(kind: Any) -> list[_Kind] | None:
     if origin in (typing.Union, types.UnionType):
         parts = [_legal(arg) for arg in args]
         return None if None in parts else [entry for part in parts for entry in part or ()]
-    if origin is tuple and len(args) == 2 and args[1] is Ellipsis and _legal(args[0]) is not None:
+    if origin is typing.Literal:
+        words = [str(arg) for arg in args]
+        return [(words[0] if len(words) == 1 else f"one of {', '.join(words)}", lambda value: value in args)]
+    if (origin is list or (origin is tuple and args[1:] == (Ellipsis,))) and _legal(args[0]) is not None:
         inner = _legal(args[0]) or []
 
         def holds(value: object) -> bool:

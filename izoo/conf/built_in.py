@@ -9,7 +9,7 @@ from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_range, check_types
 
 Season = Literal["winter", "spring", "summer", "fall"]
 Hour = Literal["peak", "off-peak"]
@@ -52,6 +52,7 @@ class CityContexts:
     drivers: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("contexts", self)
         for city in [self.city] if isinstance(self.city, str) else self.city or []:
             city_name(city)
         for share in [self.adoption] if isinstance(self.adoption, float) else self.adoption or []:
@@ -97,6 +98,7 @@ class CatalogueContexts:
     drivers: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("contexts", self)
         self._ranges()
         resolve_drivers(self)
 

@@ -18,7 +18,7 @@ from izoo.contexts.procedural import (
     ProceduralSource,
 )
 from izoo.contexts.source import ContextSource
-from izoo.errors import IzooError, check_choice
+from izoo.errors import IzooError, check_choice, check_types
 
 PRESETS = {
     "systematicity_train": SYSTEMATICITY_TRAIN,
@@ -86,6 +86,7 @@ class PcgContexts:
     exclude: list[dict] | None = None
 
     def __post_init__(self) -> None:
+        check_types("contexts", self)
         check_choice("contexts.preset", self.preset, PRESETS)
         resolve_drivers(self)
 

@@ -10,7 +10,7 @@ from izoo.algos.registry import DRIVER_NAMES
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig
-from izoo.errors import check_choice, check_range
+from izoo.errors import check_choice, check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class EvaluateConfig:
     cache: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("", self)
         check_episodes(self)
         if self.policy is not None:
             check_policy("policy", self.policy)

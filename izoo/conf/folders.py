@@ -12,7 +12,7 @@ from izoo.contexts.cities.weather import weather
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class DatasetContexts:
     drivers: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("contexts", self)
         check_range("contexts.adoption", self.adoption, 0.0, 1.0)
         if self.weather == "published" and self.season != "summer":
             raise IzooError(
@@ -97,6 +98,7 @@ class OsmContexts:
     drivers: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("contexts", self)
         check_range("contexts.adoption", self.adoption, 0.0, 1.0)
         check_range("contexts.temperature_c", self.temperature_c, -60.0, 60.0, "degrees C")
         check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from izoo.errors import check_types
+
 
 @dataclass(frozen=True)
 class ReportConfig:
@@ -29,3 +31,6 @@ class ReportConfig:
     replay: bool = True
     imports: bool = False
     partial: bool = False
+
+    def __post_init__(self) -> None:
+        check_types("", self)

@@ -14,7 +14,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import TEAM_REWARD
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_range, check_types
 
 TWIN_ENVS = 64
 """Environments on the twin where nothing is said."""
@@ -32,6 +32,9 @@ class CollectorConfig:
 
     name: Literal["parallel", "single", "multisync", "ray"] = "parallel"
 
+    def __post_init__(self) -> None:
+        check_types("collector", self)
+
 
 @dataclass(frozen=True)
 class TwinConfig:
@@ -47,6 +50,7 @@ class TwinConfig:
     surrogate: Literal["torch", "compiled"] = "torch"
 
     def __post_init__(self) -> None:
+        check_types("twin", self)
         if self.threads is not None:
             check_range("twin.threads", self.threads, 1, 1024)
 
@@ -85,6 +89,9 @@ class LoggerConfig:
     name: Literal["csv", "wandb", "tensorboard"] = "csv"
     project: str = "izoo"
 
+    def __post_init__(self) -> None:
+        check_types("logger", self)
+
 
 @dataclass(frozen=True)
 class CheckpointConfig:
@@ -99,6 +106,7 @@ class CheckpointConfig:
     keep: int = 3
 
     def __post_init__(self) -> None:
+        check_types("checkpoint", self)
         check_range("checkpoint.every_batches", self.every_batches, 1, 10**9)
         check_range("checkpoint.keep", self.keep, 1, 10**6)
 
@@ -120,11 +128,12 @@ class ValidationConfig:
     """
 
     every_batches: int = 10
-    contexts: int = 4
+    contexts: int = 8
     seeds: int = 3
     simulator: Literal["sumo", "twin"] = "sumo"
 
     def __post_init__(self) -> None:
+        check_types("validation", self)
         check_range("validation.every_batches", self.every_batches, 0, 10**9)
         check_range("validation.contexts", self.contexts, 1, 10**6)
         check_range("validation.seeds", self.seeds, 3, 10**6)
@@ -143,6 +152,7 @@ class BriefEvaluationConfig:
     seeds: int = 3
 
     def __post_init__(self) -> None:
+        check_types("evaluation", self)
         check_range("evaluation.contexts", self.contexts, 0, 10**6)
         check_range("evaluation.seeds", self.seeds, 3, 10**6)
 
@@ -202,6 +212,7 @@ class TrainConfig:
     resume: str | None = None
 
     def __post_init__(self) -> None:
+        check_types("", self)
         check_range("seed", self.seed, 0, 2**31 - 1)
         check_range("num_workers", self.num_workers, 1, 1024)
         check_num_envs(self.simulator, self.num_envs)
@@ -271,6 +282,7 @@ class CollectConfig:
     num_envs: int | None = None
 
     def __post_init__(self) -> None:
+        check_types("", self)
         check_num_envs(self.simulator, self.num_envs)
         check_range("frames", self.frames, 1, 10**12)
         check_range("shard_frames", self.shard_frames, 1, 10**9)

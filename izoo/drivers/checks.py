@@ -51,6 +51,9 @@ def check_numbers(table: pd.DataFrame, problem: Problem) -> None:
     """
     if table.empty:
         raise IzooError(f"{problem.path} has a header but no rows; give trajectories.")
+    for name in ("driver", "vehicle"):
+        if name in table:
+            problem.refuse(table, table[name].isna(), name, "every row needs the name of its driver")
     for name in NUMBERS:
         if name not in table:
             continue

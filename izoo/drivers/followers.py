@@ -112,10 +112,16 @@ def read_following(paths: Sequence[Path], config: ReadConfig) -> tuple[dict[str,
         if data is not None:
             found[name] = data
     if not found:
-        counts = ", ".join(f"{pairs[pairs['heavy'] == h]['driver'].nunique()} {name}" for h, name in enumerate(CLASSES))
+        steps_of = [pairs[pairs["heavy"] == bool(heavy)].groupby("driver").size() for heavy in range(len(CLASSES))]
+        counts = " and ".join(
+            f"{int((of_class >= MIN_STEPS).sum())} of {len(of_class)} {name} drivers"
+            for name, of_class in zip(CLASSES, steps_of, strict=True)
+            if len(of_class) or pairs.empty
+        )
         raise IzooError(
-            f"{', '.join(map(str, paths))}: {counts} drivers; a population needs {MIN_DRIVERS} or more of a class, "
-            f"each with {MIN_STEPS} steps behind a leader. Give more trajectories."
+            f"{', '.join(map(str, paths))}: {counts} have {MIN_STEPS} steps of {step_s:g} s behind a leader; a population "
+            f"needs {MIN_DRIVERS} such drivers of a class. A step counts where the driver's next row is {step_s:g} s "
+            "later. Give more trajectories, at equal steps."
         )
     return found, notes
 

@@ -50,7 +50,7 @@ def read_pairs(path: Path, default_length_m: float | None, heavy_from_m: float) 
     """
     table = _read(path)
     problem = Problem(path)
-    if {"gap_m", "leader_speed_mps"} <= set(table):
+    if _holds_pairs(set(table)):
         _require(table, PAIR_COLUMNS, path)
         if not {"vehicle_class", "length_m"} & set(table):
             table["length_m"] = _lengths(default_length_m, path)
@@ -65,6 +65,12 @@ def read_pairs(path: Path, default_length_m: float | None, heavy_from_m: float) 
     pairs["heavy"] = _heavy(pairs, heavy_from_m, problem)
     pairs["driver"] = pairs["driver"].astype(str)
     return pairs[["driver", "heavy", *PAIR_COLUMNS[1:], "row"]].reset_index(drop=True)
+
+
+def _holds_pairs(columns: set[str]) -> bool:
+    """Whether a file is meant as pairs, also where one of their columns is missing."""
+    some = bool({"driver", "gap_m", "leader_speed_mps"} & columns) and not {"lane", "position_m"} & columns
+    return some or {"gap_m", "leader_speed_mps"} <= columns
 
 
 def _read(path: Path) -> pd.DataFrame:

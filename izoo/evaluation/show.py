@@ -67,9 +67,7 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
                     console.print(f"  {what}: {listed}", highlight=False, markup=False)
     for name, scores in summary["scores"].items():
         if scores["nan_share"]:
-            share = f"{100.0 * scores['nan_share']:.3g} %"
-            text = f"{plain(name)}: {share} of its commands were NaN; SUMO drove those vehicles."
-            console.print(text, highlight=False, markup=False)
+            console.print(nan_in_words(plain(name), scores["nan_share"]), highlight=False, markup=False)
     console.print(
         f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
         f"{n['episodes']} episodes. {intervals_in_words([n['intersections']])}",
@@ -92,6 +90,11 @@ def benefit_table(
     if nan_share:
         mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
+
+
+def nan_in_words(name: str, share: float) -> str:
+    """What is said of a policy some of whose commands were NaN: its figures are in part those of SUMO's driver."""
+    return f"{name}: {100.0 * share:.3g} % of its commands were NaN; SUMO drove those vehicles."
 
 
 def score_rows(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -169,6 +172,7 @@ def intervals_in_words(intersections: Sequence[int], trained_seeds: Sequence[int
         words.append("Brackets: 95 % intervals over other intersections")
         if max(trained_seeds, default=0) >= MIN_TRAIN_SEEDS:
             words[-1] += ", and other training seeds where there are any"
+        words[-1] += "; none where the figure is the same without any intersection"
     if min(intersections, default=0) < MIN_INTERSECTIONS:
         words.append(f"No intervals with fewer than {MIN_INTERSECTIONS} intersections")
     if min(trained_seeds, default=MIN_TRAIN_SEEDS) < MIN_TRAIN_SEEDS:

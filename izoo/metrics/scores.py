@@ -6,9 +6,10 @@ Each score is a ratio of two sums, or a plain sum. :func:`score_tensors` serves 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor
@@ -112,6 +113,13 @@ def add_scores(table: pd.DataFrame, time_weight_g_per_s: float = TIME_WEIGHT_G_P
         columns[name] = (top / bottom.where(bottom > 0)).astype(float) if score.denominator else top
     columns["objective_g"] = table["region_emission_g"] + time_weight_g_per_s * table["region_time_s"]
     return table.drop(columns=[name for name in columns if name in table]).assign(**columns)
+
+
+def nan_share_of(tables: Iterable[pd.DataFrame]) -> float:
+    """Return the share of commands that were NaN, over all rows of the tables; 0 where nobody was commanded."""
+    sums = [table[["nan_actions", "agent_steps"]].sum().to_numpy(float) for table in tables]
+    nan, commands = np.sum(sums, axis=0) if sums else (0.0, 0.0)
+    return float(nan / commands) if commands else 0.0
 
 
 def pool(table: pd.DataFrame, by: Sequence[str], time_weight_g_per_s: float = TIME_WEIGHT_G_PER_S) -> pd.DataFrame:

@@ -169,6 +169,9 @@ def paired_saving(policy: ArrayLike, baseline: ArrayLike) -> Estimate:
     if x.size < MIN_EVAL_SEEDS:
         return Estimate(1.0 - ratio, math.nan, math.nan, x.size, 1, missing=_too_few(x.size, "episode seed"))
     spread = float(((x - ratio * y) / y.mean()).std(ddof=1)) / math.sqrt(x.size)
+    if _is_nothing(spread, ratio):
+        missing = f"no interval: the same ratio in each of {x.size} episodes"
+        return Estimate(1.0 - ratio, math.nan, math.nan, x.size, 1, missing=missing)
     half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, x.size - 1) * spread
     return Estimate(1.0 - ratio, 1.0 - ratio - half, 1.0 - ratio + half, x.size, 1, over="episode seeds")
 
@@ -247,6 +250,9 @@ def _interval(
     n, groups, seeds = counts
     if groups < MIN_INTERSECTIONS:
         return Estimate(value, math.nan, math.nan, n, groups, seeds, missing=_too_few(groups, "intersection"))
+    if not share and _is_nothing(math.sqrt(parts[0].variance), value):
+        missing = f"no interval: the same figure without any of its {groups} intersections"
+        return Estimate(value, math.nan, math.nan, n, groups, seeds, missing=missing)
     variance = sum(part.variance for part in parts)
     weights = sum(part.variance**2 / part.degrees for part in parts)
     # Satterthwaite's degrees of freedom, rounded down.
@@ -256,6 +262,12 @@ def _interval(
     over = PLACES if len(parts) == 1 else PLACES_AND_SEEDS
     missing = f"not over training seeds, which needs {MIN_TRAIN_SEEDS}" if few_seeds else ""
     return Estimate(value, low, high, n, groups, seeds, over, missing)
+
+
+def _is_nothing(spread: float, value: float) -> bool:
+    """Whether a spread is 0 but for rounding. Then nothing says how far other intersections would be from the figure,
+    as where the gate is closed on every approach: an interval of no width would claim certainty."""
+    return spread <= 1e-12 * max(abs(value), 1.0)
 
 
 def _student(value: float, variance: float, t: float) -> tuple[float, float]:

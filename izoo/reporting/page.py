@@ -19,7 +19,7 @@ from plotly.offline import get_plotlyjs
 from izoo import __version__
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
-from izoo.evaluation.show import intervals_in_words, percent, score_rows
+from izoo.evaluation.show import intervals_in_words, nan_in_words, percent, score_rows
 from izoo.evaluation.summary import summarise
 from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
@@ -138,6 +138,7 @@ def render(material: Material, *, replay: bool = True, imports: bool = False, no
         version=__version__,
         material=material,
         intro=_intro(material, scored),
+        not_driven=[nan_in_words(s.name, s.nan_share) for s in scored if s.nan_share],
         summary=[row for s in scored for row in _summary_rows(s)],
         summary_columns=[label for label, _, _ in SUMMARY_COLUMNS],
         scores=_scores(scored),
@@ -200,7 +201,8 @@ def _intro(material: Material, scored: Sequence[Scored]) -> str:
 def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
     """Lines of the summary table: all approaches, those without saturation, and the best of several seeds."""
     runs = len(scored.tables)
-    variants = [("", scored.summary["all"])]
+    nan = f"{100.0 * scored.nan_share:.3g} % of its commands NaN" if scored.nan_share else ""
+    variants = [(nan, scored.summary["all"])]
     if scored.summary["saturated"]:
         variants.append(("without saturated", scored.summary["unsaturated"]))
     if scored.best_summary is not None:
@@ -218,7 +220,7 @@ def _summary_rows(scored: Scored) -> list[dict[str, Any]]:
                 "cells": [
                     _cell(block[part][statistic]) if part in block else None for _, part, statistic in SUMMARY_COLUMNS
                 ],
-                "quiet": scored.entry.policy == UNCOMMANDED or bool(variant),
+                "quiet": scored.entry.policy == UNCOMMANDED or variant not in ("", nan),
             }
         )
     return rows

@@ -34,6 +34,7 @@ relative to the folder, so that it can be moved.
         "runs": [{"seed": 0, "status": "done", "run": null, "evaluation": "evaluation/glide/seed0",
                   "frames": 0, "seconds": 0.0}]}],
      "aggregates": {"entries": {"ppo": {...}},   # izoo.evaluation.across.aggregate of its runs, against human driving;
+                                                # "nan_share": of its commands that were NaN;
                                                 # "human_vehicles": compare() of those evaluations, where there are any
                     "improvement": [...],        # izoo.evaluation.across.compare_entries
                     "profiles": {...},
@@ -69,7 +70,7 @@ class RunRecord:
     """One training seed of an entry.
 
     Attributes:
-        seed: of training; 0 for scripted drivers.
+        seed: of training, or of the weights before it; 0 for scripted drivers.
         status: one of :data:`STATUSES`.
         evaluation: folder of its evaluation, relative to the results folder.
         run: its run folder, relative to the results folder; ``None`` for scripted drivers.

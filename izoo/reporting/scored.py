@@ -15,6 +15,7 @@ from izoo.evaluation.summary import approach_table
 from izoo.evaluation.table import FEATURES
 from izoo.metrics import statistics
 from izoo.metrics.benefit import emission_pairs, ratio_of_sums
+from izoo.metrics.scores import nan_share_of
 from izoo.reporting.material import Entry
 
 
@@ -46,6 +47,11 @@ class Scored:
     def trained(self) -> bool:
         """Whether the policy came out of training runs."""
         return self.entry.policy != UNCOMMANDED and any(run.run is not None for run in self.entry.runs)
+
+    @property
+    def nan_share(self) -> float:
+        """Share of its commands that were NaN, over all runs: SUMO drove those vehicles."""
+        return nan_share_of(run.table[run.table["policy"] == self.entry.policy] for run in self.entry.runs)
 
     @property
     def rows(self) -> pd.DataFrame:

@@ -172,7 +172,7 @@ class Validator:
         before = _read_result(self._result_of(int(frames[highest]))) or {}
         if not approaches or not before.get(APPROACHES):
             return row["benefit"] >= earlier[highest]
-        return not shown_worse(approaches, before[APPROACHES])
+        return not shown_worse(approaches, before[APPROACHES], len(earlier))
 
     def _close_log(self) -> None:
         if self._log is not None:
@@ -180,19 +180,22 @@ class Validator:
             self._log = None
 
 
-def shown_worse(new: dict[str, Any], old: dict[str, Any]) -> bool:
+def shown_worse(new: dict[str, Any], old: dict[str, Any], chosen_of: int) -> bool:
     """Whether the benefits of new weights are lower than those of old ones, by a paired t-test over intersections.
 
-    Of two equally good policies the new one is taken for worse in one comparison of twenty.
+    The highest of many results is high by luck too. So the significance is shared out among all that the old weights
+    were chosen from (Bonferroni): where all of them and the new ones are equally good, the new ones are taken for worse
+    in one run of twenty at most.
 
     Args:
         new, old: intersection and benefit by approach.
+        chosen_of: the old weights are the best of so many.
     """
     shared = [key for key in new if key in old]
     if not shared:
         return False
     difference = [new[key][1] - old[key][1] for key in shared]
-    return fall_p_value(difference, [new[key][0] for key in shared]) < SIGNIFICANCE
+    return fall_p_value(difference, [new[key][0] for key in shared]) < SIGNIFICANCE / max(chosen_of, 1)
 
 
 def held_out(config: ContextsConfig) -> ContextSource:

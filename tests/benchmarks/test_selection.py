@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from izoo.benchmarks.campaign import Campaign
+from izoo.benchmarks.campaign import Campaign, _seconds
 from izoo.benchmarks.contestants import _selected, untrained
 from izoo.benchmarks.generalization_options import GeneralizationConfig
 from izoo.conf.train_options import TrainConfig
+from izoo.errors import IzooError
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 
@@ -43,6 +44,32 @@ def test_an_untrained_entry_is_what_the_run_of_that_seed_begins_with() -> None:
     weights = [name for name in begun if hasattr(begun[name], "dim") and begun[name].dim() == 2]
     assert weights and all(torch.equal(begun[name], entry[name]) for name in weights)
     assert not all(torch.equal(begun[name], other[name]) for name in weights)
+
+
+def test_every_training_seed_is_also_tested_as_it_begins(tmp_path: Path) -> None:
+    """Else what seeds differ by before they learn would pass for what they learned differently."""
+    config = GeneralizationConfig(protocol="systematicity", algos=("ppo", "glide"), seeds=3).resolved()
+    benchmark = Campaign(config, tmp_path)
+    assert {entry.name: len(entry.runs) for entry in benchmark.results.entries} == {
+        **{"ppo": 3, "ppo_untrained": 3},
+        **{"glide": 1, "uncommanded": 1, "constant_2.0": 1},
+    }
+    tested = [str(job) for job in benchmark.jobs() if job.kind == "evaluate"]
+    assert tested[:3] == ["evaluate glide", "evaluate uncommanded", "evaluate constant_2.0"]
+    assert tested[3:] == [f"evaluate {name}, seed {seed}" for seed in range(3) for name in ("ppo_untrained", "ppo")]
+    places = {run.evaluation for entry in benchmark.results.entries for run in entry.runs}
+    assert len(places) == 9, "two runs would share a folder"
+
+
+def test_the_time_that_a_run_took_is_read_as_its_own_table_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    assert _seconds(tmp_path) == 0.0
+    path.write_text("frames,seconds,return\n100,1.5,-3\n200,2.5,\n300,9")  # the last row was cut off
+    assert _seconds(tmp_path) == 2.5
+    for damage in (bytes(range(256)) * 8, b"frames,seconds\n100,soon\n", b"<html></html>\n1,2,3\n"):
+        path.write_bytes(damage)
+        with pytest.raises(IzooError, match=r"cannot read .*metrics\.csv: .*; restore it, or remove it"):
+            _seconds(tmp_path)
 
 
 def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -10,7 +11,9 @@ from typing import Any
 import pytest
 
 from izoo.algos import registry
-from izoo.algos.action import DirectAction, ResidualAction
+from izoo.algos.action import AdviseAction, DirectAction, ResidualAction
+from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.scripted import GlideConfig
 from izoo.benchmarks.generalization_options import GeneralizationConfig
 from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
 from izoo.conf.built_in import CatalogueContexts, CityContexts
@@ -24,6 +27,7 @@ from izoo.errors import IzooError
 CONFIGS: dict[str, Any] = {
     **{f"train {name}": TrainConfig(algo=registry.preset(name)) for name in registry.choices()},
     "train residual": TrainConfig(action=ResidualAction()),
+    "train advise": TrainConfig(action=AdviseAction()),
     "train pcg": TrainConfig(contexts=PcgContexts()),
     "evaluate": EvaluateConfig(),
     "evaluate catalogue": EvaluateConfig(contexts=CatalogueContexts(ids=(1,))),
@@ -82,8 +86,47 @@ def test_every_option_refuses_what_its_type_cannot_be(name: str) -> None:
     assert walked > 10
 
 
+def groups(config: Any) -> Iterator[Any]:
+    """A dataclass and all those in its fields."""
+    yield config
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from groups(value)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_options_made_in_python_refuse_the_same(name: str) -> None:
+    taken, walked = [], 0
+    for group in [*groups(CONFIGS[name]), GlideConfig()]:
+        for field in dataclasses.fields(group):
+            default = getattr(group, field.name)
+            kind = list if isinstance(default, tuple) else type(default)
+            for wrong in WRONG.get(kind, ()):
+                if wrong == [] and f"contexts.{field.name}" in LISTS:
+                    continue
+                walked += 1
+                try:
+                    dataclasses.replace(group, **{field.name: wrong})
+                    taken.append(f"{type(group).__name__}({field.name}={wrong!r})")
+                except IzooError as error:
+                    assert str(error)
+    assert taken == []
+    assert walked > 10
+
+
+def test_what_is_refused_is_named_with_what_it_must_be() -> None:
+    with pytest.raises(IzooError, match=r"algo\.frames_per_batch is 'x'; it must be a whole number\."):
+        PPOConfig(frames_per_batch="x")  # type: ignore[arg-type]
+    with pytest.raises(IzooError, match=r"algo\.value_loss is 'l3'; it must be one of l2, smooth_l1\."):
+        PPOConfig(value_loss="l3")  # type: ignore[arg-type]
+    with pytest.raises(IzooError, match=r"algo\.hidden is 128; it must be a list, each entry a whole number\."):
+        PPOConfig(hidden=128)  # type: ignore[arg-type]
+    with pytest.raises(IzooError, match=r"^num_workers is 0\.5; it must be a whole number\."):
+        TrainConfig(num_workers=0.5)  # type: ignore[arg-type]
+
+
 def test_the_walk_knows_every_action() -> None:
     assert {type(config.action) for config in CONFIGS.values() if hasattr(config, "action")} == {
-        DirectAction,
-        ResidualAction,
+        *(AdviseAction, DirectAction, ResidualAction),
     }

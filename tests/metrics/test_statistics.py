@@ -101,6 +101,22 @@ def test_a_share_of_none_or_all_still_has_an_interval() -> None:
     assert everyone.low == pytest.approx(1.0 - none.high) and everyone.high == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("value", [0.0, 0.1, -0.3])
+@pytest.mark.parametrize("seeds", [1, 4])
+def test_a_figure_that_no_intersection_changes_has_no_interval(value: float, seeds: int) -> None:
+    """As where the gate is closed on every approach: "0.0 [0.0, 0.0]" would claim certainty."""
+    scores = np.full((seeds, 20), value)
+    few = np.where(np.arange(20) == 7, 0.4, scores)  # one in twenty moves a mean, and not an interquartile mean
+    for found in (estimate(scores, mean, list(range(20))), estimate(few, iqm, list(range(20)))):
+        assert found.value == pytest.approx(value)
+        assert math.isnan(found.low) and math.isnan(found.high) and found.over == ""
+        assert found.missing == "no interval: the same figure without any of its 20 intersections"
+    assert estimate(few, mean, list(range(20))).low < float(few.mean())
+    same = paired_saving(np.full(5, 90.0), np.full(5, 100.0))
+    assert same.value == pytest.approx(0.1) and math.isnan(same.low)
+    assert same.missing == "no interval: the same ratio in each of 5 episodes"
+
+
 def test_sums_of_several_numbers_per_approach() -> None:
     pairs = np.random.default_rng(1).uniform(50.0, 150.0, (2, 12, 2))
     found = estimate(pairs, ratio_of_sums, list(range(12)))
@@ -118,8 +134,8 @@ def test_the_same_numbers_give_the_same_interval_in_any_order() -> None:
 
 def test_a_saving_keeps_its_pairs() -> None:
     baseline = np.array([100.0, 140.0, 90.0, 180.0])
-    found = paired_saving(0.9 * baseline, baseline)
-    assert (found.value, found.low, found.high) == pytest.approx((0.1, 0.1, 0.1))
+    found = paired_saving(0.9 * baseline + np.array([0.01, -0.01, 0.01, -0.01]), baseline)
+    assert (found.value, found.low, found.high) == pytest.approx((0.1, 0.1, 0.1), abs=3e-4)
     few = paired_saving(0.9 * baseline[:2], baseline[:2])
     assert few.value == pytest.approx(0.1) and math.isnan(few.low)
     assert few.missing == "no interval: 2 episode seeds, and one needs 3"

@@ -10,12 +10,14 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from izoo.conf.compose import compose_config
 from izoo.conf.report_options import ReportConfig
 from izoo.report import COMMAND, main
 from izoo.reporting.material import collect
+from izoo.reporting.page import render
 from izoo.reporting.scored import improvement, score
 from tests.reporting.made_results import METRICS, benchmark, rename_policy
 
@@ -106,6 +108,23 @@ def test_page_of_a_benchmark(evaluation: Path, tmp_path: Path) -> None:
     glide = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "glide"]
     # One run emits as glide does, the other nine tenths of it; the mean of both is shown.
     assert ours == pytest.approx([1.0 - 0.95 * (1.0 - b) for b in glide], abs=1e-5)
+
+
+def test_the_headline_says_where_commands_were_nan(evaluation: Path, tmp_path: Path) -> None:
+    """What SUMO drove in a policy's place must not pass for its benefit."""
+    folder = benchmark(evaluation, tmp_path / "all")
+    assert 'class="warning" role="note"' not in render(collect(folder), replay=False)
+    path = folder / "evaluation/ppo/seed1/evaluation.csv"
+    table = pd.read_csv(path, dtype={"seed": str})
+    own = table["policy"] == "ppo"
+    table.loc[own, "nan_actions"] = table.loc[own, "agent_steps"] // 2
+    table.to_csv(path, index=False)
+    commands = 2 * table.loc[own, "agent_steps"].sum()
+    share = f"{100 * table.loc[own, 'nan_actions'].sum() / commands:.3g} %"
+    text = render(collect(folder), replay=False)
+    warnings = re.findall(r'class="warning" role="note">([^<]*)<', text)
+    assert warnings == [f"ppo: {share} of its commands were NaN; SUMO drove those vehicles."]
+    assert re.findall(r"<small>([^<]*)of its commands NaN</small>", text) == [f"{share} "]
 
 
 def test_page_of_a_run_without_evaluation(tmp_path: Path) -> None:

@@ -202,16 +202,31 @@ def test_validation_uses_held_out_intersections_where_there_are_any() -> None:
     assert validation.held_out(PcgContexts(preset="easy")) is not None
 
 
-@pytest.mark.parametrize("places", [4, 16])
-def test_two_equal_policies_are_told_apart_in_fewer_than_a_tenth_of_comparisons(places: int) -> None:
-    generator, runs, apart = np.random.default_rng(2), 600, 0
+def told_apart(places: int, validations: int, loss: float, runs: int) -> float:
+    """Share of runs whose last weights are shown to be worse than the best of as many validations before them.
+
+    Benefits of two policies differ by 4 points from intersection to intersection, as those of glide and uncommanded
+    driving do; all but the last weights are equally good.
+    """
+    generator, apart = np.random.default_rng(2), 0
     for _ in range(runs):
         shared = generator.normal(0.08, 0.08, places)
-        one, two = (_benefits(shared + generator.normal(0.0, 0.04, places)) for _ in range(2))
-        apart += shown_worse(one, two)
-    assert apart / runs < 0.1
-    clearly = (_benefits(generator.normal(0.05 * k, 0.01, places)) for k in range(2))
-    assert shown_worse(*clearly)
+        found = [shared + generator.normal(0.0, 0.04 / np.sqrt(2.0), places) for _ in range(validations + 1)]
+        best = max((_benefits(one) for one in found[:-1]), key=lambda one: sum(value[1] for value in one.values()))
+        apart += shown_worse(_benefits(found[-1] - loss), best, validations)
+    return apart / runs
+
+
+@pytest.mark.parametrize("places", [4, 8, 16])
+@pytest.mark.parametrize("validations", [1, 5, 20])
+def test_two_equal_policies_are_told_apart_in_fewer_than_a_tenth_of_runs(places: int, validations: int) -> None:
+    assert told_apart(places, validations, 0.0, 400) < 0.1
+
+
+def test_what_the_numbers_of_contexts_find() -> None:
+    """The losses that ``training.md`` names are found in about half of all runs."""
+    for places, validations, loss in ((ValidationConfig().contexts, 5, 0.043), (16, 5, 0.021), (16, 20, 0.027)):
+        assert told_apart(places, validations, loss, 400) == pytest.approx(0.5, abs=0.12)
 
 
 def _benefits(values: np.ndarray) -> dict[str, list[object]]:
@@ -222,11 +237,11 @@ def test_the_best_is_the_newest_that_is_not_shown_to_be_worse_than_the_highest(t
     (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n100,0.1,1.0\n200,0.06,1.0\n")
     (tmp_path / "validation").mkdir()
     for frames, shift in ((100, 0.1), (200, 0.06)):
-        content = {"benefit": shift, APPROACHES: _benefits(np.arange(4) / 100 + shift)}
+        content = {"benefit": shift, APPROACHES: _benefits(np.arange(8) / 100 + shift)}
         (tmp_path / f"validation/step-{frames:012d}.json").write_text(json.dumps(content))
     checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 200, {"algorithm": {}}, keep=1)))
     validator = Validator(TrainConfig(), tmp_path, frames=200)
-    noise = np.array([0.05, -0.06, 0.02, 0.0])
-    assert validator._is_best({"benefit": 0.09}, _benefits(np.arange(4) / 100 + 0.09 + noise))
-    worse = _benefits(np.arange(4) / 100 + 0.055 + 0.01 * noise)  # as good as the last, but not as the highest
+    noise = np.tile([0.05, -0.06, 0.02, 0.0], 2)
+    assert validator._is_best({"benefit": 0.09}, _benefits(np.arange(8) / 100 + 0.09 + noise))
+    worse = _benefits(np.arange(8) / 100 + 0.055 + 0.01 * noise)  # as good as the last, but not as the highest
     assert not validator._is_best({"benefit": 0.055}, worse)
