@@ -8,9 +8,11 @@ instead of many arrays: compiled functions take them by value. ``L`` lanes (sour
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from izoo.envs.twin.compiled import Byte1, Byte2, Float1, Float2, Int1, Int2, Int3, Long1, Long2, opener, tables_type
+import numpy as np
+
+from izoo.envs.twin.compiled import Byte1, Byte2, Float1, Float2, Int1, Int2, Int3, Long1, opener, tables_type
 
 LANE_LENGTH, LANE_LIMIT = range(2)
 """Columns of :attr:`TwinNet.lane_floats`: length (m), speed limit (m/s)."""
@@ -96,14 +98,14 @@ class TwinNet(NamedTuple):
         conflict_first and the rest: see :class:`~izoo.envs.twin.conflicts.Conflicts`.
     """
 
-    lane_floats: Float2
-    lane_ints: Int2
-    edge_ints: Int2
-    link_ints: Int2
+    lane_floats: Annotated[np.ndarray, "float64", 2, 2]
+    lane_ints: Annotated[np.ndarray, "int32", 2, 9]
+    edge_ints: Annotated[np.ndarray, "int32", 2, 4]
+    link_ints: Annotated[np.ndarray, "int32", 2, 16]
     responses: Int1
     foes: Int1
-    program_ints: Long2
-    phase_ints: Long2
+    program_ints: Annotated[np.ndarray, "int64", 2, 4]
+    phase_ints: Annotated[np.ndarray, "int64", 2, 2]
     phase_letters: Byte1
     program_first_link: Int1
     program_links: Int1
@@ -118,8 +120,8 @@ class TwinNet(NamedTuple):
     route_lane_step: Int2
     variant_first: Int1
     variant_count: Int1
-    variant_links: Int2
-    variant_group: Int2
+    variant_links: Annotated[np.ndarray, "int32", 2, 12]
+    variant_group: Annotated[np.ndarray, "int32", 2, 12]
     variant_bits: Long1
     best_length: Float2
     best_offset: Int2
@@ -128,7 +130,7 @@ class TwinNet(NamedTuple):
     incoming_start: Int1
     incoming_links: Int1
     shape_start: Int1
-    shape_points: Float2
+    shape_points: Annotated[np.ndarray, "float64", 2, 3]
     lane_width: Float1
     conflict_first: Int1
     conflict_count: Int1
@@ -154,8 +156,8 @@ class TwinTraffic(NamedTuple):
         ints: ``[N, 3]`` int64.
     """
 
-    floats: Float2
-    ints: Long2
+    floats: Annotated[np.ndarray, "float64", 2, 8]
+    ints: Annotated[np.ndarray, "int64", 2, 3]
 
 
 NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
@@ -253,7 +255,10 @@ due yet; items in use; vehicles on the road; vehicles dropped; first and last la
 
 MAX_ITEMS_PER_VEHICLE = 8
 
-NEVER_MS = 1 << 62
+VEHICLE_FLOATS, VEHICLE_INTS = 16, 32
+"""Columns of vehicles' tables, some of them free: rows are whole lines of the processor's cache."""
+
+NEVER_MS = (1 << 31) - 1
 
 
 MAX_ADVICES = 12
@@ -281,7 +286,7 @@ class TwinState(NamedTuple):
 
     Attributes:
         clock: ``[8]`` int64.
-        floats: ``[N, 16]`` float64. ints: ``[N, 28]`` int64.
+        floats: ``[N, VEHICLE_FLOATS]`` float64. ints: ``[N, VEHICLE_INTS]`` int32.
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L, 4]`` int32.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
@@ -289,22 +294,22 @@ class TwinState(NamedTuple):
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
-        item_floats: ``[I, 8]`` float64. item_ints: ``[I, 6]`` int64.
+        item_floats: ``[I, 8]`` float64. item_ints: ``[I, 8]`` int64.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
-        changer: ``[L, 5]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
+        changer: ``[L, 8]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
         moved: ``[N]`` int32: working memory of a step.
         changer_queue: ``[32]`` int32. changer_way: ``[32]`` float64: more of it.
         lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m; set when
             lanes are changed.
-        active: ``[L, 3]`` int32, the order in which lanes are served.
+        active: ``[L, 4]`` int32, the order in which lanes are served.
     """
 
     clock: Long1
-    floats: Float2
-    ints: Long2
-    tail_lane: Int2
-    lanes: Int2
-    tails: Int2
+    floats: Annotated[np.ndarray, "float64", 2, VEHICLE_FLOATS]
+    ints: Annotated[np.ndarray, "int32", 2, VEHICLE_INTS]
+    tail_lane: Annotated[np.ndarray, "int32", 2, MAX_TAIL_LANES]
+    lanes: Annotated[np.ndarray, "int32", 2, 4]
+    tails: Annotated[np.ndarray, "int32", 2, MAX_TAIL_LANES]
     waiting_first: Int1
     waiting_last: Int1
     waiting_next: Int1
@@ -312,17 +317,18 @@ class TwinState(NamedTuple):
     program_phase: Long1
     program_switch_ms: Long1
     link_first: Int1
-    item_floats: Float2
-    item_ints: Long2
-    advice: Float2
-    changer: Int2
+    item_floats: Annotated[np.ndarray, "float64", 2, 8]
+    item_ints: Annotated[np.ndarray, "int64", 2, 8]
+    advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
+    changer: Annotated[np.ndarray, "int32", 2, 8]
     changer_density: Float1
     changer_queue: Int1
     changer_way: Float1
     lane_room: Float1
     moved: Int1
-    active: Int2
+    active: Annotated[np.ndarray, "int32", 2, 4]
 
 
-NET, TRAFFIC, STATE = tables_type(TwinNet), tables_type(TwinTraffic), tables_type(TwinState)
+NET, TRAFFIC = tables_type(TwinNet, constant=True), tables_type(TwinTraffic, constant=True)
+STATE = tables_type(TwinState)
 open_net, open_traffic, open_state = opener(NET), opener(TRAFFIC), opener(STATE)

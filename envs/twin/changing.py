@@ -111,7 +111,8 @@ def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
 @compiled
 def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
     """Sum up what the vehicles of each lane take of its length."""
-    state.lane_room[:] = 0.0
+    for lane in range(state.lane_room.shape[0]):
+        state.lane_room[lane] = 0.0
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]

@@ -2,22 +2,36 @@
 
 A tuple of arrays, handed to a compiled function, is copied field by field at every call, and every array's references
 are counted; with some fifty arrays that costs minutes of compilation and most of the time of a step. Here compiled code
-gets the address of a *directory*, three 64-bit words per array (address, rows, columns), and ``state.floats[v, SPEED]``
+gets the address of a *directory*, a few 64-bit words per array (address, lengths), and ``state.floats[v, SPEED]``
 reads it there. Nothing is counted or copied: whoever calls keeps the arrays alive and never replaces them.
+
+What such code sees are no numba arrays but *tables*, which know less and are faster. Indices are whole numbers from 0
+on; a negative one is not counted from the end, but reads what is not there. Tables have elements, rows
+(``state.floats[v]``) and a ``shape``, and nothing else. The number of columns is mostly a constant of the type, no two
+tables overlap, and those of a net do not change, which the compiler is told.
 """
 
 from __future__ import annotations
 
 import functools
+import operator
 from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils, errors
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
-from numba.np.arrayobj import make_array, populate_array
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global
+from numba.extending import (
+    infer_getattr,
+    intrinsic,
+    lower_builtin,
+    lower_getattr,
+    lower_getattr_generic,
+    models,
+    register_model,
+)
 
 from izoo import compiling
 from izoo.errors import IzooError
@@ -34,48 +48,78 @@ Long1 = Annotated[np.ndarray, "int64", 1]
 Long2 = Annotated[np.ndarray, "int64", 2]
 Byte1 = Annotated[np.ndarray, "uint8", 1]
 Byte2 = Annotated[np.ndarray, "uint8", 2]
+"""Fields of a directory: type of the elements, and dimensions. A fourth entry is the number of columns, if it is a
+constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight."""
 
 WORDS = 4
 """Words of a directory per array: address, then the length of up to three dimensions."""
+_WORD = ir.IntType(64)
 
 
-class TablesType(types.Type):
+class TableType(types.Type):  # type: ignore[misc]
+    """Numba's type of a table of one or two dimensions, or of a row of one.
+
+    Args:
+        owner: name of the directory's type. field: name in it.
+        dtype: of the elements. dimensions: 1 or 2.
+        columns: of a table of two dimensions, of a row its length; 0 where that is only known when it runs.
+        constant: whether the elements never change.
+    """
+
+    def __init__(self, owner: str, field: str, dtype: str, dimensions: int, columns: int, constant: bool) -> None:
+        self.owner, self.field, self.dtype_name = owner, field, dtype
+        self.dtype = getattr(types, dtype)
+        self.dimensions, self.columns, self.constant = dimensions, columns, constant
+        super().__init__(name=f"Table({owner}.{field}: {dtype}, {dimensions}, {columns}, {constant})")
+
+    @property
+    def row(self) -> TableType:
+        """Type of a row."""
+        return TableType(self.owner, self.field, self.dtype_name, 1, self.columns, self.constant)
+
+
+class TablesType(types.Type):  # type: ignore[misc]
     """Numba's type of a directory: which arrays, of what type, in which order."""
 
-    def __init__(self, owner: str, fields: tuple[tuple[str, str, int], ...]) -> None:
-        self.owner, self.fields = owner, fields
-        super().__init__(name=f"Tables({owner}: {fields})")
+    def __init__(self, owner: str, fields: tuple[tuple[str, str, int, int], ...], constant: bool) -> None:
+        self.owner, self.fields, self.constant = owner, fields, constant
+        super().__init__(name=f"Tables({owner}: {fields}, {constant})")
 
-    def array_type(self, name: str) -> types.Array | None:
-        """Return the type of the array ``name``."""
-        for field, dtype, dimensions in self.fields:
-            if field == name:
-                return types.Array(getattr(types, dtype), dimensions, "C")
+    def table_type(self, name: str) -> TableType | None:
+        """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
+        for field, dtype, dimensions, columns in self.fields:
+            if field == name and dimensions < 3:
+                return TableType(self.owner, field, dtype, dimensions, columns, self.constant)
         return None
 
 
-def tables_type(owner: type) -> TablesType:
-    """Return the type of a directory of the arrays of ``owner``, a NamedTuple annotated with the names above."""
+def tables_type(owner: type, constant: bool = False) -> TablesType:
+    """Return the type of a directory of the arrays of ``owner``, a NamedTuple annotated with the names above.
+
+    Args:
+        constant: whether no array changes for as long as the directory is used.
+    """
     fields = []
     for name, hint in get_type_hints(owner, include_extras=True).items():
-        dtype, dimensions = hint.__metadata__
-        fields.append((name, dtype, dimensions))
-    return TablesType(owner.__name__, tuple(fields))
+        dtype, dimensions, *columns = hint.__metadata__
+        fields.append((name, dtype, dimensions, *(columns or [0])))
+    return TablesType(owner.__name__, tuple(fields), constant)
 
 
 def directory(tables: Any, kind: TablesType) -> np.ndarray:
     """Return the directory ``[fields * WORDS]`` int64 of a NamedTuple of arrays, for as long as these live.
 
     Raises:
-        IzooError: an array has another type or number of dimensions than ``kind`` says, or is not contiguous.
+        IzooError: an array has another type or shape than ``kind`` says, or is not contiguous.
     """
     words = np.zeros((len(kind.fields), WORDS), np.int64)
-    for row, (name, dtype, dimensions) in zip(words, kind.fields, strict=True):
+    for row, (name, dtype, dimensions, columns) in zip(words, kind.fields, strict=True):
         array = getattr(tables, name)
-        if array.dtype != np.dtype(dtype) or array.ndim != dimensions or not array.flags.c_contiguous:
+        wide = columns == 0 or array.shape[-1] == columns
+        if array.dtype != np.dtype(dtype) or array.ndim != dimensions or not wide or not array.flags.c_contiguous:
             raise IzooError(
-                f"{kind.owner}.{name} is {array.dtype} with {array.ndim} dimensions; compiled code needs {dtype} with "
-                f"{dimensions}, contiguous."
+                f"{kind.owner}.{name} is {array.dtype} of shape {array.shape}; compiled code needs {dtype} with "
+                f"{dimensions} dimensions{f' and {columns} columns' if columns else ''}, contiguous."
             )
         row[0] = array.ctypes.data
         row[1 : 1 + dimensions] = array.shape
@@ -85,44 +129,126 @@ def directory(tables: Any, kind: TablesType) -> np.ndarray:
 @register_model(TablesType)
 class _TablesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: TablesType) -> None:
-        super().__init__(manager, kind, ir.IntType(64).as_pointer())
+        super().__init__(manager, kind, _WORD.as_pointer())
+
+
+@register_model(TableType)
+class _TableModel(models.StructModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: TableType) -> None:
+        members = [("data", types.CPointer(kind.dtype)), ("rows", types.intp), ("columns", types.intp)]
+        super().__init__(manager, kind, members)
 
 
 @infer_getattr
 class _TablesAttribute(AttributeTemplate):  # type: ignore[misc]
     key = TablesType
 
-    def generic_resolve(self, kind: TablesType, name: str) -> types.Array | None:  # type: ignore[override]
-        return kind.array_type(name)
+    def generic_resolve(self, kind: TablesType, name: str) -> TableType | None:  # type: ignore[override]
+        return kind.table_type(name)
+
+
+@infer_getattr
+class _TableAttribute(AttributeTemplate):  # type: ignore[misc]
+    key = TableType
+
+    def resolve_shape(self, kind: TableType) -> types.UniTuple:
+        return types.UniTuple(types.intp, kind.dimensions)
 
 
 @lower_getattr_generic(TablesType)
-def _read_array(context: Any, builder: Any, kind: TablesType, value: Any, name: str) -> Any:
-    array_type: Any = kind.array_type(name)
+def _read_table(context: Any, builder: Any, kind: TablesType, value: Any, name: str) -> Any:
+    table_type: Any = kind.table_type(name)
     number = [field for field, *_ in kind.fields].index(name)
     constant = builder.module.add_metadata([])
 
     def word(k: int) -> Any:
-        load = builder.load(builder.gep(value, [ir.Constant(ir.IntType(64), number * WORDS + k)]))
+        load = builder.load(builder.gep(value, [ir.Constant(_WORD, number * WORDS + k)]))
         load.set_metadata("invariant.load", constant)
         return load
 
-    array = make_array(array_type)(context, builder)
-    data_type = context.get_data_type(array_type.dtype)
-    itemsize = context.get_abi_sizeof(data_type)
-    shape = [word(1 + k) for k in range(array_type.ndim)]
-    strides = [ir.Constant(ir.IntType(64), itemsize)]
-    for length in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], length))
-    populate_array(
-        array,
-        data=builder.inttoptr(word(0), data_type.as_pointer()),
-        shape=cgutils.pack_array(builder, shape),
-        strides=cgutils.pack_array(builder, strides),
-        itemsize=ir.Constant(ir.IntType(64), itemsize),
-        meminfo=None,
-    )
-    return array._getvalue()
+    table = cgutils.create_struct_proxy(table_type)(context, builder)
+    table.data = builder.inttoptr(word(0), context.get_data_type(table_type.dtype).as_pointer())
+    table.rows = word(1)
+    table.columns = ir.Constant(_WORD, table_type.columns) if table_type.columns else word(2)
+    return table._getvalue()
+
+
+@lower_getattr(TableType, "shape")
+def _read_shape(context: Any, builder: Any, kind: TableType, value: Any) -> Any:
+    table = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+    lengths = [table.rows, table.columns][: kind.dimensions]
+    return context.make_tuple(builder, types.UniTuple(types.intp, kind.dimensions), lengths)
+
+
+def _index_type(kind: Any, index: Any) -> types.Type | None:
+    """Return as what an index of a table is taken, ``None`` if it is none."""
+    if not isinstance(kind, TableType):
+        return None
+    if isinstance(index, types.Integer):
+        return types.intp
+    pair = isinstance(index, types.BaseTuple) and len(index) == kind.dimensions == 2
+    return types.UniTuple(types.intp, 2) if pair and all(isinstance(k, types.Integer) for k in index) else None
+
+
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):  # type: ignore[misc]
+    def generic(self, args: Any, kws: Any) -> Any:
+        kind, index = args
+        taken = _index_type(kind, index)
+        if taken is None:
+            return None
+        whole = isinstance(taken, types.UniTuple) or kind.dimensions == 1
+        return signature(kind.dtype if whole else kind.row, kind, taken)
+
+
+@infer_global(operator.setitem)
+class _SetItem(AbstractTemplate):  # type: ignore[misc]
+    def generic(self, args: Any, kws: Any) -> Any:
+        kind, index, _ = args
+        taken = _index_type(kind, index)
+        if taken is None or (kind.dimensions == 2 and not isinstance(taken, types.UniTuple)):
+            return None
+        return signature(types.none, kind, taken, kind.dtype)
+
+
+def _place(context: Any, builder: Any, kind: TableType, value: Any, index_type: Any, index: Any) -> Any:
+    """Return the pointer to an element, or to the first one of a row."""
+    table = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+    if isinstance(index_type, types.UniTuple):
+        row, column = cgutils.unpack_tuple(builder, index)
+        return builder.gep(table.data, [builder.add(builder.mul(row, table.columns), column)])
+    return builder.gep(table.data, [builder.mul(index, table.columns) if kind.dimensions == 2 else index])
+
+
+def _mark(builder: Any, kind: TableType, access: Any) -> None:
+    """Tell the compiler which table is read or written: others then need not be read again."""
+    module = builder.module
+    root = module.add_metadata(["tables"])
+    own = module.add_metadata([f"{kind.owner}.{kind.field}", root, ir.Constant(_WORD, 0)])
+    access.set_metadata("tbaa", module.add_metadata([own, own, ir.Constant(_WORD, 0)]))
+
+
+@lower_builtin(operator.getitem, TableType, types.Any)
+def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind, index_type = sig.args
+    place = _place(context, builder, kind, *args[:1], index_type, args[1])
+    if isinstance(sig.return_type, TableType):
+        row = cgutils.create_struct_proxy(sig.return_type)(context, builder)
+        table = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
+        row.data, row.rows, row.columns = place, table.columns, table.columns
+        return row._getvalue()
+    load = builder.load(place)
+    _mark(builder, kind, load)
+    if kind.constant:
+        load.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return load
+
+
+@lower_builtin(operator.setitem, TableType, types.Any, types.Any)
+def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    kind, index_type, _ = sig.args
+    _mark(builder, kind, builder.store(args[2], _place(context, builder, kind, args[0], index_type, args[1])))
+    return context.get_dummy_value()
 
 
 def opener(kind: TablesType) -> Any:
@@ -134,7 +260,7 @@ def opener(kind: TablesType) -> Any:
             raise errors.NumbaTypeError("the address of a directory is an integer")
 
         def lower(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            return builder.inttoptr(args[0], ir.IntType(64).as_pointer())
+            return builder.inttoptr(args[0], _WORD.as_pointer())
 
         return kind(types.int64), lower
 

@@ -104,8 +104,8 @@ def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # 
         step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
         _see_off(world, state, guests)
         _welcome(world, state, guests)
-        n = _read(world.tables, net, state, guests)
-        settle(world, (guests.lane[:n], guests.position[:n], guests.speed[:n], guests.signals[:n]))
+        _read(world.tables, net, state, guests)
+        settle(world, (guests.lane, guests.position, guests.speed, guests.signals))
         changed[k] = _count_changed(world.tables)
 
 
@@ -208,15 +208,13 @@ def _newcomer(state, guests):  # type: ignore[no-untyped-def]
 
 @compiled(borrows=True)
 def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
-    """Note where the members are: region lane, lane position, speed and signal bits; return how many there are."""
-    count = tables.cursor[MEMBERS]
-    for j in range(count):
+    """Note where the members are: region lane, lane position, speed and signal bits."""
+    for j in range(tables.cursor[MEMBERS]):
         v = tables.ints[tables.members[j], NUMBER]
         guests.lane[j] = net.lane_ints[state.ints[v, LANE], LANE_REGION]
         guests.position[j] = state.floats[v, POSITION]
         guests.speed[j] = state.floats[v, TWIN_SPEED]
         guests.signals[j] = state.ints[v, SIGNALS]
-    return count
 
 
 @compiled(borrows=True)

@@ -13,6 +13,8 @@ from izoo.envs.twin.arrays import (
     PROGRAM_FIRST_PHASE,
     PROGRAM_OFFSET_MS,
     PROGRAM_PHASES,
+    TwinNet,
+    TwinState,
 )
 from izoo.envs.twin.compiled import compiled
 
@@ -43,12 +45,10 @@ def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
             state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
 
 
-@compiled
-def begin_signals(net, state):  # type: ignore[no-untyped-def]
+def begin_signals(net: TwinNet, state: TwinState) -> None:
     """Begin an episode: links without a signal show their own state for ever."""
-    for link in range(net.link_ints.shape[0]):
-        if net.link_ints[link, LINK_PROGRAM] < 0:
-            state.link_letter[link] = net.link_ints[link, LINK_STATE]
+    own = net.link_ints[:, LINK_PROGRAM] < 0
+    state.link_letter[own] = net.link_ints[own, LINK_STATE]
     state.program_switch_ms[:] = -1
 
 

@@ -200,7 +200,8 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
 @compiled
 def register_approaches(state):  # type: ignore[no-untyped-def]
     """Let every link know the items of the vehicles that approach it."""
-    state.link_first[:] = -1
+    for link in range(state.link_first.shape[0]):
+        state.link_first[link] = -1
     for item in range(state.clock[ITEM_TOTAL]):
         link = state.item_ints[item, ITEM_LINK]
         if link >= 0:

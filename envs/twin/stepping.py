@@ -29,6 +29,8 @@ from izoo.envs.twin.arrays import (
     NOW_MS,
     STEP_COUNT,
     STOOD_FOR,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
     TwinNet,
     TwinState,
     TwinTraffic,
@@ -52,8 +54,8 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
     state = TwinState(
         clock=np.zeros(8, np.int64),
-        floats=np.zeros((count, 16)),
-        ints=np.zeros((count, 28), np.int64),
+        floats=np.zeros((count, VEHICLE_FLOATS)),
+        ints=np.zeros((count, VEHICLE_INTS), np.int32),
         tail_lane=np.full((count, MAX_TAIL_LANES), -1, np.int32),
         lanes=np.zeros((lanes, 4), np.int32),
         tails=np.full((lanes, MAX_TAIL_LANES), -1, np.int32),
@@ -65,15 +67,15 @@ def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
         program_switch_ms=np.full(programs, -1, np.int64),
         link_first=np.full(links, -1, np.int32),
         item_floats=np.zeros((items, 8)),
-        item_ints=np.zeros((items, 6), np.int64),
+        item_ints=np.zeros((items, 8), np.int64),
         advice=np.zeros((count, MAX_ADVICES)),
-        changer=np.zeros((lanes, 5), np.int32),
+        changer=np.zeros((lanes, 8), np.int32),
         changer_density=np.zeros(lanes),
         changer_queue=np.zeros(32, np.int32),
         changer_way=np.zeros(32),
         lane_room=np.zeros(lanes),
         moved=np.zeros(count, np.int32),
-        active=np.full((lanes, 3), -1, np.int32),
+        active=np.full((lanes, 4), -1, np.int32),
     )
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS, STOOD_FOR]] = -1

@@ -50,12 +50,12 @@ class TwinEpisode:
 
     @property
     def status(self) -> np.ndarray:
-        """``[N]`` int64, one of :data:`~izoo.envs.twin.arrays.NOT_YET` and those that follow it."""
+        """``[N]`` int32, one of :data:`~izoo.envs.twin.arrays.NOT_YET` and those that follow it."""
         return self.state.ints[:, STATUS]
 
     @property
     def lane(self) -> np.ndarray:
-        """``[N]`` int64, row of the net's lanes."""
+        """``[N]`` int32, row of the net's lanes."""
         return self.state.ints[:, LANE]
 
     @property
@@ -70,5 +70,5 @@ class TwinEpisode:
 
     @property
     def signals(self) -> np.ndarray:
-        """``[N]`` int64, SUMO's signal bits: 1 right, 2 left blinker."""
+        """``[N]`` int32, SUMO's signal bits: 1 right, 2 left blinker."""
         return self.state.ints[:, SIGNALS]

@@ -127,7 +127,8 @@ class TwinRun:
         vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
         driving = self.driving
         region = driving.net.lane_ints[driving.lane[vehicles], LANE_REGION].astype(np.int64)
-        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], driving.signals[vehicles]
+        signals = driving.signals[vehicles].astype(np.int64)
+        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
 
     def finish(self) -> None:
         """Complete the metrics and the frame of the last step."""
