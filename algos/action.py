@@ -100,9 +100,12 @@ class AdviseAction:
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes for advice."""
         from izoo.algos.advice import Advised, SpeedCap
+        from izoo.algos.scripted import make_driver
 
         learned = build(config, features, -self.depth, self.depth, rest=self.rest)
-        return Advised(learned, SpeedCap(env, self.brake_mps2))
+        name = getattr(config, "warm_start", "none")
+        expert = None if name == "none" else make_driver(name, env)
+        return Advised(learned, SpeedCap(env, self.brake_mps2), expert, self.depth)
 
 
 @dataclass(frozen=True)

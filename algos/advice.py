@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from tensordict import TensorDictBase
+import torch
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from izoo.algos import base
 from izoo.algos.scripted import DEFER
+from izoo.algos.warm_start import EXPERT_ADVICE
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
@@ -21,6 +23,8 @@ from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError
 
 ADVICE = ("agents", "advice")
+MOST_IMITATED = 0.98
+"""Advice is imitated up to this share of the deepest: the tanh reaches that nowhere."""
 
 
 class Translator(nn.Module):
@@ -47,6 +51,16 @@ class Translator(nn.Module):
         Args:
             seen: what :meth:`look` returned.
             advice: ``[*B, A]``.
+        """
+        raise NotImplementedError
+
+    def advice_for(self, seen: tuple[Tensor, Tensor], accel: Tensor, defer: Tensor) -> Tensor:
+        """Return the advice ``[*B, A]`` that comes closest to a command; the inverse of :meth:`command`.
+
+        Args:
+            seen: what :meth:`look` returned.
+            accel: ``[*B, A]`` m/s^2.
+            defer: ``[*B, A]`` bool: the command is to leave the vehicle alone.
         """
         raise NotImplementedError
 
@@ -82,6 +96,11 @@ class SpeedCap(Translator):
         speed, limit = seen
         accel = ((1.0 - advice) * limit - speed) / self.decision_s
         return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), advice <= 0.0
+
+    def advice_for(self, seen: tuple[Tensor, Tensor], accel: Tensor, defer: Tensor) -> Tensor:
+        speed, limit = seen
+        advice = 1.0 - (speed + accel * self.decision_s) / limit.clamp_min(1e-3)
+        return torch.where(defer, torch.zeros_like(advice), advice.clamp(0.0, 1.0))
 
 
 class AdvisedPolicy(TensorDictModuleBase):
@@ -119,22 +138,43 @@ class Advised:
     Args:
         learned: the algorithm, built for advice.
         translator: makes commands of what its policy emits.
+        expert: a driver for it to imitate; every batch is then handed on with the advice that it would have given.
+        depth: no such advice is beyond this.
     """
 
-    def __init__(self, learned: base.Algorithm, translator: Translator) -> None:
-        self.learned = learned
+    def __init__(
+        self,
+        learned: base.Algorithm,
+        translator: Translator,
+        expert: TensorDictModuleBase | None = None,
+        depth: float = 1.0,
+    ) -> None:
+        self.learned, self.translator, self.expert, self.depth = learned, translator, expert, depth
         self.policy = AdvisedPolicy(learned.policy, translator)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Hand the batch on with the advice in the place of the action; the batch itself stays as it is."""
         own = batch.copy()
         own.set(base.ACTION, batch.get(ADVICE))
+        if self.expert is not None:
+            own.set(EXPERT_ADVICE, self.expert_advice(batch))
         stats = self.learned.update(own, progress)
         mask = batch.get(base.MASK)
         if mask.any():
             stats["advice_abs"] = float(batch.get(ADVICE)[mask].abs().mean())
             stats["acting_share"] = float((~batch.get(DEFER)[mask]).float().mean())
         return stats
+
+    @torch.no_grad()
+    def expert_advice(self, batch: TensorDictBase) -> Tensor:
+        """Return what the expert would have advised in a batch ``[N, T]``, ``[N, T, A, 1]``."""
+        assert self.expert is not None
+        observation, mask = batch.get(base.OBSERVATION), batch.get(base.MASK)
+        asked = TensorDict(batch_size=batch.batch_size, device=observation.device)
+        commands = self.expert(asked.set(base.OBSERVATION, observation).set(base.MASK, mask))
+        seen = self.translator.look(observation, mask)
+        advice = self.translator.advice_for(seen, commands.get(base.ACTION).squeeze(-1), commands.get(DEFER))
+        return advice.clamp(max=MOST_IMITATED * self.depth).unsqueeze(-1)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the learned algorithm's state: a translator has none."""

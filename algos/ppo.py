@@ -20,6 +20,7 @@ from izoo.algos.gaussian import CompiledPolicy, SamplingPolicy, normal_parameter
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.masked_gae import TEAM_REWARD
 from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.warm_start import EXPERT_ADVICE, WarmStart
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
@@ -77,6 +78,7 @@ class PPO:
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()
         self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5)
+        self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
@@ -118,6 +120,10 @@ class PPO:
         rows = self.advantages(batch)
         if len(rows) == 0:
             return {}
+        start, actor = self.warm_start, self.loss.actor_network
+        imitates = start.imitating
+        if imitates:
+            rows.set(EXPERT_ADVICE, batch.get(EXPERT_ADVICE)[batch.get(base.MASK)])
         if self.config.anneal_lr:
             for group in self.optimiser.param_groups:
                 group["lr"] = self.config.lr * max(1.0 - progress, 0.0)
@@ -125,6 +131,8 @@ class PPO:
         steps = 0
         for minibatch in self._minibatches(rows):
             losses = self.loss(minibatch)
+            with self.loss.actor_network_params.to_module(actor):
+                losses = start.losses(actor, minibatch, losses, progress)
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
             self.optimiser.zero_grad()
             total.backward()  # type: ignore[union-attr]
@@ -133,8 +141,11 @@ class PPO:
             for key, value in losses.items():
                 totals[key] = totals.get(key, 0.0) + value.detach()
             steps += 1
-            if self.config.target_kl is not None and float(losses["kl_approx"]) > 1.5 * self.config.target_kl:
+            if imitates or self.config.target_kl is None:
+                continue
+            if float(losses["kl_approx"]) > 1.5 * self.config.target_kl:
                 break
+        start.count(batch.numel(), self.loss.actor_network_params, progress)
         stats = {key: float(value) / steps for key, value in totals.items()}
         self._adapt_kl_weight(stats.get("kl"))
         stats["lr"] = self.optimiser.param_groups[0]["lr"]
@@ -189,6 +200,7 @@ class PPO:
             "optimiser": self.optimiser.state_dict(),
             "kl_weight": float(self.loss.kl_weight),
             "value_norm": {} if self.loss.value_norm is None else self.loss.value_norm.state_dict(),
+            "warm_start": self.warm_start.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -199,3 +211,4 @@ class PPO:
         self.loss.kl_weight.fill_(state["kl_weight"])
         if self.loss.value_norm is not None:
             self.loss.value_norm.load_state_dict(state["value_norm"])
+        self.warm_start.load_state_dict(state["warm_start"], self.loss.actor_network_params)

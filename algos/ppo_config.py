@@ -70,6 +70,11 @@ class PPOConfig(AlgoConfig):
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
         reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
             are of order 1 and the value function learns within a few batches).
+        warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
+            Needs ``action=advise``, in which both can leave a CV alone.
+        warm_start_frames: environment steps, over all environments, of the imitation.
+        kl_to_start: weight of a penalty on the divergence from the imitation as it was at its end; it falls linearly to
+            0 at the end of the run (ours 1; 0: none).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
         initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
@@ -98,6 +103,9 @@ class PPOConfig(AlgoConfig):
     separate_clips: bool = False
     max_grad_norm: float | None = 0.5
     reward_scale: float = 0.1
+    warm_start: Literal["none", "glide"] = "none"
+    warm_start_frames: int = 100_000
+    kl_to_start: float = 1.0
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
     initial_accel_mps2: float = 0.5
@@ -115,6 +123,8 @@ class PPOConfig(AlgoConfig):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
+        check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
         check_widths("algo.hidden", self.hidden)
 
     @classmethod

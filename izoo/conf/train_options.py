@@ -222,6 +222,12 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
+        warm_start = getattr(self.algo, "warm_start", "none")
+        if warm_start != "none" and self.action.name != "advise":
+            raise IzooError(
+                f"algo.warm_start={warm_start} imitates a driver that leaves most CVs alone, which action="
+                f"{self.action.name} cannot say; choose action=advise, or algo.warm_start=none."
+            )
         if getattr(self.algo, "credit", "agent") == "team":
             self._credit_the_team()
         if getattr(self.algo, "control_variate", False) and self.simulator != "twin":

@@ -73,6 +73,12 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
     [
         pytest.param(["collector=single"], id="single-ppo", marks=pytest.mark.slow),
         pytest.param(["simulator=twin", "num_envs=4", "twin.threads=2"], id="twin-ppo", marks=pytest.mark.slow),
+        # Killed after its imitation, which is a part of its state.
+        pytest.param(
+            ["simulator=twin", "num_envs=4", "action=advise", "algo.warm_start=glide", "algo.warm_start_frames=400"],
+            id="twin-warm-start",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
     ],
 )
