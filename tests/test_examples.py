@@ -12,7 +12,10 @@ import pytest
 import torch
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
-TESTED = {"ppo_by_hand", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city", "offline_data"}
+TESTED = {
+    *("ppo_by_hand", "stock_torchrl", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city"),
+    "offline_data",
+}
 
 
 @pytest.fixture(autouse=True)
@@ -37,6 +40,24 @@ def test_ppo_by_hand() -> None:
     assert len(source.splitlines()) <= 150
     names = {name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom) for name in [node.module]}
     assert not {name for name in names if name and name.startswith(("hydra", "izoo.train", "izoo.conf", "izoo.algos"))}
+
+
+@pytest.mark.parametrize("name", ["ppo", "mappo", "graph", "ddpg"])
+def test_stock_torchrl_trains_with_every_loss(name: str) -> None:
+    """From braking at random, which stops everybody, to driving: TorchRL's collector, buffer and optimiser alone."""
+    from izoo.docs.examples import stock_torchrl
+
+    history = stock_torchrl.train(name, batches=15, num_envs=8)
+    assert len(history) == 15
+    assert max(history[:2]) < -2.0 and np.mean(history[-3:]) > -1.2, history
+    source = (FOLDER / "stock_torchrl.py").read_text()
+    loop = next(
+        node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef) and node.name == "train"
+    )
+    assert loop.end_lineno is not None and loop.end_lineno - loop.lineno < 40
+    modules = {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
+    izoos = {name for name in modules if name and name.startswith("izoo")}
+    assert izoos == {"izoo.algos.losses", "izoo.contexts.procedural", "izoo.envs"}
 
 
 def test_stable_baselines() -> None:
