@@ -43,12 +43,6 @@ class Feature:
         """Raise :class:`IzooError` unless ``value`` is legal."""
         check_range(self.name, value, self.low, self.high, self.unit)
 
-    def scaled(self, value: float) -> float:
-        """Return the value as an observation holds it."""
-        if not self.observed:
-            raise IzooError(f"{self.name!r} has no place in an observation: {self.hidden}.")
-        return value / self.scale
-
 
 _UNPREDICTABLE = "a road user cannot measure it; it belongs to the procedural, unobserved part of the context"
 

@@ -59,12 +59,10 @@ class Draws:
         values: ``log_mean``, ``log_sd`` ``[C, S, 5]``, ``correlation`` ``[C, S, 5, 5]``, ``noise_mean``, ``noise_sd``
             ``[C, S]`` of the population; ``x`` ``[C, S, D, 5]`` and ``log_noise`` ``[C, S, D]`` of the drivers.
         diverging: ``[C, S]`` bool.
-        leapfrogs: ``[C, S]`` gradients per draw.
     """
 
     values: dict[str, np.ndarray]
     diverging: np.ndarray
-    leapfrogs: np.ndarray
 
     @property
     def log_cov(self) -> np.ndarray:
@@ -105,7 +103,7 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
     def advance(state: Any) -> Any:
         def one(state: Any, _: None) -> Any:
             state = kernel.sample(state, (), {})
-            return state, (state.z, state.diverging, state.num_steps)
+            return state, (state.z, state.diverging)
 
         return jax.lax.scan(one, state, None, length=PIECE)
 
@@ -118,9 +116,9 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
         for piece in range(warmup + kept):
             results = list(threads.map(lambda state: jax.block_until_ready(advance(state)), states))
             states = [state for state, _ in results]
-            for chain, (_, (place, *rest)) in zip(pieces, results, strict=True):
+            for chain, (_, (place, diverging)) in zip(pieces, results, strict=True):
                 if piece >= warmup:
-                    chain.append(({name: np.asarray(value) for name, value in constrain(place).items()}, *rest))
+                    chain.append(({name: np.asarray(value) for name, value in constrain(place).items()}, diverging))
             report((piece + 1) / (warmup + kept))
     return _gather(pieces, config.draws)
 
@@ -140,4 +138,4 @@ def _gather(pieces: list[list[Any]], draws: int) -> Draws:
 
     names = pieces[0][0][0].keys()
     values = {name: stack(lambda piece, name=name: piece[0][name]) for name in names}  # type: ignore[misc]
-    return Draws(values, stack(lambda piece: piece[1]), stack(lambda piece: piece[2]))
+    return Draws(values, stack(lambda piece: piece[1]))

@@ -119,8 +119,8 @@ def read_following(paths: Sequence[Path], config: ReadConfig) -> tuple[dict[str,
             if len(of_class) or pairs.empty
         )
         raise IzooError(
-            f"{', '.join(map(str, paths))}: {counts} have {MIN_STEPS} steps of {step_s:g} s behind a leader; a population "
-            f"needs {MIN_DRIVERS} such drivers of a class. A step counts where the driver's next row is {step_s:g} s "
+            f"{', '.join(map(str, paths))}: {counts} have {MIN_STEPS} steps of {step_s:g} s behind a leader; a "
+            f"population needs {MIN_DRIVERS} such drivers of a class. A step counts where the next row is {step_s:g} s "
             "later. Give more trajectories, at equal steps."
         )
     return found, notes

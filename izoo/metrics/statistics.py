@@ -117,7 +117,9 @@ def estimate(scores: ArrayLike, statistic: Statistic, groups: Sequence[object], 
 
 
 def improvement(x: ArrayLike, y: ArrayLike, groups: Sequence[object]) -> Estimate:
-    """Return :func:`probability_of_improvement` with its interval over intersections and both sides' training seeds.
+    """Return the probability that a seed of X beats a seed of Y on an approach, ties counting one half.
+
+    The interval is over other intersections and both sides' training seeds.
 
     Args:
         x: ``[S_x, M]`` scores (higher is better).
@@ -139,16 +141,6 @@ def improvement(x: ArrayLike, y: ArrayLike, groups: Sequence[object]) -> Estimat
             parts.append(_of_seeds(above.mean(axis=(1 - axis, 2))))
     few = any(1 < count < MIN_TRAIN_SEEDS for count in counts)
     return _interval(float(above.mean()), parts, True, (above.shape[2], len(members), max(counts)), few)
-
-
-def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
-    """Mean over approaches of the probability that a seed of X beats a seed of Y; ties count one half.
-
-    Args:
-        x: ``[S_x, M]`` scores (higher is better).
-        y: ``[S_y, M]``.
-    """
-    return float(_wins(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)).mean())
 
 
 def paired_saving(policy: ArrayLike, baseline: ArrayLike) -> Estimate:

@@ -23,7 +23,6 @@ def test_declarations_are_consistent():
 def test_selection_comes_back_in_canonical_order():
     assert check_observed(["engine", "adoption"]) == ("adoption", "engine")
     assert scales(["speed_limit_mps", "green_s"]) == (100.0, 15.0)
-    assert feature("lane_length_m").scaled(500.0) == 2.0
 
 
 @pytest.mark.parametrize(
@@ -32,8 +31,6 @@ def test_selection_comes_back_in_canonical_order():
 def test_unobserved_features_are_refused_with_the_reason(name):
     with pytest.raises(IzooError, match=f"'{name}' cannot be observed: .+ Observable features: adoption"):
         check_observed([name])
-    with pytest.raises(IzooError, match="no place in an observation"):
-        feature(name).scaled(1.0)
 
 
 def test_unknown_and_repeated_names_are_refused():

@@ -21,7 +21,6 @@ from izoo.metrics.statistics import (
     mean,
     paired_saving,
     performance_profile,
-    probability_of_improvement,
     share_positive,
 )
 from izoo.metrics.student import student_t_below, student_t_quantile
@@ -33,9 +32,8 @@ PLACES_OF_X = [f"x/{k}" for k in range(11)]
 
 
 def test_probability_of_improvement_equals_rliable() -> None:
-    assert probability_of_improvement(X, Y) == pytest.approx(0.35227273, abs=1e-8)
     assert improvement(X, Y, PLACES_OF_X).value == pytest.approx(0.35227273, abs=1e-8)
-    assert probability_of_improvement(X, X) == 0.5
+    assert improvement(X, X, PLACES_OF_X).value == 0.5
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 8, 101])
@@ -172,7 +170,7 @@ def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(IzooError, match="10 group labels"):
         estimate(X, mean, PLACES_OF_X[:-1])
     with pytest.raises(IzooError, match="over the same"):
-        probability_of_improvement(X, Y[:, :3])
+        improvement(X, Y[:, :3], PLACES_OF_X)
     with pytest.raises(IzooError, match="labels"):
         improvement(X, Y, ["a"])
     with pytest.raises(IzooError, match="shapes"):
