@@ -16,7 +16,7 @@ PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loa
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make train      install into .venv if need be and train PPO for a few minutes (ARGS='seed=1 ...' adds options)"
+	@echo "make train      install into .venv if need be and train a policy that saves CO2, in a few minutes (ARGS='seed=1 ...')"
 	@echo "make test       install and run the quick tests, some five minutes (ARGS='-k name' adds pytest options)"
 	@echo "make test-all   the same, then the slow tests: some fifteen minutes"
 	@echo "make docs       build the documentation site into build/site (Python 3.11 or newer)"
@@ -33,8 +33,9 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --upgrade-strategy only-if-needed -c constraints.txt -e '.[dev]'
 	@touch $@
 
+# A run that is resumed has its own options.
 train: $(STAMP)
-	$(BIN)/python -m izoo.train $(ARGS)
+	$(BIN)/python -m izoo.train $(if $(findstring resume=,$(ARGS)),,recipe=busy_lane) $(ARGS)
 
 test: $(STAMP)
 	$(PYTEST) -m 'not slow' $(ARGS)

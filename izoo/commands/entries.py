@@ -9,6 +9,7 @@ TRAIN = OptionCommand(
     summary="Train a policy on eco-driving contexts, then compare it with human driving.",
     examples=(
         "izoo.train",
+        "izoo.train recipe=busy_lane seed=1",
         "izoo.train contexts=pcg_easy total_frames=100000 seed=1",
         "izoo.train contexts=dataset contexts.path=DIR algo=ppo algo.lr=1e-4 num_workers=8",
         "izoo.train -m seed=0,1,2,3",
@@ -17,6 +18,7 @@ TRAIN = OptionCommand(
     config="izoo.conf.train_options:TrainConfig",
     work="izoo.training.loop:train",
     check="izoo.commands.given_paths:check_train",
+    recipes=True,
 )
 EVALUATE = OptionCommand(
     name="evaluate",

@@ -8,6 +8,8 @@ import re
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+from izoo.conf.recipes import RECIPES
+
 if TYPE_CHECKING:
     from izoo.commands.option_command import OptionCommand
 
@@ -37,6 +39,9 @@ def help_text(command: OptionCommand, config_class: type, groups: dict[str, tupl
     if chosen:
         lines += ["", "Choices:"]
         lines += [f"  {name}={' | '.join(groups[name])}" for name in chosen]
+    if command.recipes:
+        lines += ["", "Recipes, sets of options that go together and that others change:"]
+        lines += [f"  recipe={name}: {about}" for name, (about, _) in RECIPES.items()]
     note = " (another choice has options of its own: --cfg shows them)" if chosen else ""
     lines += ["", f"Options, with their defaults{note}:"]
     nested = [name for name in fields if dataclasses.is_dataclass(getattr(default, name))]

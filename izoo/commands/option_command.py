@@ -16,6 +16,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.commands.help_page import help_text, to_yaml
+from izoo.conf.recipes import with_recipe
 from izoo.console import EXIT_BAD_INPUT, EXIT_UNFINISHED, exit_code, unheard
 from izoo.errors import IzooError, UnfinishedError, unknown_choice
 
@@ -39,6 +40,7 @@ class OptionCommand:
             imported; it imports nothing slow.
         place: an option that is given without its name, as in ``izoo.report FOLDER``.
         literal: options whose values are taken as they are written, whatever signs they hold.
+        recipes: whether ``recipe=NAME`` may stand for other words (:mod:`izoo.conf.recipes`).
     """
 
     name: str
@@ -49,6 +51,7 @@ class OptionCommand:
     check: str | None = None
     place: str | None = None
     literal: tuple[str, ...] = ()
+    recipes: bool = False
 
     def main(self, argv: Sequence[str] | None = None) -> int:
         """Run the command and return its exit code (:func:`izoo.console.exit_code`)."""
@@ -66,8 +69,10 @@ class OptionCommand:
         """Return words that are no flags as ``option=value``.
 
         Raises:
-            IzooError: words without a name, and not one for the option that is given so.
+            IzooError: words without a name, and not one for the option that is given so; an unknown recipe.
         """
+        if self.recipes:
+            words = with_recipe(words)
         if self.place is not None:
             # Folders may contain "=": what exists is a folder.
             nameless = [word for word in words if "=" not in word or Path(word).exists()]

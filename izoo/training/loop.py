@@ -225,8 +225,10 @@ class Session:
         if interrupt.requested:
             self._say_where_it_stopped()
             raise KeyboardInterrupt
-        self._evaluate()
+        found = self._evaluate()
         print(f"Run folder: {self.run_dir}", flush=True)
+        if found:
+            print(found, flush=True)
 
     def _say_where_it_stopped(self) -> None:
         if self.batches == 0:
@@ -381,12 +383,17 @@ class Session:
             plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
             self._plotted_s = self.seconds
 
-    def _evaluate(self) -> None:
-        """Compare briefly with human driving, in episodes as long as those of training; keep that in the run folder."""
+    def _evaluate(self) -> str:
+        """Compare briefly with human driving, in episodes as long as those of training; keep that in the run folder.
+
+        Returns:
+            In words what was found; empty where nothing is compared.
+        """
         options = self.config.evaluation
         if options.contexts == 0 or self.batches == 0:
-            return
+            return ""
         from izoo.evaluation import evaluate_policy, print_summary, summarise
+        from izoo.evaluation.words import in_words
 
         contexts = choose_contexts(self.source, options.contexts, self.config.seed)
         seeds = episode_seeds(self.config.seed + EVALUATION_STREAM, options.seeds)
@@ -399,4 +406,6 @@ class Session:
             num_workers=self.config.num_workers,
             out_dir=self.run_dir,
         )
-        print_summary(summarise(table))
+        summary = summarise(table)
+        print_summary(summary)
+        return in_words(summary)

@@ -1,0 +1,68 @@
+"""Whole sets of training options that go together, by name: ``recipe=NAME``.
+
+Other words on the command line change them. A word that chooses another algorithm, action mode or set of contexts takes
+the place of all that the recipe says about it, since the options of one choice mean nothing to another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from izoo.errors import unknown_choice
+
+RECIPE = "recipe="
+RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "busy_lane": (
+        "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",
+        (
+            "contexts=pcg",
+            "contexts.lane_count=1",
+            "contexts.phase_count=1",
+            "contexts.inflow_vph_per_lane=400..600",
+            "contexts.green_s=20..26",
+            "contexts.red_s=24..32",
+            "contexts.lane_length_m=250..500",
+            "simulator=twin",
+            "twin.surrogate=compiled",
+            "num_envs=32",
+            "action=advise",
+            "env.hold_s=2",
+            "env.num_agents=32",
+            "env.num_vehicles=128",
+            "algo=ppo",
+            "algo.warm_start=glide",
+            "algo.warm_start_frames=80000",
+            "algo.frames_per_batch=9600",
+            "algo.lr=1e-3",
+            "total_frames=80000",
+            "validation.every_batches=2",
+            "validation.contexts=4",
+            "evaluation.contexts=16",
+        ),
+    ),
+}
+"""What each recipe is for, and its words."""
+_CHOICES = ("algo", "action", "contexts")
+
+
+def with_recipe(words: Sequence[str]) -> list[str]:
+    """Return ``words`` with those of the recipe that they name before them, but for what they say themselves.
+
+    Raises:
+        IzooError: there is no such recipe.
+    """
+    named = [word for word in words if word.startswith(RECIPE)]
+    others = [word for word in words if word not in named]
+    if not named:
+        return others
+    name = named[-1].removeprefix(RECIPE).strip("'\"")
+    if name not in RECIPES:
+        raise unknown_choice(RECIPE[:-1], name, RECIPES)
+    said = {word.partition("=")[0] for word in others}
+    replaced = [group for group in _CHOICES if group in said]
+    kept = [
+        word
+        for word in RECIPES[name][1]
+        if word.partition("=")[0] not in said and word.partition("=")[0].partition(".")[0] not in replaced
+    ]
+    return [*kept, *others]
