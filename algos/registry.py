@@ -35,6 +35,11 @@ class AlgoConfig:
     name: str
     frames_per_batch: int
 
+    @property
+    def candidates(self) -> int:
+        """How many policies are compared in each batch, which then holds whole episodes; 1: there is one policy."""
+        return 1
+
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> type[AlgoConfig]:
         """Return the class of the hyper-parameters whose ``name`` stands in ``values``.
@@ -69,6 +74,7 @@ ALGORITHMS = {
     "ppo": Home("izoo.algos.ppo:PPO", "izoo.algos.ppo_config:PPOConfig", ("paper",)),
     "ddpg": Home("izoo.algos.ddpg:DDPG", "izoo.algos.ddpg_config:DDPGConfig", ("paper",)),
     "mappo": Home("izoo.algos.mappo:MAPPO", "izoo.algos.ppo_config:MAPPOConfig", ("paper",)),
+    "cmaes": Home("izoo.algos.cmaes:CMAES", "izoo.algos.cmaes_config:CMAESConfig"),
     "gcrl": Home("izoo.algos.gcrl:GCRL", "izoo.algos.ppo_config:GCRLConfig", ("paper",)),
 }
 

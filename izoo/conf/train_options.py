@@ -230,6 +230,8 @@ class TrainConfig:
             )
         if getattr(self.algo, "credit", "agent") == "team":
             self._credit_the_team()
+        if self.algo.candidates > 1:
+            self._emit_team_reward()
         if getattr(self.algo, "control_variate", False) and self.simulator != "twin":
             raise IzooError(
                 "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
@@ -241,7 +243,9 @@ class TrainConfig:
     @property
     def staggered(self) -> int:
         """How many of the first episodes begin at random phases."""
-        return (self.num_envs or TWIN_ENVS) if self.simulator == "twin" and self.twin.stagger else 0
+        if self.simulator == "sumo" or not self.twin.stagger or self.algo.candidates > 1:
+            return 0
+        return self.num_envs or TWIN_ENVS
 
     def _credit_the_team(self) -> None:
         """Refuse a reward that is not the team's, and let the environment emit the team's."""
@@ -251,6 +255,9 @@ class TrainConfig:
                 f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
                 "or algo.credit=agent."
             )
+        self._emit_team_reward()
+
+    def _emit_team_reward(self) -> None:
         if TEAM_REWARD not in self.env.emit:
             emit = (*self.env.emit, TEAM_REWARD)
             object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))

@@ -24,7 +24,7 @@ from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
-from izoo.errors import UnfinishedError
+from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
 from izoo.training.heartbeats import Watch, open_counts
@@ -40,6 +40,25 @@ class ShiftedSchedule:
 
     def __call__(self, episode: int) -> tuple[Context, int]:
         return self.schedule(self.first + episode)
+
+
+@dataclass(frozen=True)
+class SharedSchedule:
+    """``schedule`` for environments in ``blocks`` of equal size, all of which play the same episodes.
+
+    Attributes:
+        schedule: the episodes of one block.
+        envs: environments in all, a multiple of ``blocks``.
+        blocks: how many policies are compared.
+    """
+
+    schedule: Schedule
+    envs: int
+    blocks: int
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        size = self.envs // self.blocks
+        return self.schedule(episode // self.envs * size + episode % size)
 
 
 class ProcessesCollector(MultiSyncCollector):
@@ -181,7 +200,17 @@ class BatchSource:
 
 
 def check_collector(config: TrainConfig) -> None:
-    """Raise :class:`IzooError` where the collector that ``config`` names cannot be had here."""
+    """Raise :class:`IzooError` where the collector that ``config`` names cannot be had here, or does not suit its
+    algorithm.
+    """
+    policies, envs = config.algo.candidates, num_envs(config)
+    if policies > 1 and (config.simulator != "twin" or envs % policies or config.env.reward.eta != 1.0):
+        raise IzooError(
+            f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares what "
+            f"their teams are paid, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
+            f"{config.env.reward.eta:g}; choose simulator=twin, a multiple of {policies} for num_envs, and "
+            "env.reward=fuel_team or env.reward.eta=1."
+        )
     if config.collector.name == "ray":
         cluster.connect()
 
@@ -194,8 +223,13 @@ def num_envs(config: TrainConfig) -> int:
 
 
 def frames_per_batch(config: TrainConfig) -> int:
-    """Return the steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number."""
+    """Return the steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number.
+
+    Where policies are compared, it is an episode of each.
+    """
     count = num_envs(config)
+    if config.algo.candidates > 1:
+        return count * config.env.decisions
     return -(-config.algo.frames_per_batch // count) * count
 
 
@@ -230,7 +264,7 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) 
         threads=config.twin.threads,
         surrogate=config.twin.surrogate,
         state=state,
-        phases=random_phases(count, config.env.decisions, config.seed) if config.twin.stagger else None,
+        phases=random_phases(count, config.env.decisions, config.seed) if config.staggered else None,
     )
 
 

@@ -21,7 +21,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
 from izoo.training import checkpoint, plots, records, runs
-from izoo.training.collectors import BatchSource, ShiftedSchedule, check_collector, num_envs
+from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
 from izoo.training.learner import Learner, is_finite, learner_device
 from izoo.training.paired import Paired
@@ -350,7 +350,10 @@ class Session:
     def _schedule(self) -> Schedule:
         """Return the training episodes; other numbers of environments have played those that are left out."""
         schedule: Schedule = RandomSchedule(self.source, self.config.seed)
-        return ShiftedSchedule(schedule, self.first_episode) if self.first_episode else schedule
+        if self.first_episode:
+            schedule = ShiftedSchedule(schedule, self.first_episode)
+        blocks = self.config.algo.candidates
+        return SharedSchedule(schedule, num_envs(self.config), blocks) if blocks > 1 else schedule
 
     def _save(self) -> None:
         if self._saved_at == self.frames or self.batches == 0:

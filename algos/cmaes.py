@@ -1,0 +1,173 @@
+"""CMA-ES over linear policies: no gradients, no credit to assign, whole episodes compared with each other.
+
+The policies of a generation play the same contexts with the same seeds, so that what tells two of them apart is their
+driving and not the traffic that they met: differences that policy gradients lose in the noise of single actions are
+plain in the returns of whole teams (common random numbers). One return belongs to a whole fleet, so what a vehicle
+does for those behind it counts by itself.
+
+The strategy is Hansen's (arXiv 1604.00772), by the library ``cma``; linear policies for control by random search:
+Mania et al., arXiv 1803.07055.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cma
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from izoo.algos import base
+from izoo.algos.action import Rest
+from izoo.algos.cmaes_config import CMAESConfig
+from izoo.algos.masked_gae import TEAM_REWARD
+from izoo.errors import IzooError
+
+MOST = 2.0
+"""Observations are cut off here: some count far away as very large."""
+FULL = 3.0
+"""Of this the tanh is 0.995."""
+
+
+class LinearPolicies(TensorDictModuleBase):
+    """A population of linear policies while exploring, and their mean otherwise.
+
+    Environments are shared out among the policies in equal blocks, in order. An agent's action is a tanh of
+    ``x = weights . observation + bias``, stretched to the bounds. Where an action of 0 is doing nothing, so is every
+    ``x`` within ``band`` of 0, and weights of 0 are; elsewhere they ask for full throttle, which the simulator's own
+    driver bounds.
+
+    Args:
+        features: length ``F`` of an observation.
+        low, high: bounds of the action.
+        population: policies, of ``F + 1`` weights each.
+        band: see above; ``None``: no action is doing nothing.
+    """
+
+    mean: Tensor
+    candidates: Tensor
+    quiet_band = 0.0
+
+    def __init__(self, features: int, low: float, high: float, population: int, band: float | None) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
+        self.middle, self.half, self.band = (high + low) / 2, (high - low) / 2, band
+        self.register_buffer("mean", torch.zeros(features + 1))
+        self.register_buffer("candidates", torch.zeros(population, features + 1))
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions ``[*B, A, 1]``, 0 in empty slots.
+
+        Raises:
+            IzooError: while exploring, the environments cannot be shared out evenly.
+        """
+        seen, mask = tensordict.get(base.OBSERVATION).clamp(-MOST, MOST), tensordict.get(base.MASK)
+        if base.explores():
+            count, envs = len(self.candidates), mask.shape[0] if mask.ndim > 1 else 1
+            if mask.ndim < 2 or envs % count:
+                raise IzooError(
+                    f"{count} policies cannot share {envs} environments evenly; give a multiple of {count}."
+                )
+            weights = self.candidates.repeat_interleave(envs // count, dim=0)
+            raw = torch.matmul(seen, weights[:, :-1, None]).squeeze(-1) + weights[:, -1:]
+        else:
+            raw = seen @ self.mean[:-1] + self.mean[-1]
+        raw = raw + FULL if self.band is None else raw.sign() * (raw.abs() - self.band).clamp_min(0.0)
+        action = self.middle + self.half * torch.tanh(raw)
+        return tensordict.set(base.ACTION, torch.where(mask, action, 0.0).unsqueeze(-1))
+
+
+class CMAES:
+    """CMA-ES; see :class:`izoo.algos.base.Algorithm`. It learns from batches of whole episodes.
+
+    Args:
+        config: hyper-parameters.
+        features: length of an observation.
+        low, high: bounds of the action: an acceleration in m/s^2, or advice.
+        device: where the weights live.
+        rest: that an action of 0 is doing nothing; one of 0 and below it then is.
+    """
+
+    def __init__(
+        self,
+        config: CMAESConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Rest | None = None,
+    ) -> None:
+        self.config = config
+        band = None if rest is None else config.initial_spread
+        self.policy = LinearPolicies(features, low, high, config.population, band).to(device)
+        self.seed = int(torch.randint(2**31 - 1, ()))
+        self.returns: list[np.ndarray] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        generator = np.random.default_rng(self.seed)
+        options = {
+            "popsize": self.config.population,
+            "randn": lambda *shape: generator.standard_normal(shape),
+            "seed": math.nan,  # the library's own would be numpy's global one
+            "verbose": -9,
+        }
+        weights = self.policy.mean.numel()
+        self.strategy = cma.CMAEvolutionStrategy(np.zeros(weights), self.config.initial_spread, options)
+        self._ask()
+
+    def _ask(self) -> None:
+        self._asked = self.strategy.ask()
+        self.policy.candidates.copy_(torch.from_numpy(np.array(self._asked)))
+        self.policy.mean.copy_(torch.from_numpy(np.array(self.strategy.mean)))
+
+    def _tell(self, returns: np.ndarray) -> None:
+        self.returns.append(returns)
+        self.strategy.tell(self._asked, list(-returns))
+        self._ask()
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from a generation: whole episodes ``[N, T]`` with the team's rewards, environments in blocks.
+
+        Raises:
+            IzooError: the episodes are not whole.
+        """
+        reward, done = batch.get(("next", TEAM_REWARD)).squeeze(-1), batch.get(("next", "done")).squeeze(-1)
+        if not (done[:, -1].all() and not done[:, :-1].any()):
+            raise IzooError(
+                "CMA-ES compares whole episodes: a batch must hold one of each environment, from its start."
+            )
+        population = self.config.population
+        # Contexts in which driving makes little difference shall not be drowned by those where it makes much: what
+        # counts is the difference to how the generation fares in the same context.
+        returns = reward.double().sum(1).view(population, -1)
+        relative = (returns - returns.mean(0)) / returns.mean(0).abs().clamp_min(1e-9)
+        fitness = relative.mean(1).cpu().numpy()
+        self._tell(fitness)
+        return {
+            "return_spread": float(fitness.std()),
+            "return_best": float(fitness.max()),
+            "search_spread": float(self.strategy.sigma),
+            "weights_norm": float(self.policy.mean.norm()),
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the seed and what each generation was told: the search is played again from these."""
+        told = np.array(self.returns).reshape(-1, self.config.population)
+        return {"policy": self.policy.state_dict(), "seed": self.seed, "returns": torch.from_numpy(told)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        returns = state["returns"].numpy()
+        if returns.ndim != 2 or (len(returns) and returns.shape[1] != self.config.population):
+            raise ValueError(f"generations of {list(returns.shape)[1:]} policies, not {self.config.population}")
+        self.seed, self.returns = int(state["seed"]), []
+        self._begin()
+        for told in returns:
+            self._tell(told)
+        self.policy.load_state_dict(state["policy"])
