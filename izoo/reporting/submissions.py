@@ -175,8 +175,9 @@ def merge(checked: Sequence[Checked]) -> dict[str, Any]:
 
     Returns:
         ``format``, and ``groups``: per protocol its options, ``ranked`` (without marks, best mean benefit under the
-        exact gate first) and ``marked``; each with ``source``, ``policy``, ``simulator``, ``versions``, ``n``, ``hash``,
-        ``marks``, ``notes``, ``aggregates``. Two ranked submissions of one name in one group are both kept, and say so.
+        exact gate first) and ``marked``; each with ``source``, ``policy``, ``simulator``, ``versions``, ``n``,
+        ``hash``, ``marks``, ``notes``, ``aggregates``. Two ranked submissions of one name in one group are both kept,
+        and say so.
     """
     groups: dict[str, dict[str, Any]] = {}
     for item in checked:

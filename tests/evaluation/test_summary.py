@@ -134,6 +134,5 @@ def test_every_table_says_what_played(simulator: str, words: str) -> None:
     console = Console(file=io.StringIO(), width=200)
     print_summary(summarise(make_table(), simulator), console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert text.count(words) == 1 + sum(
-        line.startswith(("ppo against", "uncommanded against")) for line in text.splitlines()
-    )
+    compared = sum(line.startswith(("ppo against", "uncommanded against")) for line in text.splitlines())
+    assert text.count(words) == 1 + compared == 4
