@@ -161,8 +161,9 @@ def run_twin(config: ScalingConfig) -> None:
     from izoo.benchmarks import twin_parts
 
     contexts = worlds()
-    options = {"threads": config.threads, "surrogate": config.surrogate}
-    by_world, by_count = [], []
+    options: dict[str, Any] = {"threads": config.threads, "surrogate": config.surrogate}
+    by_world: list[dict[str, float]] = []
+    by_count: list[dict[str, float]] = []
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
         row = twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, **options)

@@ -155,7 +155,8 @@ def profile(config: ThroughputConfig) -> list[dict[str, float]]:
     from izoo.benchmarks import twin_parts
     from izoo.benchmarks.variants import scenarios
 
-    envs, rows = min(max(config.twin_envs), PROFILED_ENVS), []
+    envs = min(max(config.twin_envs), PROFILED_ENVS)
+    rows: list[dict[str, float]] = []
     for surrogate in ("torch", "compiled"):
         contexts = [scenarios()[name] for name in config.scenarios]
         found = [twin_parts.measure(context, envs, CHUNK, CHUNK, surrogate=surrogate) for context in contexts]
