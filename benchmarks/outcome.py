@@ -19,7 +19,14 @@ from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
 from izoo.evaluation.show import figure_table, intervals_in_words, nan_in_words, stacked
 from izoo.metrics.scores import nan_share_of
-from izoo.reporting.results import LEADERBOARD_FOLDER, EntryRecord, Results, evaluation_of, human_vehicles_of
+from izoo.reporting.results import (
+    LEADERBOARD_FOLDER,
+    EntryRecord,
+    Results,
+    evaluation_of,
+    human_vehicles_of,
+    simulator_of_run,
+)
 from izoo.reporting.submissions import make_submission, write_submission
 from izoo.training.plots import compare_curves
 from izoo.training.records import MetricsTable
@@ -146,7 +153,8 @@ def write_submissions(folder: Path, results: Results, plan: Plan, env: EnvConfig
     for entry in results.entries:
         policy = {name: getattr(entry, name) for name in ("name", "kind", "algo", "action")}
         policy["frames"] = max(run.frames for run in entry.runs)
-        content = make_submission(policy, protocol, results.versions, plan.seeds, entry_rows(folder, entry))
+        played = simulator_of_run(folder, entry.done[0])
+        content = make_submission(policy, protocol, results.versions, plan.seeds, entry_rows(folder, entry), played)
         written.append(folder / LEADERBOARD_FOLDER / f"{entry.name}.json")
         write_submission(written[-1], content)
     return written

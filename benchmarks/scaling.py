@@ -2,18 +2,20 @@
 
 ``python -m izoo.benchmarks.scaling`` steps one environment on procedural intersections from a handful to some
 hundreds of vehicles in the controlled region, beside bare libsumo, and times each part of a step and a reset to a
-cached net, warm-up included.
+cached net, warm-up included. With ``simulator=twin`` it steps many environments on the twin instead, and then one of
+the intersections with growing numbers of environments.
 """
 
 from __future__ import annotations
 
+import contextlib
 import statistics
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from izoo.files import write_json
 
 SETTLE_STEPS = 400
 RESETS = 7
+MIDDLE, MANY_STEPS = 3, 50
+"""The world with some 60 vehicles, and the timed steps of the largest number of environments."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +36,27 @@ class ScalingConfig:
 
     Attributes:
         steps: timed steps per world.
+        simulator: ``sumo`` or ``twin``.
+        num_envs: environments on the twin in each world.
+        counts: numbers of environments on the twin in one of the worlds, that with some 60 vehicles.
+        threads: of the twin.
+        surrogate: of the twin: ``torch`` or ``compiled``.
         out: also write the rows as JSON to this file.
     """
 
     steps: int = 800
+    simulator: Literal["sumo", "twin"] = "sumo"
+    num_envs: int = 16
+    counts: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)
+    threads: int = 1
+    surrogate: Literal["torch", "compiled"] = "torch"
     out: str | None = None
 
     def __post_init__(self) -> None:
         check_range("steps", self.steps, 1, 10**9)
+        check_range("threads", self.threads, 1, 1024)
+        for count in (self.num_envs, *self.counts):
+            check_range("num_envs and counts", count, 1, 65536)
 
 
 def worlds() -> list[Any]:
@@ -129,6 +146,42 @@ class _Parts:
         return {f"{name}_us": 1e6 * seconds / steps for name, seconds in self.seconds.items()}
 
 
+def bare_us(context: Any, steps: int) -> float:
+    """Return microseconds per step of bare libsumo."""
+    from izoo.envs import EcoDrivingEnv, EnvConfig
+
+    with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(emit=()))) as env:
+        env.reset()
+        simulator: Any = env.backend
+        return 1e6 * seconds_per_step(simulator.session.advance, steps, SETTLE_STEPS)
+
+
+def run_twin(config: ScalingConfig) -> None:
+    """Measure the twin: every world, then growing numbers of environments in one of them."""
+    from izoo.benchmarks import twin_parts
+
+    contexts = worlds()
+    options: dict[str, Any] = {"threads": config.threads, "surrogate": config.surrogate}
+    by_world: list[dict[str, float]] = []
+    by_count: list[dict[str, float]] = []
+    for number, context in enumerate(contexts, 1):
+        print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
+        row = twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, **options)
+        by_world.append({**row, "bare_us": bare_us(context, config.steps)})
+    for count in config.counts:
+        print(f"{count} environments", file=sys.stderr, flush=True)
+        steps = max(config.steps // count, MANY_STEPS)
+        by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, **options))
+    slope, fixed = np.polyfit([row["vehicles"] for row in by_world], [row["whole_us"] for row in by_world], 1)
+    if config.out is not None:
+        content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
+        write_json(Path(config.out), {**content, **options})
+    about = f"surrogate {config.surrogate}, {config.threads} thread{'s' if config.threads > 1 else ''}"
+    twin_parts.print_table(f"the twin, us per environment step, {about}", by_world)
+    twin_parts.print_table(f"the twin by number of environments, {about}", by_count)
+    print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
+
+
 def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     """Measure every world, print the table, and write the rows where they are wanted."""
     print("Loading torch and SUMO.", flush=True)
@@ -137,6 +190,9 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     from rich.table import Table
 
     torch.set_num_threads(1)
+    if config.simulator == "twin":
+        run_twin(config)
+        return
     contexts, rows = worlds(), []
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
@@ -168,7 +224,7 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
 COMMAND = OptionCommand(
     name="benchmarks.scaling",
     summary="Measure how an environment's step grows with traffic, where its time goes, and what a reset costs.",
-    examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling steps=400 out=scaling.json"),
+    examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling simulator=twin steps=400 out=scaling.json"),
     config="izoo.benchmarks.scaling:ScalingConfig",
     work="izoo.benchmarks.scaling:run",
 )

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from izoo.benchmarks.variants import Sample
 
 ROUNDS = 3
+PROFILED_ENVS = 64
 Scenario = Literal["light", "medium", "heavy"]
 
 
@@ -149,14 +150,34 @@ def print_tables(rows: Sequence[Row]) -> None:
         console.print(table)
 
 
+def profile(config: ThroughputConfig) -> list[dict[str, float]]:
+    """Measure and print where a step of the twin goes, in one thread, scenario after scenario."""
+    from izoo.benchmarks import twin_parts
+    from izoo.benchmarks.variants import scenarios
+
+    envs = min(max(config.twin_envs), PROFILED_ENVS)
+    rows: list[dict[str, float]] = []
+    for surrogate in ("torch", "compiled"):
+        contexts = [scenarios()[name] for name in config.scenarios]
+        found = [twin_parts.measure(context, envs, CHUNK, CHUNK, surrogate=surrogate) for context in contexts]
+        title = (
+            f"where a step of the twin goes, us per environment step: {', '.join(config.scenarios)}; {surrogate} CO2"
+        )
+        twin_parts.print_table(title, found)
+        rows += found
+    return rows
+
+
 def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
     """Measure, print the tables, and write the rows where they are wanted."""
     print("Loading torch and SUMO.", flush=True)
     twins = [(envs, threads) for threads in config.twin_threads for envs in config.twin_envs if threads <= envs]
     rows = measure(config.scenarios, config.workers, config.steps, twins)
     print_tables(rows)
+    parts = profile(config) if twins else []
     if config.out is not None:
-        write_json(Path(config.out), {"workers": config.workers, "rows": [asdict(row) for row in rows]})
+        content = {"workers": config.workers, "rows": [asdict(row) for row in rows], "twin_parts": parts}
+        write_json(Path(config.out), content)
     return rows
 
 

@@ -32,6 +32,7 @@ from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.mdp.frame import TOTALS
+from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import EPISODE_METRICS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
 
@@ -115,8 +116,8 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
 
     Args:
         plan: what is played.
-        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate and
-            with a policy.
+        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate,
+            with a policy, and with whole episodes and the resets between them.
     """
     lean = plan.env(emit=())
     last = {threads: (envs, threads) for envs, threads in twins}.values()
@@ -134,6 +135,7 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
         **{_twin_label(*twin): OnTwin(plan, *twin, policy=FullAcceleration()) for twin in twins},
         **{f"{_twin_label(*twin)}, compiled CO2": OnTwin(plan, *twin, "compiled", FullAcceleration()) for twin in last},
         **{f"{_twin_label(*twin)}, PPO": OnTwin(plan, *twin) for twin in last},
+        **{f"{_twin_label(*twin)}, with resets": OnTwinWithResets(plan, *twin) for twin in last},
     }
 
 
@@ -333,6 +335,46 @@ class OnTwin:
         torch.manual_seed(0)
         policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
         return BatchSource(options, policy, self)
+
+    def close(self) -> None:
+        pass
+
+
+RESET_EPISODES = 2
+
+
+@dataclass
+class OnTwinWithResets:
+    """Whole episodes of the default length on the twin, with the resets between them; CVs accelerate fully.
+
+    Args:
+        plan: whose contexts are played.
+        envs, threads: of the twin.
+    """
+
+    plan: Plan
+    envs: int
+    threads: int
+
+    def play(self, scenario: int) -> Sample:
+        """Time the episodes after the first reset up to the last one's end."""
+        config, context = EnvConfig(emit=(), num_agents=AGENT_SLOTS), self.plan.contexts[scenario]
+        action = torch.full((self.envs, config.num_agents, 1), ACTION_HIGH_MPS2)
+        agents = vehicle_steps = steps = 0.0
+        with contextlib.closing(TwinEnv(self.envs, context, config=config, threads=self.threads)) as env:
+            state = env.reset()
+            begin = time.perf_counter()
+            for _ in range(RESET_EPISODES * config.control_steps):
+                state.set(ACTION, action)
+                following, state = env.step_and_maybe_reset(state)
+                if steps % SAMPLE_STEPS == 0:
+                    agents += SAMPLE_STEPS * float(env.frames["mask"].sum())
+                if bool(following["next", "done"].any()):
+                    vehicle_steps += float(following["next", TOTALS][..., VEHICLE_STEPS].sum())
+                steps += 1
+            elapsed = time.perf_counter() - begin
+        played = steps * self.envs
+        return Sample(played / elapsed, agents / elapsed, vehicle_steps / played, agents / played)
 
     def close(self) -> None:
         pass

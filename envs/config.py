@@ -14,7 +14,8 @@ ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 MAX_WORKERS = 1024
-SIMULATORS = ("sumo", "twin")
+SIMULATOR_NAMES = {"sumo": "SUMO", "twin": "the twin"}
+SIMULATORS = tuple(SIMULATOR_NAMES)
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward")
 
 

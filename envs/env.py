@@ -239,7 +239,8 @@ def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
 def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
     from izoo.envs.twin.twin_backend import TwinBackend
 
-    backend = TwinBackend(config, 1)
+    # The surrogate that SUMO's environments have: a batch of one gains nothing from torch.
+    backend = TwinBackend(config, 1, surrogate="compiled")
     return backend.frames, backend
 
 

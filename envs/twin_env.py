@@ -11,12 +11,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.source import Schedule
+from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
-from izoo.envs.sumo.worker import usable_cores
 from izoo.envs.twin.twin_backend import TwinBackend
 from izoo.errors import IzooError, check_range
 

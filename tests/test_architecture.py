@@ -17,7 +17,7 @@ FOLDERS["izoo.benchmarks"] = ROOT / "benchmarks"
 SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
-    {"errors"},
+    {"errors", "cores"},
     {"files", "console"},
     {"compiling"},
     {"metrics", "emissions"},

@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
+from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import map_frames, row_of
@@ -223,11 +224,6 @@ def _serve(descriptor: int, memory: int) -> None:
     finally:
         if simulator is not None:
             simulator.close()
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def stays_awake(index: int, num_workers: int) -> bool:

@@ -18,13 +18,8 @@ from izoo.envs.mdp.slots import enter, leave
 from izoo.envs.mdp.state import (
     ACCEL,
     DEFERRED,
-    ELECTRIC,
-    EMISSION,
-    GRADE,
-    MOVES_CLASS,
     NUMBER,
     SPEED,
-    STEADY,
     YIELDING,
 )
 from izoo.envs.mdp.step import conclude, emit_co2, give_orders, settle
@@ -52,12 +47,13 @@ from izoo.envs.twin.arrays import (
     SPEED as TWIN_SPEED,
 )
 from izoo.envs.twin.compiled import Float1, Int1, Long1, opener, tables_type
+from izoo.envs.twin.emitting import WORLD_AT, count_classes
 from izoo.envs.twin.handles import world_at
 from izoo.envs.twin.stepping import step
 from izoo.envs.twin.wanting import DEFAULT_MODE, ROUTE_ONLY_MODE
 
-WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT = range(5)
-"""Columns of the addresses ``[N, 5]`` of the environments."""
+NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT = range(1, 5)
+"""Columns of the addresses ``[N, 5]`` of the environments, after :data:`~izoo.envs.twin.emitting.WORLD_AT`."""
 _STEPS = EPISODE_METRIC["steps"]
 
 
@@ -85,7 +81,7 @@ open_guests = opener(GUESTS)
 
 
 @compiled(nogil=True)
-def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # type: ignore[no-untyped-def]
+def drive_all(addresses, first, every, step_ms, lane_change, like, by_class):  # type: ignore[no-untyped-def]
     """Play the first half of a step in the environments ``first``, ``first + every``, ...
 
     Args:
@@ -94,8 +90,10 @@ def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # 
         step_ms: length of the step.
         lane_change: whether lane changes are commanded.
         like: any of the worlds; it gives the others' type.
-        changed: ``[N]`` int64 output: how many vehicles emit something else than in the step before.
+        by_class: ``[C]`` int64 output: how many vehicles of each class emit something else than in the step before.
     """
+    for c in range(by_class.shape[0]):
+        by_class[c] = 0
     for k in range(first, addresses.shape[0], every):
         world = world_at(addresses[k, WORLD_AT], like)
         net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
@@ -106,7 +104,7 @@ def drive_all(addresses, first, every, step_ms, lane_change, like, changed):  # 
         _welcome(world, state, guests)
         _read(world.tables, net, state, guests)
         settle(world, (guests.lane, guests.position, guests.speed, guests.signals))
-        changed[k] = _count_changed(world.tables)
+        count_classes(world.tables, by_class)
 
 
 @compiled(nogil=True)
@@ -215,70 +213,6 @@ def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
         guests.position[j] = state.floats[v, POSITION]
         guests.speed[j] = state.floats[v, TWIN_SPEED]
         guests.signals[j] = state.ints[v, SIGNALS]
-
-
-@compiled(borrows=True)
-def _burns_anew(tables, row):  # type: ignore[no-untyped-def]
-    """Whether a vehicle emits something else than in the step before."""
-    return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
-
-
-@compiled(borrows=True)
-def _count_changed(tables):  # type: ignore[no-untyped-def]
-    count = 0
-    for j in range(tables.cursor[MEMBERS]):
-        count += _burns_anew(tables, tables.members[j])
-    return count
-
-
-@compiled(nogil=True)
-def gather_all(addresses, like, motion, weather, classes):  # type: ignore[no-untyped-def]
-    """Write what the surrogate needs of the vehicles that emit something new, environment after environment.
-
-    Args:
-        addresses, like: as for :func:`drive_all`.
-        motion: ``[3, n]`` float32 output: speed, acceleration, grade.
-        weather: ``[2, n]`` float32 output: temperature in C, humidity in percent.
-        classes: ``[n]`` int64 output.
-    """
-    at = 0
-    for k in range(addresses.shape[0]):
-        world = world_at(addresses[k, WORLD_AT], like)
-        begun, at = at, _gather(world.tables, motion, classes, at)
-        weather[0, begun:at] = world.rules.temperature_c
-        weather[1, begun:at] = world.rules.humidity_pct
-
-
-@compiled(borrows=True)
-def _gather(tables, motion, classes, at):  # type: ignore[no-untyped-def]
-    for j in range(tables.cursor[MEMBERS]):
-        row = tables.members[j]
-        if _burns_anew(tables, row):
-            motion[0, at] = tables.floats[row, SPEED]
-            motion[1, at] = tables.floats[row, ACCEL]
-            motion[2, at] = tables.floats[row, GRADE]
-            classes[at] = tables.ints[row, MOVES_CLASS]
-            at += 1
-    return at
-
-
-@compiled(nogil=True)
-def scatter_all(addresses, like, rates_gps):  # type: ignore[no-untyped-def]
-    """Write CO2 in g of the step, from rates ``[n]`` in the order of :func:`gather_all`."""
-    at = 0
-    for k in range(addresses.shape[0]):
-        world = world_at(addresses[k, WORLD_AT], like)
-        at = _scatter(world.tables, rates_gps, world.rules.step_s, at)
-
-
-@compiled(borrows=True)
-def _scatter(tables, rates_gps, step_s, at):  # type: ignore[no-untyped-def]
-    for j in range(tables.cursor[MEMBERS]):
-        row = tables.members[j]
-        if _burns_anew(tables, row):
-            tables.floats[row, EMISSION] = rates_gps[at] * step_s
-            at += 1
-    return at
 
 
 @compiled

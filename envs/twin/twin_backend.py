@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
@@ -17,7 +18,8 @@ from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
-from izoo.envs.twin.crowd import conclude_all, drive_all, emit_and_conclude_all, gather_all, scatter_all
+from izoo.envs.twin.crowd import conclude_all, drive_all, emit_and_conclude_all
+from izoo.envs.twin.emitting import Emitter
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
@@ -51,14 +53,14 @@ class TwinBackend:
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
         self._addresses = np.zeros((num_envs, 5), np.int64)
-        self._changed, self._left = np.zeros(num_envs, np.int64), np.zeros(num_envs, np.int64)
+        self._left = np.zeros(num_envs, np.int64)
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
-        self._module = MovesSurrogate(self._weights)
+        module = MovesSurrogate(self._weights)
+        self._emitters = [Emitter(module) for _ in range(self.threads)]
         self._closed = False
-        self._room = 0
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
-        self._pool = ThreadPoolExecutor(max(self.threads - 1, 1), "izoo-twin")
+        self._pool = ThreadPoolExecutor(max(self.threads - 1, 1), "izoo-twin", _use_one_torch_thread)
         self._preparer = ThreadPoolExecutor(1, "izoo-prepare")
         self._finalizer = weakref.finalize(self, _close, self._pool, self._preparer)
 
@@ -159,46 +161,28 @@ class TwinBackend:
         self.frames["defer"][:] = 0
 
     def _step(self, chosen: np.ndarray | None, meanwhile: Callable[[], None] | None = None) -> None:
-        """Simulate one step of the environments ``chosen`` ``[N]`` bool; ``None``: of all."""
+        """Simulate one step of the environments ``chosen`` ``[N]`` bool, shared out among the threads; ``None``: all."""
         like = self._run(0).episode.world
         addresses = self._addresses if chosen is None else self._addresses[chosen]
-        lane_change = self.config.lane_change
-        self._share_out(
-            lambda first, every: drive_all(addresses, first, every, self._step_ms, lane_change, like, self._changed),
-            meanwhile,
-        )
-        if self.surrogate == "torch":
-            self._emit(addresses, like)
-            self._share_out(lambda first, every: conclude_all(addresses, first, every, like))
-        else:
-            self._share_out(lambda first, every: emit_and_conclude_all(addresses, first, every, like))
-        self._left[slice(None) if chosen is None else chosen] -= 1
-
-    def _share_out(self, work: Callable[[int, int], None], meanwhile: Callable[[], None] | None = None) -> None:
-        """Do ``work(first, every)`` for all environments, in all threads."""
         every = self.threads
-        others = [self._pool.submit(work, first, every) for first in range(1, every)]
+        others = [self._pool.submit(self._step_share, first, addresses, like) for first in range(1, every)]
         if meanwhile is not None and others:
             meanwhile()
-        work(0, every)
+        with _one_torch_thread(every > 1):
+            self._step_share(0, addresses, like)
         for other in others:
             other.result()
+        self._left[slice(None) if chosen is None else chosen] -= 1
 
-    def _emit(self, addresses: np.ndarray, like: Any) -> None:
-        """Compute the CO2 of all vehicles that emit something else than in the step before, in one call."""
-        count = int(self._changed[: len(addresses)].sum())
-        if count > self._room:
-            self._room = 2 * count
-            self._motion = np.zeros((3, self._room), np.float32)
-            self._weather = np.zeros((2, self._room), np.float32)
-            self._classes = np.zeros(self._room, np.int64)
-        if count == 0:
-            return
-        gather_all(addresses, like, self._motion, self._weather, self._classes)
-        with torch.inference_mode():
-            motion, weather = torch.from_numpy(self._motion[:, :count]), torch.from_numpy(self._weather[:, :count])
-            rates = self._module(*motion, torch.from_numpy(self._classes[:count]), *weather)
-        scatter_all(addresses, like, rates.numpy())
+    def _step_share(self, first: int, addresses: np.ndarray, like: Any) -> None:
+        """Simulate one step of the environments ``first``, ``first + threads``, ..."""
+        every, emitter = self.threads, self._emitters[first]
+        drive_all(addresses, first, every, self._step_ms, self.config.lane_change, like, emitter.by_class)
+        if self.surrogate == "torch":
+            emitter.emit(addresses, first, every, like)
+            conclude_all(addresses, first, every, like)
+        else:
+            emit_and_conclude_all(addresses, first, every, like)
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]
@@ -215,6 +199,25 @@ class TwinBackend:
         self._finalizer()
         self._ahead.clear()
         self._runs[:] = [None] * self.num_envs
+
+
+@contextlib.contextmanager
+def _one_torch_thread(wanted: bool) -> Iterator[None]:
+    """Let torch's operations of this thread run in it alone, where ``wanted``: other threads do their own."""
+    count = torch.get_num_threads()
+    if not wanted or count == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+
+
+def _use_one_torch_thread() -> None:
+    """Begin a thread of the pool: torch keeps the number of threads of each thread of Python by itself."""
+    torch.set_num_threads(1)
 
 
 def _close(pool: ThreadPoolExecutor, preparer: ThreadPoolExecutor) -> None:

@@ -3,8 +3,8 @@
 ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` makes an :class:`EcoDrivingJoint`, ``"izoo/EcoDrivingEgo-v0"`` an
 :class:`EcoDrivingEgo`; what stands before the colon is imported first (Gymnasium looks for no plug-ins since 1.0). They
 simulate what :class:`~izoo.envs.EcoDrivingEnv` does: the same context, seed and actions give the same trajectories.
-Each simulation has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps them in
-parallel.
+Each simulation of SUMO has a process of its own, so any number of them live side by side; ``gymnasium.make_vec`` steps
+them in parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.host.OPTIONS`.
@@ -47,6 +47,7 @@ class _View(gym.Env[Observation, Any]):
         render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
         in_process: simulate in this process instead of one of the environment's own: faster, but a process can hold
             only one such environment.
+        simulator: ``sumo``, or ``twin``, its compiled copy, which runs in this process beside any others.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 2}  # noqa: RUF012
@@ -57,9 +58,10 @@ class _View(gym.Env[Observation, Any]):
         config: EnvConfig | None = None,
         render_mode: str | None = None,
         in_process: bool = False,
+        simulator: str = "sumo",
     ) -> None:
         fresh = int(np.random.SeedSequence().generate_state(1)[0])
-        self.host = Host(contexts, config, fresh, render_mode, in_process)
+        self.host = Host(contexts, config, fresh, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
         # Gymnasium asks the class which modes there are, and checkers the instance which of them work here.
         self.metadata = {"render_modes": render_modes(), "render_fps": round(1 / self.config.step_s)}
@@ -150,7 +152,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
             one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
             ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. ``None``: SUMO drives them.
-        contexts, config, render_mode, in_process: as for :class:`EcoDrivingJoint`.
+        contexts, config, render_mode, in_process, simulator: as for :class:`EcoDrivingJoint`.
     """
 
     def __init__(
@@ -159,10 +161,11 @@ class EcoDrivingEgo(_View[np.ndarray]):
         config: EnvConfig | None = None,
         render_mode: str | None = None,
         in_process: bool = False,
+        simulator: str = "sumo",
         *,
         others: Policy | None = None,
     ) -> None:
-        super().__init__(contexts, config, render_mode, in_process)
+        super().__init__(contexts, config, render_mode, in_process, simulator)
         if others is not None and not callable(others):
             raise IzooError(f"others is a {type(others).__name__}; give a policy of TensorDicts, or None for SUMO.")
         self.others = others

@@ -17,7 +17,7 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import KEEP_LANE, EnvConfig, checked_config
+from izoo.envs.config import KEEP_LANE, SIMULATORS, EnvConfig, checked_config
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.picture import draw
@@ -44,7 +44,8 @@ class Host:
         config: settings of the environment; ``emit`` and ``gui`` are chosen here.
         seed: base seed.
         render_mode: ``None`` or one of :data:`RENDER_MODES`; ``human`` opens sumo-gui.
-        in_process: simulate in this process, which then can hold no other simulation.
+        in_process: simulate in this process, which then can hold no other simulation of SUMO.
+        simulator: ``sumo``, or ``twin``, which is always in this process, beside any others.
 
     Attributes:
         frame: the arrays of :func:`izoo.envs.mdp.frame.frame_fields`, of one environment.
@@ -53,10 +54,19 @@ class Host:
     """
 
     def __init__(
-        self, contexts: Contexts | None, config: EnvConfig | None, seed: int, render_mode: str | None, in_process: bool
+        self,
+        contexts: Contexts | None,
+        config: EnvConfig | None,
+        seed: int,
+        render_mode: str | None,
+        in_process: bool,
+        simulator: str = "sumo",
     ) -> None:
+        check_choice("simulator", simulator, SIMULATORS)
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
+        if render_mode == "human" and simulator == "twin":
+            raise IzooError("render_mode='human' shows SUMO, and the twin has no window; use render_mode='rgb_array'.")
         if render_mode == "human" and not has_screen():
             raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
         config = checked_config(config)
@@ -68,12 +78,17 @@ class Host:
         self.steps = 0
         self.episode, self.episode_seed = -1, 0
         self._next_episode = 0
-        self._in_process = in_process
+        self._in_process, self._simulator = in_process, simulator
         self._make_backend()
 
     def _make_backend(self) -> None:
         backend: Backend
-        if self._in_process:
+        if self._simulator == "twin":
+            from izoo.envs.twin.twin_backend import TwinBackend
+
+            backend = twin = TwinBackend(self.config, 1, surrogate="compiled")
+            self.frame = row_of(twin.frames, 0)
+        elif self._in_process:
             from izoo.envs.sumo.simulator import SumoSimulator
 
             self.frame = row_of(map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1), 0)

@@ -41,6 +41,7 @@ def parallel_env(
     *,
     max_vehicles: int = 4096,
     in_process: bool = False,
+    simulator: str = "sumo",
 ) -> EcoDrivingParallel:
     """Return one intersection under PettingZoo's parallel API.
 
@@ -53,8 +54,11 @@ def parallel_env(
             higher numbers are left to SUMO, with a warning.
         in_process: simulate in this process instead of one of the environment's own: faster, but a process can hold
             only one such environment.
+        simulator: ``sumo``, or ``twin``, its compiled copy, which runs in this process beside any others.
     """
-    return EcoDrivingParallel(contexts, config, seed, render_mode, max_vehicles=max_vehicles, in_process=in_process)
+    return EcoDrivingParallel(
+        contexts, config, seed, render_mode, max_vehicles=max_vehicles, in_process=in_process, simulator=simulator
+    )
 
 
 class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
@@ -84,10 +88,11 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         *,
         max_vehicles: int,
         in_process: bool,
+        simulator: str,
     ) -> None:
         check_range("max_vehicles", max_vehicles, 1, 10**6)
         check_range("seed", seed, 0, np.inf)
-        self.host = Host(contexts, config, seed, render_mode, in_process)
+        self.host = Host(contexts, config, seed, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
         fps = round(1 / self.config.step_s)
         self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": fps}

@@ -62,7 +62,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         cache=config.cache,
         source=subject.source,
     )
-    print_summary(summarise(table))
+    print_summary(summarise(table, config.simulator))
     print(f"Results: {out}", flush=True)
     return out
 

@@ -87,6 +87,7 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.text import Text
 
+    from izoo.envs.config import SIMULATOR_NAMES
     from izoo.evaluation.show import figure_table, intervals_in_words, stacked
 
     console = Console()
@@ -97,7 +98,8 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
         lines = [*group["ranked"], *group["marked"]]
         for line in lines:
             n = line["n"]
-            about = f"{n['approaches']} approaches, training seeds: {n['train_seeds']}"
+            played = SIMULATOR_NAMES[line["simulator"]]
+            about = f"{n['approaches']} approaches on {played}, training seeds: {n['train_seeds']}"
             figures = (line["aggregates"]["all"].get(part, {}).get(name) for _, part, name in FIGURES)
             entry = Text(f"{line.get('rank', '-')} {plain(line['policy']['name'])}\n{about}")
             table.add_row(entry, *map(stacked, figures))

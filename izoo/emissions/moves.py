@@ -103,7 +103,7 @@ class MovesSurrogate(nn.Module):
 
     def _tiled_rates(self, features: Tensor, classes: Tensor) -> Tensor:
         """Return g/s ``[N]``; ``classes`` are inside the table."""
-        count, tile = len(classes), _tile_rows(len(classes))
+        count, tile = len(classes), tile_rows(len(classes))
         ordered, order = torch.sort(classes)
         table = torch.arange(len(CLASSES), device=classes.device)
         begin = torch.searchsorted(ordered, table)
@@ -117,13 +117,19 @@ class MovesSurrogate(nn.Module):
         shift = (tiles_end - tiles) * tile - begin
         slot = torch.arange(count, device=classes.device) + shift.index_select(0, ordered)
         padded = features.new_zeros(total * tile, INPUTS).index_copy(0, slot, features.index_select(0, order))
-        tiled = self._layers(padded.view(total, tile, INPUTS), tile_class).reshape(-1)
+        tiled = self.tiled_rates(padded.view(total, tile, INPUTS), tile_class).reshape(-1)
         rates = tiled.index_select(0, slot)
         return torch.zeros_like(rates).index_copy(0, order, rates)
 
-    def _layers(self, tiled: Tensor, tile_class: Tensor) -> Tensor:
-        """Return g/s ``[M, T]`` of ``tiled [M, T, 5]``, in chunks that stay in the processor's cache."""
+    def tiled_rates(self, tiled: Tensor, tile_class: Tensor) -> Tensor:
+        """Return g/s ``[M, T]`` of the inputs ``tiled [M, T, 5]`` of vehicles that are laid into tiles already.
+
+        Args:
+            tiled: temperature (C), humidity (%), speed (m/s), acceleration (m/s^2) and grade (%), float32.
+            tile_class: ``[M]`` the class of each tile, not checked. Rows without a vehicle may hold any numbers.
+        """
         rows = _CPU_CHUNK_ROWS if tiled.device.type == "cpu" else _DEVICE_CHUNK_ROWS
+        # In chunks that stay in the processor's cache.
         step = len(tiled) if torch.compiler.is_compiling() else max(1, rows // tiled.shape[1])
         parts = []
         for start in range(0, len(tiled), step):
@@ -138,8 +144,8 @@ class MovesSurrogate(nn.Module):
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
 
-def _tile_rows(count: int) -> int:
-    """Return the size of a tile: no less than the vehicles per class, so that most classes fill a single one."""
+def tile_rows(count: int) -> int:
+    """Return the rows of a tile for ``count`` vehicles: no less than there are per class, so one mostly suffices."""
     for rows in (4, 8, 16, 32, 64):
         if count <= rows * len(CLASSES):
             return rows

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from izoo.console import plain
+from izoo.envs.config import SIMULATOR_NAMES
 from izoo.evaluation.policies import HUMAN
 from izoo.metrics.scores import SCORES
 from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_INTERSECTIONS, MIN_TRAIN_SEEDS
@@ -59,7 +60,8 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
     for name, policy in summary["policies"].items():
         for baseline, comparison in policy["against"].items():
             main, share = baseline == policy["headline"], summary["scores"][name]["nan_share"]
-            console.print(benefit_table(name, baseline, comparison, main=main, nan_share=share))
+            played = summary["simulator"]
+            console.print(benefit_table(name, baseline, comparison, main=main, nan_share=share, simulator=played))
             for what, entries in (("saturated", comparison["saturated"]), ("left out", comparison["left_out"])):
                 if entries:
                     more = ", ..." if len(entries) > 3 else ""
@@ -79,17 +81,23 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
 
 def score_table(summary: dict[str, Any]) -> Table:
     """Scores side by side."""
-    return _rich("Scores (all vehicles that crossed)", *score_rows(summary))
+    played = SIMULATOR_NAMES[summary["simulator"]]
+    return _rich(f"Scores on {played} (all vehicles that crossed)", *score_rows(summary))
 
 
 def benefit_table(
-    name: str, baseline: str, comparison: dict[str, Any], main: bool, nan_share: float | None = None
+    name: str,
+    baseline: str,
+    comparison: dict[str, Any],
+    main: bool,
+    nan_share: float | None = None,
+    simulator: str = "sumo",
 ) -> Table:
     """One policy against one baseline; what SUMO drove because the commands were NaN is not the policy's benefit."""
     mark = " (headline)" if main else ""
     if nan_share:
         mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
-    return _rich(f"{name} against {baseline}{mark}", *comparison_rows(comparison))
+    return _rich(f"{name} against {baseline} on {SIMULATOR_NAMES[simulator]}{mark}", *comparison_rows(comparison))
 
 
 def nan_in_words(name: str, share: float) -> str:

@@ -49,16 +49,18 @@ def _seed_intervals(chosen: pd.DataFrame, reference: pd.DataFrame) -> pd.DataFra
     return pd.DataFrame(rows, columns=[*TASK, "low", "high"])
 
 
-def summarise(table: pd.DataFrame) -> dict[str, Any]:
+def summarise(table: pd.DataFrame, simulator: str = "sumo") -> dict[str, Any]:
     """Sum up an evaluation; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
         table: an evaluation table with rows of human driving.
+        simulator: what played the episodes.
 
     Returns:
-        ``n`` (contexts, intersections, seeds, episodes), ``scores`` per policy (every vehicle weighs the same), and
-        under ``policies``, per policy, ``headline`` (the baseline of its main figure: human driving, or with electric
-        CVs the uncommanded CV) and ``against``, per baseline, what :func:`izoo.evaluation.across.compare` returns.
+        ``simulator``, ``n`` (contexts, intersections, seeds, episodes), ``scores`` per policy (every vehicle weighs
+        the same), and under ``policies``, per policy, ``headline`` (the baseline of its main figure: human driving, or
+        with electric CVs the uncommanded CV) and ``against``, per baseline, what
+        :func:`izoo.evaluation.across.compare` returns.
 
     Raises:
         IzooError: no rows of human driving, or unpaired rows.
@@ -66,7 +68,7 @@ def summarise(table: pd.DataFrame) -> dict[str, Any]:
     names = list(dict.fromkeys(table["policy"]))
     if HUMAN not in names:
         raise IzooError("the evaluation has no rows of human driving; evaluate the baseline too.")
-    summary: dict[str, Any] = {"n": _counts(table), "scores": _scores(table), "policies": {}}
+    summary: dict[str, Any] = {"simulator": simulator, "n": _counts(table), "scores": _scores(table), "policies": {}}
     for name in names:
         if name == HUMAN:
             continue

@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from izoo.envs.config import SIMULATOR_NAMES
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
@@ -143,6 +144,7 @@ def read_evaluation(folder: Path) -> tuple[pd.DataFrame, tuple[tuple[str, str], 
         versions, env = manifest["settings"]["versions"], manifest["settings"]["env"]
         dict(manifest["policies"])  # which a replay needs
         facts = (
+            ("played on", SIMULATOR_NAMES[manifest["settings"].get("simulator", "sumo")]),
             ("versions", f"izoo {versions['izoo']}, SUMO {versions['sumo']}"),
             ("episode", f"{env['horizon_s']:g} s, of which the first {env['warmup_s']:g} s are not measured"),
         )

@@ -55,7 +55,7 @@ import pandas as pd
 
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.errors import IzooError
-from izoo.evaluation.table import CSV_FILE, read_csv
+from izoo.evaluation.table import CSV_FILE, MANIFEST_FILE, read_csv
 from izoo.files import read_text, write_json
 
 FORMAT = "izoo-results-1"
@@ -175,6 +175,11 @@ def read_results(folder: Path) -> Results:
 def evaluation_of(folder: Path, run: RunRecord) -> pd.DataFrame:
     """Read the evaluation table of a run that is done."""
     return read_csv(folder / run.evaluation / CSV_FILE)
+
+
+def simulator_of_run(folder: Path, run: RunRecord) -> str:
+    """Return what played the evaluation of a run that is done."""
+    return str(json.loads(read_text(folder / run.evaluation / MANIFEST_FILE))["settings"]["simulator"])
 
 
 def human_vehicles_of(folder: Path, run: RunRecord) -> pd.DataFrame | None:

@@ -21,6 +21,7 @@ from typing import Any
 import pandas as pd
 from jsonschema import Draft202012Validator
 
+from izoo.envs.config import SIMULATOR_NAMES
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate
 from izoo.evaluation.aggregates import RUN
@@ -48,6 +49,7 @@ def make_submission(
     versions: Mapping[str, str],
     eval_seeds: Sequence[int],
     rows: pd.DataFrame,
+    simulator: str = "sumo",
 ) -> dict[str, Any]:
     """Return a submission.
 
@@ -55,12 +57,14 @@ def make_submission(
         policy, protocol, versions: as in the schema.
         eval_seeds: episode seeds of the evaluation.
         rows: of :func:`izoo.evaluation.across.run_rows`, all training seeds one after the other.
+        simulator: what played the episodes.
     """
     columns = list(schema()["properties"]["rows"]["items"]["properties"])
     content: dict[str, Any] = {
         "format": FORMAT,
         "policy": dict(policy),
         "protocol": dict(protocol),
+        "simulator": simulator,
         "versions": dict(versions),
         "train_seeds": sorted(int(seed) for seed in rows[RUN].unique()),
         "eval_seeds": [int(seed) for seed in eval_seeds],
@@ -144,6 +148,8 @@ def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) 
         if submission["versions"][name] != versions[name]:
             old, new = (text[:12] for text in (submission["versions"][name], versions[name]))
             marks.append(f"other version of {name}: {old}, not {new}")
+    if simulator_of(submission) != "sumo":
+        marks.append(f"played on {SIMULATOR_NAMES[simulator_of(submission)]}; only what SUMO played is ranked")
     if "env" in submission["protocol"]:
         marks.append(f"evaluated in another environment: {submission['protocol']['env']}")
     there, count = len({row["context_hash"] for row in submission["rows"]}), submission["protocol"]["test_count"]
@@ -159,13 +165,19 @@ def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) 
     return Checked(source, submission, tuple(marks), tuple(notes))
 
 
+def simulator_of(submission: Mapping[str, Any]) -> str:
+    """Return what played a submission's episodes; before the twin there was only SUMO, and files did not say so."""
+    return str(submission.get("simulator", "sumo"))
+
+
 def merge(checked: Sequence[Checked]) -> dict[str, Any]:
     """Return the leaderboard of several submissions.
 
     Returns:
         ``format``, and ``groups``: per protocol its options, ``ranked`` (without marks, best mean benefit under the
-        exact gate first) and ``marked``; each with ``source``, ``policy``, ``versions``, ``n``, ``hash``, ``marks``,
-        ``notes``, ``aggregates``. Two ranked submissions of one name in one group are both kept, and say so.
+        exact gate first) and ``marked``; each with ``source``, ``policy``, ``simulator``, ``versions``, ``n``,
+        ``hash``, ``marks``, ``notes``, ``aggregates``. Two ranked submissions of one name in one group are both kept,
+        and say so.
     """
     groups: dict[str, dict[str, Any]] = {}
     for item in checked:
@@ -193,6 +205,7 @@ def _line(item: Checked) -> dict[str, Any]:
     kept = {name: content[name] for name in ("policy", "versions", "aggregates", "hash")}
     return {
         "source": item.source,
+        "simulator": simulator_of(content),
         **kept,
         "n": content["aggregates"].get("n", {}),
         "marks": list(item.marks),

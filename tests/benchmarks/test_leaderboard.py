@@ -130,6 +130,14 @@ def test_another_environment_is_marked() -> None:
     assert marks(sealed(content)) == (f"evaluated in another environment: {changed}",)
 
 
+def test_only_what_sumo_played_is_ranked() -> None:
+    honest = submission()
+    assert honest["simulator"] == "sumo" and marks(honest) == ()
+    older = {key: value for key, value in honest.items() if key != "simulator"}
+    assert marks(sealed(older)) == ()
+    assert marks(sealed({**honest, "simulator": "twin"})) == ("played on the twin; only what SUMO played is ranked",)
+
+
 def test_merging_ranks_the_unmarked_and_keeps_the_others_apart() -> None:
     good, marked = submission(), submission(contexts=("a/1/A",), name="lucky")
     worse = submission(name="worse")

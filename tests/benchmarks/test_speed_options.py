@@ -19,6 +19,8 @@ from izoo.benchmarks import emissions, scaling, throughput
         (throughput.main, ["steps=199"], "steps is 199; it must be a multiple of 200"),
         (throughput.main, ["scenarios=[lihgt]"], "Did you mean 'light'"),
         (scaling.main, ["steps=0"], "steps is 0"),
+        (scaling.main, ["simulator=twin", "counts=[0]"], "num_envs and counts is 0"),
+        (scaling.main, ["simulator=twni"], "Did you mean 'twin'"),
         (emissions.main, ["batch=0"], "batch is 0"),
     ],
 )
@@ -47,7 +49,7 @@ def test_throughput_compares_like_with_like(
     result = json.loads(out.read_text())
     rows = {row["variant"]: row for row in result["rows"]}
     bare = rows["bare libsumo"]
-    assert result["workers"] == 1 and len(rows) == 16 and bare["ratio_to_bare"] == 1.0
+    assert result["workers"] == 1 and len(rows) == 18 and bare["ratio_to_bare"] == 1.0
     assert all(row["env_steps_per_s"] > 0.0 and row["ratio_to_bare"] > 0.0 for row in rows.values())
     # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
     one, stepped = rows["one environment"], rows["one environment, step()"]
@@ -56,9 +58,28 @@ def test_throughput_compares_like_with_like(
         assert one[counted] == rows["1 worker, parallel"][counted] == rows["1 worker, multisync"][counted]
         assert stepped[counted] == rows["one, all groups, step()"][counted] == pytest.approx(one[counted], rel=0.05)
     assert one["vehicles"] == pytest.approx(bare["vehicles"], rel=0.3)
+    for part in result["twin_parts"]:
+        assert 0.0 < sum(part[f"{name}_us"] for name in ("drive", "emit", "conclude")) < part["whole_us"]
     for label in ("twin, 1 environment", "twin, 4 environments", "twin, 4 environments, 2 threads"):
         assert rows[label]["vehicles"] == pytest.approx(one["vehicles"], rel=0.3)
     assert rows["twin, 4 environments, PPO"]["env_steps_per_s"] > 0.0
     # The same policy meets the same traffic, wherever it runs.
     parallel, multisync = rows["1 worker, parallel, PPO"], rows["1 worker, multisync, PPO"]
     assert parallel["agents"] == pytest.approx(multisync["agents"], rel=0.2)
+
+
+@pytest.mark.slow
+def test_scaling_of_the_twin(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    out, few = tmp_path / "scaling.json", scaling.worlds()[2:4]
+    monkeypatch.setattr(scaling, "worlds", lambda: few)
+    for name, value in (("MIDDLE", 0), ("SETTLE_STEPS", 20), ("MANY_STEPS", 5)):
+        monkeypatch.setattr(scaling, name, value)
+    assert scaling.main(["simulator=twin", "steps=20", "num_envs=2", "counts=[1,4]", f"out={out}"]) == 0
+    assert "bare libsumo" in capsys.readouterr().out
+    result = json.loads(out.read_text())
+    assert [row["environments"] for row in result["environments"]] == [1.0, 4.0]
+    for row in result["worlds"]:
+        assert row["vehicles"] > 1.0 and row["bare_us"] > 0.0 and 50.0 < row["kilobytes"] < 1000.0
+        assert 0.0 < sum(row[f"{name}_us"] for name in ("drive", "emit", "conclude")) < row["whole_us"]

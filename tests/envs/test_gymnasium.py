@@ -319,3 +319,27 @@ def test_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(IzooError, match="needs a screen"):
         make(JOINT, render_mode="human")
+
+
+def test_two_twins_side_by_side_in_this_process() -> None:
+    envs = gymnasium.make_vec(JOINT, 2, "sync", contexts=crossing(), config=short(), simulator="twin")
+    try:
+        observations, _ = envs.reset(seed=3)
+        observations, *_ = envs.step(np.full(envs.action_space.shape, 1.0, np.float32))
+        assert observations["mask"].sum(axis=1).all()
+    finally:
+        envs.close()
+
+
+def test_the_twin_draws_pictures_and_has_no_window() -> None:
+    env = make(JOINT, simulator="twin", render_mode="rgb_array")
+    try:
+        env.reset(seed=0)
+        picture = env.render()
+        assert isinstance(picture, np.ndarray) and picture.shape == (640, 640, 3) and picture.std() > 0.0
+    finally:
+        env.close()
+    with pytest.raises(IzooError, match="the twin has no window"):
+        make(JOINT, simulator="twin", render_mode="human")
+    with pytest.raises(IzooError, match="'twni'"):
+        make(JOINT, simulator="twni")

@@ -13,6 +13,7 @@ import torch
 import izoo.envs
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.state import LANE_POSITION, NUMBER, REGION_LANE, SPEED
 from izoo.envs.views.host import Host
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
@@ -26,19 +27,24 @@ Positions = dict[float, dict[int, tuple[int, float, float]]]
 CHANGING = dataclasses.replace(CONFIG, lane_change=True)
 
 
-@pytest.fixture(scope="module")
-def expected() -> dict[str, Any]:
-    return played(CONFIG)
+@pytest.fixture(scope="module", params=SIMULATORS)
+def simulator(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
 @pytest.fixture(scope="module")
-def expected_with_lanes() -> dict[str, Any]:
-    return played(CHANGING)
+def expected(simulator: str) -> dict[str, Any]:
+    return played(CONFIG, simulator)
 
 
-def played(config: EnvConfig) -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def expected_with_lanes(simulator: str) -> dict[str, Any]:
+    return played(CHANGING, simulator)
+
+
+def played(config: EnvConfig, simulator: str) -> dict[str, Any]:
     """Play the episode in the TorchRL environment."""
-    env = EcoDrivingEnv(RoundRobinSchedule([crossing()], SEED), config=config)
+    env = EcoDrivingEnv(RoundRobinSchedule([crossing()], SEED), config=config, simulator=simulator)
     try:
         frames = episode(env, steer_and_change if config.lane_change else steer)
     finally:
@@ -65,10 +71,9 @@ def accelerations(observation: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("in_process", [True, False])
-def test_joint(expected: dict[str, Any], in_process: bool) -> None:
-    env = gymnasium.make(
-        "izoo/EcoDriving-v0", contexts=crossing(), config=CONFIG, in_process=in_process, disable_env_checker=True
-    )
+def test_joint(expected: dict[str, Any], simulator: str, in_process: bool) -> None:
+    options: dict[str, Any] = {"in_process": in_process, "simulator": simulator, "disable_env_checker": True}
+    env = gymnasium.make("izoo/EcoDriving-v0", contexts=crossing(), config=CONFIG, **options)
     host = env.unwrapped.host  # type: ignore[attr-defined]
     try:
         observation, _ = env.reset(seed=SEED)
@@ -88,11 +93,11 @@ def test_joint(expected: dict[str, Any], in_process: bool) -> None:
         env.close()
 
 
-def test_pettingzoo(expected: dict[str, Any]) -> None:
+def test_pettingzoo(expected: dict[str, Any], simulator: str) -> None:
     pytest.importorskip("pettingzoo")
     from izoo.envs.views.pettingzoo import parallel_env
 
-    env = parallel_env(crossing(), CONFIG, SEED, in_process=True)
+    env = parallel_env(crossing(), CONFIG, SEED, in_process=True, simulator=simulator)
     try:
         observations, _ = env.reset()
         while env.agents:
@@ -104,9 +109,11 @@ def test_pettingzoo(expected: dict[str, Any]) -> None:
         env.close()
 
 
-def test_ego(expected: dict[str, Any]) -> None:
+def test_ego(expected: dict[str, Any], simulator: str) -> None:
     """With the ego and the others steered alike, through one ego after another."""
-    env = izoo.envs.views.gymnasium.EcoDrivingEgo(crossing(), CONFIG, others=steer, in_process=True)
+    env = izoo.envs.views.gymnasium.EcoDrivingEgo(
+        crossing(), CONFIG, others=steer, in_process=True, simulator=simulator
+    )
     try:
         observation, info = env.reset(seed=SEED)
         compared = 0
@@ -140,8 +147,8 @@ def test_lane_changes_matter(expected: dict[str, Any], expected_with_lanes: dict
     assert sum(differ) > len(times) / 2
 
 
-def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
-    env = izoo.envs.views.gymnasium.EcoDrivingJoint(crossing(), CHANGING, in_process=True)
+def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any], simulator: str) -> None:
+    env = izoo.envs.views.gymnasium.EcoDrivingJoint(crossing(), CHANGING, in_process=True, simulator=simulator)
     try:
         observation, _ = env.reset(seed=SEED)
         truncated = False
@@ -154,11 +161,11 @@ def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
         env.close()
 
 
-def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
+def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any], simulator: str) -> None:
     pytest.importorskip("pettingzoo")
     from izoo.envs.views.pettingzoo import parallel_env
 
-    env = parallel_env(crossing(), CHANGING, SEED, in_process=True)
+    env = parallel_env(crossing(), CHANGING, SEED, in_process=True, simulator=simulator)
     try:
         observations, _ = env.reset()
         while env.agents:
@@ -171,8 +178,9 @@ def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any]) -> No
         env.close()
 
 
-def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any]) -> None:
-    env = izoo.envs.views.gymnasium.EcoDrivingEgo(crossing(), CHANGING, others=steer_and_change, in_process=True)
+def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any], simulator: str) -> None:
+    options: dict[str, Any] = {"others": steer_and_change, "in_process": True, "simulator": simulator}
+    env = izoo.envs.views.gymnasium.EcoDrivingEgo(crossing(), CHANGING, **options)
     try:
         observation, info = env.reset(seed=SEED)
         compared = 0

@@ -127,3 +127,12 @@ def test_scores_are_those_of_the_episodes_that_all_policies_have() -> None:
     assert scores["human"]["emission_g_per_vehicle"] == pytest.approx(
         human["emission_g"].sum() / human["crossed"].sum()
     )
+
+
+@pytest.mark.parametrize(("simulator", "words"), [("sumo", "on SUMO"), ("twin", "on the twin")])
+def test_every_table_says_what_played(simulator: str, words: str) -> None:
+    console = Console(file=io.StringIO(), width=200)
+    print_summary(summarise(make_table(), simulator), console)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    compared = sum(line.startswith(("ppo against", "uncommanded against")) for line in text.splitlines())
+    assert text.count(words) == 1 + compared == 4

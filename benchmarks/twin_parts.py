@@ -1,0 +1,117 @@
+"""What a step of the twin costs, and where it goes: used by the speed benchmarks."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.metrics.definitions import EPISODE_METRICS
+
+PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP"}
+"""Parts of a step and their headings: orders, driving and where vehicles are then; the surrogate, with what it needs
+and returns; accounting, rewards and observations. The compiled surrogate is part of the last."""
+_CALLS = {"drive_all": "drive", "conclude_all": "conclude", "emit_and_conclude_all": "conclude"}
+
+
+@contextlib.contextmanager
+def clocked(backend: Any) -> Iterator[dict[str, float]]:
+    """Put clocks around the parts of a backend's steps; seconds add up in the dictionary. For one thread."""
+    from izoo.envs.twin import twin_backend
+
+    seconds = dict.fromkeys(PARTS, 0.0)
+
+    def clock(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*args: Any) -> Any:
+            begin = time.perf_counter()
+            result = call(*args)
+            seconds[part] += time.perf_counter() - begin
+            return result
+
+        return run
+
+    before = {name: getattr(twin_backend, name) for name in _CALLS}
+    emitters = backend._emitters
+    try:
+        for name, part in _CALLS.items():
+            setattr(twin_backend, name, clock(part, before[name]))
+        for emitter in emitters:
+            emitter.emit = clock("emit", emitter.emit)
+        yield seconds
+    finally:
+        for name, call in before.items():
+            setattr(twin_backend, name, call)
+        for emitter in emitters:
+            del emitter.emit
+
+
+def measure(
+    context: Any, num_envs: int, steps: int, settle: int, threads: int = 1, surrogate: str = "torch"
+) -> dict[str, float]:
+    """Return vehicles, microseconds per environment step, whole and (with one thread) by part, and kilobytes.
+
+    Args:
+        context: what all environments play, each with another seed.
+        num_envs: environments; everybody commanded accelerates as fast as is safe.
+        steps, settle: timed steps, and those before.
+        threads, surrogate: of the twin.
+    """
+    import torch
+
+    from izoo.envs import EnvConfig
+    from izoo.envs.config import ACTION_HIGH_MPS2
+    from izoo.envs.twin_env import TwinEnv
+
+    config = EnvConfig(emit=(), num_agents=256, num_vehicles=1024)
+    config = replace(config, horizon_s=config.warmup_s + (steps + settle + 2) * config.step_s)
+    with contextlib.closing(TwinEnv(num_envs, context, config=config, threads=threads, surrogate=surrogate)) as env:
+        state = env.reset()
+        env.backend.await_prepared()
+        action = torch.full((num_envs, config.num_agents, 1), ACTION_HIGH_MPS2)
+        counted = env.frames["episode_metrics"][:, EPISODE_METRICS.index("vehicle_steps")]
+
+        def step() -> None:
+            nonlocal state
+            state.set(("agents", "action"), action)
+            _, state = env.step_and_maybe_reset(state)
+
+        with clocked(env.backend) as seconds:
+            for _ in range(settle):
+                step()
+            seconds.update(dict.fromkeys(PARTS, 0.0))
+            before = float(counted.mean())
+            whole = seconds_per_step(step, steps, 0)
+        return {
+            "environments": float(num_envs),
+            "vehicles": (float(counted.mean()) - before) / steps,
+            "whole_us": 1e6 * whole / num_envs,
+            **{f"{part}_us": 1e6 * spent / (steps * num_envs) for part, spent in seconds.items() if threads == 1},
+            "kilobytes": _kilobytes(env.backend),
+        }
+
+
+def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
+    """Print rows of :func:`measure` for people, beside bare libsumo where they have it."""
+    from rich.console import Console
+    from rich.table import Table
+
+    columns = {"environments": "environments", "vehicles": "vehicles", "bare_us": "bare libsumo", "whole_us": "twin"}
+    columns |= {f"{part}_us": heading for part, heading in PARTS.items()} | {"kilobytes": "kB each"}
+    shown = [name for name in columns if any(name in row for row in rows)]
+    table = Table(title=title, title_justify="left")
+    for name in [*shown, *(["ratio"] if "bare_us" in shown else [])]:
+        table.add_column(columns.get(name, name), justify="right")
+    for row in rows:
+        cells = [f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown]
+        ratio = [f"{row['bare_us'] / row['whole_us']:.1f}"] if "bare_us" in row else []
+        table.add_row(*cells, *ratio)
+    Console().print(table)
+
+
+def _kilobytes(backend: Any) -> float:
+    """Return what the tables of the first environment take: driving, demand, and the MDP."""
+    run = backend._runs[0]
+    return sum(array.nbytes for array in (*run.driving.state, *run.driving.traffic, *run.episode.tables)) / 1e3

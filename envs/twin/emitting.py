@@ -1,0 +1,137 @@
+"""CO2 of many environments' vehicles in one call of the torch surrogate.
+
+Vehicles that emit something else than in the step before are counted by class while they drive, and their inputs then
+written straight into the tiles in which :meth:`~izoo.emissions.moves.MovesSurrogate.tiled_rates` takes them. Nothing is
+sorted, and no tensor but those of the layers is made.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from izoo.compiling import compiled
+from izoo.emissions.classes import CLASSES
+from izoo.emissions.moves import MovesSurrogate, tile_rows
+from izoo.emissions.weights import INPUTS
+from izoo.envs.mdp.state import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
+from izoo.envs.mdp.world import MEMBERS
+from izoo.envs.twin.handles import world_at
+
+WORLD_AT = 0
+
+
+class Emitter:
+    """Computes the CO2 of a share of the environments; each thread has one.
+
+    Args:
+        module: the surrogates.
+
+    Attributes:
+        by_class: ``[C]`` int64, how many vehicles of each class emit something new; driving fills it.
+    """
+
+    def __init__(self, module: MovesSurrogate) -> None:
+        self._module = module
+        self.by_class = np.zeros(len(CLASSES), np.int64)
+        self._place = np.zeros(len(CLASSES), np.int64)
+        self._inputs = np.zeros((0, INPUTS), np.float32)
+        self._tile_class = np.zeros(0, np.int64)
+
+    def emit(self, addresses: np.ndarray, first: int, every: int, like: Any) -> None:
+        """Write the CO2 of the environments ``first``, ``first + every``, ... at ``addresses`` into their tables."""
+        count = int(self.by_class.sum())
+        if count == 0:
+            return
+        tile = tile_rows(count)
+        most = count // tile + len(CLASSES)
+        if most * tile > len(self._inputs):
+            self._inputs = np.zeros((2 * most * tile, INPUTS), np.float32)
+        if most > len(self._tile_class):
+            self._tile_class = np.zeros(2 * most, np.int64)
+        tiles = lay_out(self.by_class, tile, self._place, self._tile_class)
+        gather(addresses, first, every, like, self._place, self._inputs)
+        with torch.inference_mode():
+            inputs = torch.from_numpy(self._inputs[: tiles * tile]).view(tiles, tile, INPUTS)
+            rates = self._module.tiled_rates(inputs, torch.from_numpy(self._tile_class[:tiles])).view(-1).numpy()
+        lay_out(self.by_class, tile, self._place, self._tile_class)
+        scatter(addresses, first, every, like, self._place, rates)
+
+
+@compiled(borrows=True, nogil=True)
+def lay_out(by_class, tile, place, tile_class):  # type: ignore[no-untyped-def]
+    """Give every class as many tiles of ``tile`` rows as it needs; return how many tiles there are.
+
+    Args:
+        by_class: ``[C]`` vehicles per class.
+        place: ``[C]`` output, first row of each class.
+        tile_class: output, class of each tile.
+    """
+    tiles = 0
+    for c in range(by_class.shape[0]):
+        place[c] = tiles * tile
+        for _ in range((by_class[c] + tile - 1) // tile):
+            tile_class[tiles] = c
+            tiles += 1
+    return tiles
+
+
+@compiled(borrows=True)
+def burns_anew(tables, row):  # type: ignore[no-untyped-def]
+    """Whether a vehicle emits something else than in the step before."""
+    return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
+
+
+@compiled(borrows=True)
+def count_classes(tables, by_class):  # type: ignore[no-untyped-def]
+    """Add the vehicles that emit something new to ``by_class``."""
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            by_class[tables.ints[row, MOVES_CLASS]] += 1
+
+
+@compiled(nogil=True)
+def gather(addresses, first, every, like, place, inputs):  # type: ignore[no-untyped-def]
+    """Write the inputs of all who emit something new to the next rows of their classes.
+
+    Args:
+        addresses, first, every, like: as for :func:`~izoo.envs.twin.crowd.drive_all`.
+        place: ``[C]`` first row of each class; counts on.
+        inputs: ``[n, 5]`` float32 output.
+    """
+    for k in range(first, addresses.shape[0], every):
+        world = world_at(addresses[k, WORLD_AT], like)
+        _gather(world.tables, world.rules.temperature_c, world.rules.humidity_pct, place, inputs)
+
+
+@compiled(borrows=True)
+def _gather(tables, temperature_c, humidity_pct, place, inputs):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            at = place[tables.ints[row, MOVES_CLASS]]
+            place[tables.ints[row, MOVES_CLASS]] += 1
+            inputs[at, 0], inputs[at, 1] = temperature_c, humidity_pct
+            inputs[at, 2], inputs[at, 3] = tables.floats[row, SPEED], tables.floats[row, ACCEL]
+            inputs[at, 4] = tables.floats[row, GRADE]
+
+
+@compiled(nogil=True)
+def scatter(addresses, first, every, like, place, rates_gps):  # type: ignore[no-untyped-def]
+    """Write CO2 in g of the step, from rates in the rows that :func:`gather` filled."""
+    for k in range(first, addresses.shape[0], every):
+        world = world_at(addresses[k, WORLD_AT], like)
+        _scatter(world.tables, world.rules.step_s, place, rates_gps)
+
+
+@compiled(borrows=True)
+def _scatter(tables, step_s, place, rates_gps):  # type: ignore[no-untyped-def]
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            at = place[tables.ints[row, MOVES_CLASS]]
+            place[tables.ints[row, MOVES_CLASS]] += 1
+            tables.floats[row, EMISSION] = rates_gps[at] * step_s
