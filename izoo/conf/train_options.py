@@ -213,6 +213,9 @@ class TrainConfig:
         check_range("total_frames", self.total_frames, 1, 10**12)
         if getattr(self.algo, "credit", "agent") == "team":
             self._credit_the_team()
+        if getattr(self.algo, "critic_sees", "cvs") == "all" and "vehicles" not in self.env.emit:
+            emit = (*self.env.emit, "vehicles")
+            object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
         if getattr(self.algo, "control_variate", False) and self.simulator != "twin":
             raise IzooError(
                 "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
