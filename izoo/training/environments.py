@@ -36,7 +36,7 @@ class _Training(EcoDrivingBase):
         steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
     """
 
-    leaves = (TOTALS,)
+    leaves: tuple[str, ...] = (TOTALS,)
     steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
