@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos import base
+from izoo.algos.fleet import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.masked_gae import TEAM_REWARD
 from izoo.algos.ppo_config import MAPPOConfig
@@ -46,16 +47,22 @@ class SetCritic(SetNetwork):
         self.gather = nn.Sequential(
             base.mlp(queries * width, (), width, config.activation, last_gain=2.0**0.5), activation()
         )
-        self.value = base.mlp(2 * width + 1, config.hidden[-1:], 1, config.activation, last_gain=1.0)
+        fleet = FLEET_WIDTH if config.critic_sees == "all" else 0
+        self.value = base.mlp(2 * width + 1 + fleet, config.hidden[-1:], 1, config.activation, last_gain=1.0)
 
-    def rows(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor:
-        """Return values ``[n, 1]``; see :class:`izoo.algos.sets.SetNetwork`."""
+    def rows(self, observation: Tensor, frame: Tensor, column: Tensor, fleet: Tensor | None = None) -> Tensor:
+        """Return values ``[n, 1]``; see :class:`izoo.algos.sets.SetNetwork`.
+
+        Args:
+            observation, frame, column: as there.
+            fleet: ``[n, FLEET_WIDTH]`` the picture of all vehicles of a row's frame, where the critic sees them.
+        """
         sets, own = Sets.frames(frame, column), self.embed(observation)
         mask = sets.pack(torch.ones_like(frame, dtype=torch.bool))
         summary = self.gather(self.attend(sets.pack(own), mask).flatten(-2))
         count = mask.sum(-1, keepdim=True).to(own.dtype) / COUNT_SCALE
         shared = torch.cat([summary, count], dim=-1).index_select(0, frame)
-        return self.value(torch.cat([own, shared], dim=-1))
+        return self.value(torch.cat([own, shared, *([] if fleet is None else [fleet])], dim=-1))
 
     def attend(self, own: Tensor, mask: Tensor) -> Tensor:
         """Return the queries' weighted means ``[*M, queries, width]`` of embeddings ``[*M, A, width]``.
@@ -77,13 +84,20 @@ class TeamCritic(SetCritic):
 
     def __init__(self, features: int, config: MAPPOConfig) -> None:
         super().__init__(features, config)
-        self.value = base.mlp(config.critic_embedding + 1, config.hidden[-1:], 1, config.activation, last_gain=1.0)
+        inputs = config.critic_embedding + 1 + (FLEET_WIDTH if config.critic_sees == "all" else 0)
+        self.value = base.mlp(inputs, config.hidden[-1:], 1, config.activation, last_gain=1.0)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return values ``[*M, 1]`` of frames ``[*M, A, F]`` with ``mask`` ``[*M, A]``."""
+    def forward(self, observation: Tensor, mask: Tensor, fleet: Tensor | None = None) -> Tensor:
+        """Return values ``[*M, 1]`` of frames ``[*M, A, F]`` with ``mask`` ``[*M, A]``.
+
+        Args:
+            observation, mask: of the CVs.
+            fleet: ``[*M, A, FLEET_WIDTH]`` the picture of all vehicles, the same in all slots; the first is read.
+        """
         own = spread_out(self.embed(observation[mask]), mask)
         count = mask.sum(-1, keepdim=True).to(own.dtype) / COUNT_SCALE
-        return self.value(torch.cat([self.gather(self.attend(own, mask).flatten(-2)), count], dim=-1))
+        seen = [] if fleet is None else [fleet[..., 0, :]]
+        return self.value(torch.cat([self.gather(self.attend(own, mask).flatten(-2)), count, *seen], dim=-1))
 
 
 class MAPPO(SetPPO):
@@ -93,11 +107,12 @@ class MAPPO(SetPPO):
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function of the set: of each agent, or of the team."""
+        fleet = [FLEET] if self.config.critic_sees == "all" else []
         if self.config.credit == "team":
             team = TeamCritic(features, self.config)
-            return ValueOperator(team, in_keys=[base.OBSERVATION, base.MASK], out_keys=[base.VALUE])
+            return ValueOperator(team, in_keys=[base.OBSERVATION, base.MASK, *fleet], out_keys=[base.VALUE])
         critic = RowView(SetCritic(features, self.config))
-        return ValueOperator(critic, in_keys=[base.OBSERVATION, FRAME, COLUMN], out_keys=[base.VALUE])
+        return ValueOperator(critic, in_keys=[base.OBSERVATION, FRAME, COLUMN, *fleet], out_keys=[base.VALUE])
 
     def make_loss(self) -> MaskedMAPPOLoss:
         """Return the loss of ``actor`` and ``critic``."""
@@ -117,8 +132,10 @@ class MAPPO(SetPPO):
         by its errors, no otherwise than without. Per-agent rewards have no such baseline: their return ends when the
         vehicle leaves, which actions do decide.
         """
+        batch = batch.copy()
+        if self.config.critic_sees == "all":
+            add_fleet(batch)
         if self.config.control_variate:
-            batch = batch.copy()
             key = ("next", TEAM_REWARD)
             batch.set(key, batch.get(key) - batch.get(("next", TEAM_BASELINE)))
         return super().advantages(batch)

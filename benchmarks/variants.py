@@ -24,7 +24,7 @@ from izoo.algos.base import ACTION, MASK
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
-from izoo.conf.train_options import CollectorConfig, TrainConfig, TwinConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig, TrainingTwinConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
@@ -328,7 +328,7 @@ class OnTwin:
         options = TrainConfig(
             algo=PPOConfig(frames_per_batch=self.envs * length),
             simulator="twin",
-            twin=TwinConfig(self.threads, self.surrogate),
+            twin=TrainingTwinConfig(self.threads, self.surrogate, stagger=False),
             env=self.plan.env(emit=()),
             num_envs=self.envs,
         )

@@ -27,6 +27,9 @@ _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}
 class FrameReader:
     """Turns the arrays of frames into TensorDicts that own their memory.
 
+    Attributes:
+        vehicle_names: entries of the group of vehicles that are emitted; ``None``: all.
+
     Args:
         config: the environment's settings.
         arrays: frames as made by :func:`izoo.envs.mdp.frame.map_frames`; for ``batch`` of ``[]`` their single row.
@@ -39,6 +42,7 @@ class FrameReader:
     ) -> None:
         self.config, self.batch = config, batch
         self.agents_batch = torch.Size((*batch, config.num_agents))
+        self.vehicle_names: tuple[str, ...] | None = None
         self._defer = arrays["defer"].view(bool)
         self._deferring = True
         self.tensors: dict[str, Tensor] = {}
@@ -168,6 +172,8 @@ class FrameReader:
         columns = dict(zip(VEHICLE_FLOATS, t["vehicle_floats"].clone().unbind(-1), strict=True))
         columns |= dict(zip(VEHICLE_INTS, t["vehicle_ints"].clone().unbind(-1), strict=True))
         columns |= dict(zip(VEHICLE_FLAGS, t["vehicle_flags"].clone().unbind(-1), strict=True))
+        if self.vehicle_names is not None:
+            columns = {name: columns[name] for name in self.vehicle_names}
         return _new(columns, torch.Size((*self.batch, self.config.num_vehicles)))
 
     def metrics(self) -> TensorDict:

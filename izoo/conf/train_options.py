@@ -231,7 +231,9 @@ class TrainConfig:
         if getattr(self.algo, "credit", "agent") == "team":
             self._credit_the_team()
         if self.algo.candidates > 1:
-            self._emit_team_reward()
+            self._emit(TEAM_REWARD)
+        if getattr(self.algo, "critic_sees", "cvs") == "all":
+            self._emit("vehicles")
         if getattr(self.algo, "control_variate", False) and self.simulator != "twin":
             raise IzooError(
                 "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
@@ -255,11 +257,12 @@ class TrainConfig:
                 f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
                 "or algo.credit=agent."
             )
-        self._emit_team_reward()
+        self._emit(TEAM_REWARD)
 
-    def _emit_team_reward(self) -> None:
-        if TEAM_REWARD not in self.env.emit:
-            emit = (*self.env.emit, TEAM_REWARD)
+    def _emit(self, group: str) -> None:
+        """Let the environment emit what the learner needs."""
+        if group not in self.env.emit:
+            emit = (*self.env.emit, group)
             object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
 
 

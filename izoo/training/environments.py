@@ -1,6 +1,7 @@
 """Environments as the training loop needs them: an episode's metrics travel as one leaf, :data:`TOTALS`.
 
-Metrics matter once per episode, but every leaf of a step costs time in each of TorchRL's passes over it.
+Metrics matter once per episode, but every leaf of a step costs time in each of TorchRL's passes over it. For the same
+reason the group of vehicles, where it is emitted, is what critics look at (:mod:`izoo.algos.fleet`).
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Unbounded
+from torchrl.data import Composite, Unbounded
 
+from izoo.algos import fleet
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.twin_env import TwinEnv
@@ -34,13 +36,18 @@ class _Training(EcoDrivingBase):
         steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
     """
 
-    leaves = (TOTALS,)
+    leaves: tuple[str, ...] = (TOTALS,)
     steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
+        if "vehicles" in self.config.emit:
+            self.reader.vehicle_names = fleet.COLUMNS
+            group = self.observation_spec["vehicles"]
+            kept = {name: group[name] for name in fleet.COLUMNS}
+            self.observation_spec["vehicles"] = Composite(kept, shape=group.shape)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """Step as the environment does, and count it."""

@@ -331,7 +331,7 @@ class Session:
             **stats,
             **learned,
             "collect_s": collected - start,
-            "beside_s": beside - collected,
+            **({} if self._paired is None else {"beside_s": beside - collected}),
             "update_s": seconds - (beside - start),
         }
 

@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,12 +32,13 @@ from izoo.evaluation.baselines import baseline_context, default_folder
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.provenance import settings
 from izoo.files import replacing
+from izoo.training.collectors import num_envs
 from izoo.training.environments import NUMBERS, split_totals
 
 BLOCK = 32
-"""Episodes that are played at once."""
-BLOCKS_KEPT = 4
-"""Blocks that stay in memory, the newest one included."""
+"""Most episodes that are played at once."""
+BLOCKS_KEPT = 64
+"""Blocks that stay in memory: a few MB."""
 SAVED = {HUMAN: "co2_saved_over_human", UNCOMMANDED: "co2_saved_over_uncommanded"}
 """Columns of ``metrics.csv``: CO2 per vehicle saved, as a share, mean over the approaches of the compared episodes that
 ended in a batch; no gate, so :data:`KEPT` stands beside."""
@@ -88,10 +90,16 @@ class Baseline:
         driver: ``human`` or ``uncommanded``.
         stride: numbers of the episodes are multiples of it.
         folder: where they are kept; a file that is damaged, or cannot be written, is as if it were not there.
+
+    Attributes:
+        block: how many are played at once: so many that the run needs nearly all of the last block.
     """
 
     def __init__(self, config: TrainConfig, schedule: Schedule, driver: str, stride: int, folder: Path) -> None:
         self.config, self.driver, self.stride, self.folder = config, driver, stride, folder
+        episodes = num_envs(config) + config.total_frames / config.env.decisions
+        count = math.ceil(episodes / stride)
+        self.block = math.ceil(count / math.ceil(count / BLOCK))
         self.schedule = _Human(schedule) if driver == HUMAN else schedule
         self._env_config = dataclasses.replace(config.env, emit=(TEAM_REWARD,))
         known = {"settings": settings(self._env_config, "twin"), "twin": config.twin.surrogate, "of": "training"}
@@ -101,11 +109,14 @@ class Baseline:
         self._ready = -1
 
     def episodes(self, numbers: Sequence[int]) -> dict[int, Episode]:
-        """Return the episodes of these numbers, multiples of the stride, which must not go back by much."""
-        wanted = sorted({number // self.stride // BLOCK for number in numbers})
-        kept = {block: episodes for block, episodes in self._blocks.items() if block + BLOCKS_KEPT > max(wanted)}
-        self._blocks = kept | {block: self._blocks.get(block) or self._block(block) for block in wanted}
-        places = {number: divmod(number // self.stride, BLOCK) for number in numbers}
+        """Return the episodes of these numbers, multiples of the stride."""
+        places = {number: divmod(number // self.stride, self.block) for number in numbers}
+        wanted = sorted({block for block, _ in places.values()})
+        for block in wanted:
+            if block not in self._blocks:
+                self._blocks[block] = self._block(block)
+        for block in sorted(set(self._blocks) - set(wanted))[: max(len(self._blocks) - BLOCKS_KEPT, 0)]:
+            del self._blocks[block]
         return {number: self._blocks[block][place] for number, (block, place) in places.items()}
 
     def close(self) -> None:
@@ -115,7 +126,8 @@ class Baseline:
             self._env = None
 
     def _block(self, block: int) -> list[Episode]:
-        paths = [self._path(*self.schedule((block * BLOCK + place) * self.stride)) for place in range(BLOCK)]
+        numbers = [(block * self.block + place) * self.stride for place in range(self.block)]
+        paths = [self._path(*self.schedule(number)) for number in numbers]
         kept = [self._read(path) for path in paths]
         if all(kept):
             return kept  # type: ignore[return-value]
@@ -128,9 +140,9 @@ class Baseline:
         """Play a block; where it follows on the last one, its episodes have been prepared meanwhile."""
         if self._env is None or self._ready != block:
             self.close()
-            schedule, twin = _Strided(self.schedule, block * BLOCK * self.stride, self.stride), self.config.twin
+            schedule, twin = _Strided(self.schedule, block * self.block * self.stride, self.stride), self.config.twin
             threads = {} if twin.threads is None else {"threads": twin.threads}
-            self._env = TwinEnv(BLOCK, schedule, config=self._env_config, surrogate=twin.surrogate, **threads)
+            self._env = TwinEnv(self.block, schedule, config=self._env_config, surrogate=twin.surrogate, **threads)
         self._ready = block + 1
         env, driver, paid = self._env, UncommandedDriver(self._env_config.lane_change), []
         state = env.reset()
@@ -138,7 +150,7 @@ class Baseline:
             state = env.step_lean(driver(state))
             paid.append(state.get(TEAM_REWARD).squeeze(-1))
         rewards, totals = torch.stack(paid, -1).numpy(), env.frames[TOTALS].copy()
-        return [Episode(rewards[place], totals[place]) for place in range(BLOCK)]
+        return [Episode(rewards[place], totals[place]) for place in range(self.block)]
 
     def _path(self, context: Context, seed: int) -> Path:
         key = f"{self.driver}\n{context.content_hash}\n{seed}\n{self._settings}"

@@ -121,6 +121,16 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatc
     assert all(np.array_equal(mended[number].totals, human[number].totals) for number in human)
 
 
+def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
+    """Of 4 environments and 430 decisions: 14 episodes, every second one, in two blocks; the last is nearly used up."""
+    options = config("total_frames=430")
+    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+        assert beside._compared["human"].block == 4
+    options = config("total_frames=344")
+    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+        assert beside._compared["human"].block == 3
+
+
 def test_a_control_variate_needs_the_twin() -> None:
     with pytest.raises(IzooError, match=r"control_variate=true .* choose simulator=twin"):
         compose_config(

@@ -35,6 +35,9 @@ TOY = [
     *("total_frames=1200", "validation.every_batches=0"),
 ]
 """Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
+TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"]
+TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team", "algo.value_norm=popart"]
+"""What a run may hold besides networks: statistics of value targets, and the uncommanded episodes beside it."""
 DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
 
 
@@ -72,13 +75,13 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
     "words",
     [
         pytest.param(["collector=single"], id="single-ppo", marks=pytest.mark.slow),
-        pytest.param(["simulator=twin", "num_envs=4", "twin.threads=2"], id="twin-ppo", marks=pytest.mark.slow),
         # Killed after its imitation, which is a part of its state.
         pytest.param(
             ["simulator=twin", "num_envs=4", "action=advise", "algo.warm_start=glide", "algo.warm_start_frames=400"],
             id="twin-warm-start",
             marks=pytest.mark.slow,
         ),
+        pytest.param([*TWIN, *TEAM], id="twin-team", marks=pytest.mark.slow),
         pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
     ],
 )

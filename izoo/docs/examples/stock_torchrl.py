@@ -33,18 +33,22 @@ class Alone(nn.Module):
         return self.layers(torch.cat(seen, -1))
 
 
-class Together(Alone):
+class Together(nn.Module):
     """The same beside the mean over all vehicles that are there: ``[*B, A, F]`` and the mask ``[*B, A]``."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.alone = Alone(2 * inputs, outputs)
 
     def forward(self, seen: Tensor, mask: Tensor) -> Tensor:
         there = mask.unsqueeze(-1)
         total = torch.where(there, seen, 0.0).sum(-2, keepdim=True)
         mean = total / there.sum(-2, keepdim=True).clamp_min(1)
-        return super().forward(seen, mean.expand_as(seen))
+        return self.alone(seen, mean.expand_as(seen))
 
 
 def stochastic(features: int, together: bool) -> ProbabilisticActor:
-    body = Together(2 * features, 2) if together else Alone(features, 2)
+    body = Together(features, 2) if together else Alone(features, 2)
     extract = TensorDictModule(NormalParamExtractor("biased_softplus_0.5"), [("agents", "raw")], [LOC, SCALE])
     read = TensorDictModule(body, [OBSERVATION, MASK] if together else [OBSERVATION], [("agents", "raw")])
     return ProbabilisticActor(
@@ -59,7 +63,7 @@ def stochastic(features: int, together: bool) -> ProbabilisticActor:
 
 
 def value(features: int, together: bool) -> ValueOperator:
-    body = Together(2 * features, 1) if together else Alone(features, 1)
+    body = Together(features, 1) if together else Alone(features, 1)
     return ValueOperator(body, [OBSERVATION, MASK] if together else [OBSERVATION], [("agents", "state_value")])
 
 
