@@ -17,7 +17,7 @@ from izoo.envs.config import EnvConfig
 from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
-from izoo.evaluation.show import figure_table, intervals_in_words, nan_in_words, stacked
+from izoo.evaluation.show import figure_table, intervals_in_words, nan_in_words, percent, stacked
 from izoo.metrics.scores import nan_share_of
 from izoo.reporting.results import (
     LEADERBOARD_FOLDER,
@@ -122,7 +122,7 @@ def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
     table = figure_table(f"{results.title}: beside", "entry", columns)
     for name, content in entries.items():
         sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
-        cells = [(f"{100.0 * max(sums) + 0.0:.1f} %" if len(sums) > 1 else "-")] if best else []
+        cells = [percent({"value": max(sums), "low": None}) if len(sums) > 1 else "-"] if best else []
         vehicles = content["human_vehicles"]["all"]["exact"]["mean"] if "human_vehicles" in content else None
         table.add_row(name, *cells, *([stacked(vehicles)] if human else []))
     return [table]

@@ -101,6 +101,7 @@ def test_the_multisync_collector(tmp_path: Path) -> None:
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
 
 
+@pytest.mark.slow
 def test_same_seed_same_weights_and_another_seed_others(finished: Path, tmp_path: Path) -> None:
     for name, seed in (("again", 0), ("other", 1)):
         assert train.main([*TOY, "total_frames=600", f"seed={seed}", f"run_dir={tmp_path / name}"]) == 0

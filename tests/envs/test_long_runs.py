@@ -34,6 +34,7 @@ def memory_growth(episodes: int, warm: int, config: EnvConfig, **changes: Any) -
         env.close()
 
 
+@pytest.mark.slow
 def test_memory_stays_over_some_episodes() -> None:
     assert memory_growth(40, 10, short(horizon_s=20.0)) < 1.1
 

@@ -92,7 +92,7 @@ def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s:
 @pytest.mark.parametrize(
     ("number", "limit_s", "index"),
     [
-        (signal.SIGKILL, 1.0, 0),
+        pytest.param(signal.SIGKILL, 1.0, 0, marks=pytest.mark.slow),
         pytest.param(signal.SIGSTOP, 4.0, 0, marks=pytest.mark.slow),
         (signal.SIGSTOP, 4.0, 1),
     ],

@@ -97,7 +97,7 @@ def test_batches_are_consecutive_steps(name: str, workers: int, groups: tuple[st
         torch.testing.assert_close(found[key], expected[key], rtol=0.0, atol=0.0, msg=str(key))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_transforms_have_their_say(workers: int) -> None:
     """Rewards are scaled away (TorchRL's least scale is 1e-7); what is not transformed stays."""
 

@@ -40,6 +40,14 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
         assert played == [False, True]
 
 
+def test_data_from_the_twin(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", f"out={out}"]) == 0
+    assert json.loads((out / "manifest.json").read_text())["simulator"] == "twin"
+    steps = collect.load(out)
+    assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
+
+
 def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [*EASY, "policy=glide", "seeds=1", "num_contexts=1", "num_workers=0", f"cache={tmp_path / 'cache'}"]
     settings = {}
@@ -52,14 +60,6 @@ def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytes
     # Rows of both in one folder would be mixed up.
     assert evaluate.main([*words, "simulator=twin", f"out={tmp_path / 'sumo'}"]) == 2
     assert "simulator sumo -> twin" in capsys.readouterr().err
-
-
-def test_data_from_the_twin(tmp_path: Path) -> None:
-    out = tmp_path / "data"
-    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", f"out={out}"]) == 0
-    assert json.loads((out / "manifest.json").read_text())["simulator"] == "twin"
-    steps = collect.load(out)
-    assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(

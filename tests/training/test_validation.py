@@ -154,6 +154,14 @@ def test_a_forgotten_best_checkpoint_is_replaced_by_the_next(tmp_path: Path) -> 
     assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"benefit": 0.4})
 
 
+def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> None:
+    """Their benefit is that of the simulator's own driver."""
+    validator = Validator(TrainConfig(), tmp_path)
+    assert validator._is_best({"benefit": 0.1, "nan_share": 0.0})
+    assert not validator._is_best({"benefit": 0.9, "nan_share": 0.01})
+    assert not validator._is_best({"nan_share": 0.0}), "no benefit was measured"
+
+
 def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_path: Path) -> None:
     (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n100,0.5,1.0\n200,0.4,0.0\n")
     for frames in (100, 200):
