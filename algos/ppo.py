@@ -113,9 +113,9 @@ class PPO:
         imitates = start.imitating
         if imitates:
             rows.set(EXPERT_ADVICE, batch.get(EXPERT_ADVICE)[batch.get(base.MASK)])
-        if self.config.anneal_lr:
-            for group in self.optimiser.param_groups:
-                group["lr"] = self.config.lr * max(1.0 - progress, 0.0)
+        lr = self.config.warm_start_lr if imitates and self.config.warm_start_lr is not None else self.config.lr
+        for group in self.optimiser.param_groups:
+            group["lr"] = lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr
         totals: dict[str, Tensor] = {}
         steps = 0
         for minibatch in self._minibatches(rows):
