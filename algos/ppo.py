@@ -120,8 +120,9 @@ class PPO:
         steps = 0
         for minibatch in self._minibatches(rows):
             losses = self.loss(minibatch)
-            with self.loss.actor_network_params.to_module(actor):
-                losses = start.losses(actor, minibatch, losses, progress)
+            if start.active:
+                with self.loss.actor_network_params.to_module(actor):
+                    losses = start.losses(actor, minibatch, losses, progress)
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
             self.optimiser.zero_grad()
             total.backward()  # type: ignore[union-attr]
