@@ -124,15 +124,16 @@ class PPO:
         imitates = start.imitating
         if imitates:
             rows.set(EXPERT_ADVICE, batch.get(EXPERT_ADVICE)[batch.get(base.MASK)])
-        if self.config.anneal_lr:
-            for group in self.optimiser.param_groups:
-                group["lr"] = self.config.lr * max(1.0 - progress, 0.0)
+        lr = self.config.warm_start_lr if imitates and self.config.warm_start_lr is not None else self.config.lr
+        for group in self.optimiser.param_groups:
+            group["lr"] = lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr
         totals: dict[str, Tensor] = {}
         steps = 0
         for minibatch in self._minibatches(rows):
             losses = self.loss(minibatch)
-            with self.loss.actor_network_params.to_module(actor):
-                losses = start.losses(actor, minibatch, losses, progress)
+            if start.active:
+                with self.loss.actor_network_params.to_module(actor):
+                    losses = start.losses(actor, minibatch, losses, progress)
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
             self.optimiser.zero_grad()
             total.backward()  # type: ignore[union-attr]

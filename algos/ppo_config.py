@@ -73,6 +73,7 @@ class PPOConfig(AlgoConfig):
         warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
             Needs ``action=advise``, in which both can leave a CV alone.
         warm_start_frames: environment steps, over all environments, of the imitation.
+        warm_start_lr: learning rate of the imitation; ``null``: ``lr``.
         kl_to_start: weight of a penalty on the divergence from the imitation as it was at its end; it falls linearly to
             0 at the end of the run (ours 1; 0: none).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
@@ -105,6 +106,7 @@ class PPOConfig(AlgoConfig):
     reward_scale: float = 0.1
     warm_start: Literal["none", "glide"] = "none"
     warm_start_frames: int = 100_000
+    warm_start_lr: float | None = None
     kl_to_start: float = 1.0
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
@@ -124,6 +126,8 @@ class PPOConfig(AlgoConfig):
         for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
         check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
+        if self.warm_start_lr is not None:
+            check_range("algo.warm_start_lr", self.warm_start_lr, 1e-12, 100.0)
         check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
         check_widths("algo.hidden", self.hidden)
 

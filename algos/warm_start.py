@@ -41,8 +41,13 @@ class WarmStart:
         """Whether the policy still imitates."""
         return self.seen < self.frames
 
+    @property
+    def active(self) -> bool:
+        """Whether it changes the losses."""
+        return self.imitating or (self.start is not None and self.kl_to_start > 0.0)
+
     def losses(self, actor: Any, rows: TensorDictBase, found: TensorDictBase, progress: float) -> TensorDictBase:
-        """Return the losses to learn from: with the imitation's in the place of the objective, or beside the penalty.
+        """Return the losses to learn from where :attr:`active`: the imitation's for the objective, or the penalty too.
 
         Args:
             actor: the loss's actor, with the parameters that learn.
@@ -53,8 +58,6 @@ class WarmStart:
         if self.imitating:
             imitation = found.exclude("loss_objective", "loss_entropy", "loss_kl")
             return imitation.set("loss_imitation", imitation_loss(actor, rows))
-        if self.start is None or self.kl_to_start == 0.0:
-            return found
         weight = self.kl_to_start * (1.0 - progress) / max(1.0 - self.ended_at, 1e-6)
         divergence = self._divergence(actor, rows)
         found.set("kl_to_start", divergence.detach())

@@ -66,6 +66,17 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
     assert json.loads((finished / "summary.json").read_text())
 
 
+def test_a_run_ends_by_saying_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Contexts that are drawn from an interval are others than those of training; the one of pcg_easy is the same."""
+    for words, places in (([], "On 1 intersection "), (["contexts.green_s=20..32"], "On 1 unseen intersection ")):
+        run_dir = tmp_path / str(len(words))
+        options = ["total_frames=200", "evaluation.contexts=1", "collector=single", "env.horizon_s=100"]
+        assert train.main([*TOY, *options, *words, f"run_dir={run_dir}"]) == 0
+        last = capsys.readouterr().out.strip().splitlines()[-1]
+        assert last.startswith(f"{places}vehicles emit ") and "CO2 than human driving" in last
+        assert "the same vehicles uncommanded" in last
+
+
 def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:
     policy = runs.load_policy(finished)
     features = len(observation_names(runs.read_config(finished).env))

@@ -9,11 +9,12 @@ from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 AGAINST = {HUMAN: "human driving", UNCOMMANDED: "the same vehicles uncommanded"}
 
 
-def in_words(summary: dict[str, Any]) -> str:
+def in_words(summary: dict[str, Any], unseen: bool = False) -> str:
     """Return in a few sentences what the policy saves, how certain that is, and what it does to the throughput.
 
     Args:
         summary: what :func:`izoo.evaluation.summarise` returned, of one policy beside the baselines.
+        unseen: whether the policy has been trained on none of these intersections.
     """
     (policy,) = (name for name in summary["policies"] if name not in AGAINST)
     against = summary["policies"][policy]["against"]
@@ -23,7 +24,7 @@ def in_words(summary: dict[str, Any]) -> str:
     if not savings or any(saving["value"] is None for saving in savings.values()):
         return "Nothing can be said of CO2: no vehicle crossed a stop line."
     parts = [f"{_amount(saving)} than {AGAINST[name]}" for name, saving in savings.items()]
-    places = "1 unseen intersection" if count == 1 else f"{count} unseen intersections"
+    places = f"{count} {'unseen ' if unseen else ''}intersection{'' if count == 1 else 's'}"
     lines = [f"On {places} vehicles emit {' and '.join(parts)}."]
     fallen = [name for name, blocks in found.items() if (blocks["throughput"]["mean"]["value"] or 0.0) < 0.0]
     if fallen:

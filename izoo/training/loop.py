@@ -8,7 +8,7 @@ import errno
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import torch
 
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
+from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
@@ -31,6 +32,8 @@ from izoo.training.validation import Validator
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or has become read-only."""
 MAX_LEARNER_THREADS = 8
+MOST_LOOKED_UP = 20_000
+"""Of runs with more episodes it is not said that the contexts of their last comparison are unseen."""
 PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""
 
@@ -411,4 +414,13 @@ class Session:
         )
         summary = summarise(table)
         print_summary(summary)
-        return in_words(summary)
+        return in_words(summary, self._unseen(contexts))
+
+    def _unseen(self, contexts: Sequence[Context]) -> bool:
+        """Return whether none of these contexts has been trained on; of very long runs that is not looked up."""
+        played = self.first_episode + self.episodes + num_envs(self.config)
+        if hasattr(self.source, "__len__") or played > MOST_LOOKED_UP:
+            return False
+        schedule = RandomSchedule(self.source, self.config.seed)
+        seen = {schedule(number)[0].content_hash for number in range(played)}
+        return seen.isdisjoint(context.content_hash for context in contexts)

@@ -123,6 +123,13 @@ def test_after_the_warm_start_the_penalty_holds_the_policy_and_fades(algo: str) 
     assert seen[4]["loss_kl_to_start"] == pytest.approx(2.0 * share * seen[4]["kl_to_start"], rel=1e-4)
 
 
+def test_the_imitation_may_have_a_learning_rate_of_its_own() -> None:
+    words = ("algo.warm_start_frames=200", "algo.warm_start_lr=0.01", "algo.lr=0.001", "algo.epochs=1")
+    algorithm, batch = make("ppo", *WARM, *words, action="advise"), glide_batch()
+    rates = [algorithm.update(act(algorithm, batch), progress)["lr"] for progress in (0.0, 0.2, 0.4)]
+    assert rates == pytest.approx([0.01, 0.008, 0.0006])
+
+
 def test_the_penalty_keeps_the_policy_near_the_imitation() -> None:
     moved = []
     for weight in (0.0, 30.0):

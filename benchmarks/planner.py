@@ -1,0 +1,273 @@
+"""How much is there to gain? A planner that knows the future looks for advice by trial, on branches of the twin.
+
+``python -m izoo.benchmarks.planner contexts=...`` plays every context with human drivers, uncommanded CVs, glide and
+the planner, on the twin. The planner is no policy that could drive: before it advises a CV, it plays what would follow
+from each advice, with the very vehicles that will come. What it finds is a lower bound of what could be gained, since
+it changes the advice of one CV at a time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo.commands.option_command import OptionCommand
+
+if TYPE_CHECKING:
+    import numpy as np
+    from tensordict import TensorDictBase
+
+    from izoo.benchmarks.planner_options import PlannerConfig
+    from izoo.contexts.context import Context
+    from izoo.envs import EnvConfig, TwinEnv
+
+AT_ONCE = 16
+"""Intersections that are played side by side."""
+LEAST_GAIN = 1e-3
+"""Advice is changed for no less, in units of what human driving burns in a step: rounding is no reason."""
+Play = tuple["Context", int]
+
+
+def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict[str, Any]]:
+    """Play all contexts, print the table, write the rows where they are wanted, and return them."""
+    print("Loading torch; the twin compiles where it has not yet.", flush=True)
+    from rich.console import Console
+
+    from izoo.evaluation.baselines import baseline_context
+    from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, episode_seeds
+    from izoo.files import write_json
+
+    contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
+    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    env = settings(config)
+    rows: list[dict[str, Any]] = []
+    for adoption in config.adoptions:
+        plays = [(context.replace(adoption=adoption), seed) for context in contexts for seed in seeds]
+        for first in range(0, len(plays), AT_ONCE):
+            part = plays[first : first + AT_ONCE]
+            human = [(baseline_context(context), seed) for context, seed in part]
+            found = {
+                "human": played(human, env, config, scripted("human", env)),
+                "uncommanded": played(part, env, config, scripted("uncommanded", env)),
+                "glide": played(part, env, config, scripted("glide", env)),
+                "planner": played(part, env, config, lambda world: Planner(world, config).act),
+            }
+            for k, (context, seed) in enumerate(part):
+                row = {"context": context.name, "intersection": context.intersection.name, "seed": seed}
+                lanes = int(found["human"]["lanes"][k])
+                rows.append({**row, "adoption": adoption, "lanes": lanes, **_sums(found, k)})
+            print(f"{len(rows)} of {len(plays) * len(config.adoptions)} episodes", file=sys.stderr, flush=True)
+    if config.out is not None:
+        write_json(Path(config.out), {"rows": rows, "summary": summary(rows)})
+    Console().print(table(rows))
+    print("Percentages are of CO2 per vehicle that crosses, saved over uncommanded CVs; brackets: 95 % intervals.")
+    return rows
+
+
+def settings(config: PlannerConfig) -> EnvConfig:
+    """Return the environment: decisions as long as between two trials, paid as a team."""
+    from izoo.envs import RewardConfig
+
+    reward, emit = RewardConfig.fuel_team(), ("team_reward",)
+    return dataclasses.replace(config.env, hold_s=config.every_s, reward=reward, emit=emit)
+
+
+def scripted(name: str, env: EnvConfig) -> Callable[[TwinEnv], Callable[[TensorDictBase], TensorDictBase]]:
+    """Return what makes a scripted driver for a world."""
+    from izoo.algos.scripted import make_driver
+
+    return lambda world: make_driver(name, env)
+
+
+def played(
+    plays: Sequence[Play],
+    env: EnvConfig,
+    config: PlannerConfig,
+    make: Callable[[TwinEnv], Callable[[TensorDictBase], TensorDictBase]],
+) -> dict[str, np.ndarray]:
+    """Play whole episodes, and return sums of each over its scored approaches, ``[n]``, by name."""
+    import numpy as np
+    import torch
+
+    from izoo.envs import TwinEnv
+    from izoo.evaluation.table import scored_approaches
+
+    world = TwinEnv(
+        len(plays), lambda number: plays[number % len(plays)], config=env, threads=config.threads, surrogate="compiled"
+    )
+    with torch.no_grad():
+        state = world.reset()
+        act = make(world)
+        while True:
+            following = world.step_lean(act(state))
+            if following.get("done").any():
+                break
+            state = following.exclude(("agents", "reward"))
+    approaches = world.reader.metrics().get("approach")
+    roads = [world.scene(k).road for k in range(len(plays))]
+    chosen = [
+        [road.approaches.index(leg) for leg in scored_approaches(context)]
+        for road, (context, _) in zip(roads, plays, strict=True)
+    ]
+    sums = {
+        name: np.array([float(approaches.get(name)[k, legs].sum()) for k, legs in enumerate(chosen)])
+        for name in ("emission_g", "crossed", "waiting")
+    }
+    world.close()
+    sums["lanes"] = np.array([int(max(road.lane_count[legs])) for road, legs in zip(roads, chosen, strict=True)])
+    return sums
+
+
+class Planner:
+    """Advises CVs by trial: one CV per intersection at a time, whoever has waited longest for it.
+
+    Advice holds until the next trial about the same CV, or until it has crossed the stop line.
+
+    Args:
+        world: the environments, at the beginning of their episodes; the branches are made of them.
+        config: options.
+    """
+
+    def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
+        import torch
+
+        from izoo.algos.advice import SpeedCap
+        from izoo.envs.mdp.frame import observation_names
+
+        self.world, self.config = world, config
+        self.cap = SpeedCap(world.config, config.brake_mps2)
+        self.approaching = observation_names(world.config).index("location_approaching")
+        self.candidates = torch.tensor([0.0, 0.0, *config.caps])  # as it is, nothing, or one of the caps
+        self.branches = world.branch(len(self.candidates))
+        shape = (world.num_envs, world.config.num_agents)
+        self.advice, self.asked = torch.zeros(shape), torch.full(shape, -1.0)
+        self.decisions = 0
+
+    def act(self, state: TensorDictBase) -> TensorDictBase:
+        """Look for better advice for one CV of each environment, and write everyone's commands."""
+        import torch
+
+        self._forget(self.advice, state)
+        mask = state.get(("agents", "mask"))
+        self.asked[~mask] = -1.0
+        here = mask & (state.get(("agents", "observation"))[..., self.approaching] > 0.5)
+        waiting = torch.where(here, self.decisions - self.asked, torch.full_like(self.asked, -1.0))
+        longest, slot = waiting.max(-1)
+        if bool((longest >= 0).any()):
+            rows = torch.arange(len(slot))
+            tried = self.candidates.repeat(len(slot), 1)
+            tried[:, 0] = self.advice[rows, slot]
+            worth = self._tried(slot, tried)
+            best = worth.argmax(-1)
+            better = (longest >= 0) & (worth[rows, best] > worth[:, 0] + LEAST_GAIN)
+            self.advice[rows[better], slot[better]] = tried[rows, best][better]
+            self.asked[rows, slot] = float(self.decisions)
+        self.decisions += 1
+        return self._command(state, self.advice)
+
+    def _tried(self, slot: Any, tried: Any) -> Any:
+        """Return the team's rewards of what follows from advising ``tried [N, K]`` in the slots ``[N]``, ``[N, K]``."""
+        import torch
+
+        count = tried.shape[1]
+        state = self.world.state_dict()
+        for name in ("episodes", "packed"):
+            state[name] = [value for value in state[name] for _ in range(count)]
+        state["next_episodes"] = self.branches.state_dict()["next_episodes"]
+        self.branches.load_state_dict(state)
+        advice = self.advice.repeat_interleave(count, 0)
+        advice[torch.arange(len(advice)), slot.repeat_interleave(count)] = tried.reshape(-1)
+        now, worth = self.branches.present(), torch.zeros(len(advice))
+        for _ in range(max(round(self.config.look_ahead_s / self.config.every_s), 1)):
+            self._forget(advice, now)
+            following = self.branches.step_lean(self._command(now, advice))
+            worth += following.get("team_reward").squeeze(-1)
+            if following.get("done").any():
+                break
+            now = following.exclude(("agents", "reward"))
+        return worth.view(-1, count)
+
+    def _forget(self, advice: Any, state: TensorDictBase) -> None:
+        """Advise nobody who has crossed the stop line, and no empty slot."""
+        here = state.get(("agents", "mask")) & (state.get(("agents", "observation"))[..., self.approaching] > 0.5)
+        advice[~here] = 0.0
+
+    def _command(self, state: TensorDictBase, advice: Any) -> TensorDictBase:
+        seen = self.cap.look(state.get(("agents", "observation")), state.get(("agents", "mask")))
+        accel, defer = self.cap.command(seen, advice)
+        state.set(("agents", "action"), accel.unsqueeze(-1))
+        return state.set(("agents", "defer"), defer)
+
+
+def _sums(found: dict[str, dict[str, np.ndarray]], k: int) -> dict[str, float]:
+    return {
+        f"{name}_{driver}": float(sums[name][k])
+        for driver, sums in found.items()
+        for name in ("emission_g", "crossed", "waiting")
+    }
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return, by adoption and lanes, what each driver saves over uncommanded CVs and how many more vehicles cross."""
+    import numpy as np
+
+    from izoo.metrics.statistics import estimate, mean
+
+    def rate(row: dict[str, Any], driver: str) -> float:
+        return row[f"emission_g_{driver}"] / max(row[f"crossed_{driver}"], 1.0)
+
+    rows = [row for row in rows if row["crossed_uncommanded"] > 0]
+
+    lines = []
+    for adoption in dict.fromkeys(row["adoption"] for row in rows):
+        for kind, fits in (("one", lambda lanes: lanes == 1), ("several", lambda lanes: lanes > 1)):
+            chosen = [row for row in rows if row["adoption"] == adoption and fits(row["lanes"])]
+            if not chosen:
+                continue
+            places = [row["intersection"] for row in chosen]
+            line: dict[str, Any] = {"adoption": adoption, "lanes": kind, "episodes": len(chosen)}
+            for driver in ("glide", "planner"):
+                saved = np.array([[1.0 - rate(row, driver) / rate(row, "uncommanded") for row in chosen]])
+                more = np.array(
+                    [[row[f"crossed_{driver}"] / max(row["crossed_uncommanded"], 1.0) - 1.0 for row in chosen]]
+                )
+                line[driver] = estimate(saved, mean, places).to_dict()
+                line[f"{driver}_median"] = float(np.median(saved))
+                line[f"{driver}_crossed"] = estimate(more, mean, places).to_dict()
+            lines.append(line)
+    return lines
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Any:
+    """Return the summary as a table to read."""
+    from rich.table import Table
+
+    from izoo.evaluation.show import percent
+
+    shown = Table(title="What there is to gain")
+    for heading in ("adoption", "lanes", "episodes", "glide", "planner", "median", "vehicles through"):
+        shown.add_column(heading, justify="right")
+    for line in summary(rows):
+        cells = [f"{line['adoption']:.2f}", line["lanes"], str(line["episodes"]), percent(line["glide"])]
+        cells += [percent(line["planner"]), f"{100.0 * line['planner_median']:.1f} %", percent(line["planner_crossed"])]
+        shown.add_row(*cells)
+    return shown
+
+
+COMMAND = OptionCommand(
+    name="benchmarks.planner",
+    summary="Search, with knowledge of the future, for advice that saves CO2: how much is there to gain?",
+    examples=(
+        "izoo.benchmarks.planner contexts=city contexts.split=validation num_contexts=8",
+        "izoo.benchmarks.planner contexts=pcg contexts.lane_count=1 num_contexts=8 adoptions=[1.0] out=planner.json",
+    ),
+    config="izoo.benchmarks.planner_options:PlannerConfig",
+    work="izoo.benchmarks.planner:run",
+)
+main = COMMAND.main
+
+if __name__ == "__main__":
+    sys.exit(main())
