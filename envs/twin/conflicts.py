@@ -110,7 +110,9 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
                 foe = entry_of[other]
                 if foe != entry:
                     conflict = _conflict(ways, lanes_of, entry, lane, foe, other)
-                    if conflict[1][CONFLICT_BEHIND] > 0.0 or conflict[0][CONFLICT_KIND] != CROSSING:
+                    ints, floats = conflict
+                    crosses = floats[CONFLICT_BEHIND] > 0.0 or floats[CONFLICT_FOE_BEHIND] == NOWHERE
+                    if crosses or ints[CONFLICT_KIND] != CROSSING:
                         rows.append(conflict)
             count[row] = len(rows) - first[row]
     return Conflicts(
@@ -160,13 +162,17 @@ def _waiting_foes(
 ) -> list[int]:
     """Return the links that a waiting point yields to.
 
-    They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict.
+    They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict, but
+    not those that yield to it in turn.
     """
     links = ways.link_ints
     foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
     behind = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
     behind += [_link_behind(ways, lane) for lane in inside]
-    return list(dict.fromkeys([*foes, *(row for row in behind if links[row, LINK_VIA] >= 0)]))
+    entry_of = {lane: row for row, lanes in lanes_of.items() for lane in lanes}
+    waiting = [row for row in behind if links[row, LINK_VIA] >= 0]
+    waiting = [row for row in waiting if entry not in ways.responses.get(entry_of[int(links[row, LINK_FROM])], ())]
+    return list(dict.fromkeys([*foes, *waiting]))
 
 
 def _conflict(
@@ -176,6 +182,7 @@ def _conflict(
     links = ways.link_ints
     last, last_foe = lane == lanes_of[entry][-1], other == lanes_of[foe][-1]
     waits = not last_foe
+    yields = foe in ways.responses.get(entry, ())
     if links[entry, LINK_FROM] == links[foe, LINK_FROM]:
         kind = PARTING
         own, theirs = _parting(ways, lanes_of, entry, lane, foe, other)
@@ -191,7 +198,9 @@ def _conflict(
         sizes = own_size, their_size
         if own > 0.0 and theirs == 0.0 and not _intersections(ways.shapes[lane], ways.shapes[other]):
             theirs = NOWHERE
-    yields = foe in ways.responses.get(entry, ())
+        elif own == theirs == 0.0 and last and waits and yields and links[entry, LINK_TO] == links[foe, LINK_TO]:
+            # Before its waiting point somebody who will merge.
+            theirs = NOWHERE
     foe_yields = entry in ways.responses.get(foe, ())
     radius = _radius(ways, lanes_of, entry)
     return [other, foe, kind, int(yields), int(foe_yields), int(waits)], [own, sizes[0], theirs, sizes[1], radius]

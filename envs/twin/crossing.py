@@ -52,6 +52,7 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_BEHIND,
     CONFLICT_FOE_BEHIND,
     CONFLICT_FOE_SIZE,
+    CONFLICT_FOE_WAITS,
     CONFLICT_FOE_YIELDS,
     CONFLICT_KIND,
     CONFLICT_LANE,
@@ -122,12 +123,16 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
     if kind != MERGING and to_conflict + size < 0.0:
         return best, passing, request
-    if foe_behind == NOWHERE:
+    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
+    nowhere = foe_behind == NOWHERE
+    if nowhere and not outside:
         return best, passing, request
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane
+    before_wait = kind == CROSSING and (nowhere or net.conflict_ints[row, CONFLICT_FOE_WAITS] == 1)
     back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    past = back_left + foe_size + _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS]) < 0.0
+    swing = _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
+    past = back_left + foe_size + swing < 0.0 and not nowhere
     entered = back_left < traffic.floats[w, LENGTH]
     in_the_way = (to_conflict > 0.0 and not past and entered) or (
         kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
@@ -136,8 +141,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
         return best, passing, request
     if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return best, passing, request
-    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
-    if not (outside or in_the_way or _goes_first(net, state, v, w, row)):
+    if not (outside or in_the_way or _goes_first(net, state, v, w, link, row)):
         return best, passing, request
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
@@ -150,11 +154,16 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
             gap += to_way - to_conflict
             to_conflict = to_way
         gap -= foe_size
-    if gap >= 0.0:
+    if gap >= 0.0 and not before_wait:
         safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
     else:
         safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
-    if kind == CROSSING and to_conflict >= 0.0:
+    if before_wait:
+        if not in_front and to_conflict >= 0.0:
+            # It has passed the waiting point but for its tail: up to the conflict, and not behind it.
+            stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
+            safe = max(safe, stop)
+    elif kind == CROSSING and to_conflict >= 0.0:
         stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
         leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
         final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
@@ -182,15 +191,19 @@ def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _goes_first(net, state, v, w, row):  # type: ignore[no-untyped-def]
+def is_lingering(net, state, link):  # type: ignore[no-untyped-def]
+    """Whether those on the way before ``link`` came into the junction by a signal that is red now."""
+    return state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED
+
+
+@compiled
+def _goes_first(net, state, v, w, link, row):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
-    own, foe = state.ints[v, JUNCTION_MS], state.ints[w, JUNCTION_MS]
-    if not net.conflict_ints[row, CONFLICT_YIELDS]:
-        foe = state.ints[w, CONFLICT_MS]
-    elif net.conflict_ints[row, CONFLICT_FOE_YIELDS]:
-        own, foe = state.ints[v, CONFLICT_MS], state.ints[w, CONFLICT_MS]
-    else:
-        own = state.ints[v, CONFLICT_MS]
+    own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
+    if net.conflict_ints[row, CONFLICT_YIELDS] and state.ints[v, CONFLICT_MS] == NEVER_MS:
+        # At a waiting point one goes after everybody, but leaves before those whose signal has changed to green.
+        lingers = net.conflict_ints[row, CONFLICT_FOE_YIELDS] and is_lingering(net, state, link)
+        own = own if lingers else NEVER_MS
     if own != foe:
         return own > foe
     if state.floats[v, SPEED] != state.floats[w, SPEED]:
@@ -279,9 +292,12 @@ def _blocks(net, traffic, state, item, foe_link):  # type: ignore[no-untyped-def
     foe = state.link_first[foe_link]
     link, v = state.item_ints[item, ITEM_LINK], state.item_ints[item, ITEM_VEHICLE]
     merging = net.link_ints[link, LINK_TO] == net.link_ints[foe_link, LINK_TO]
+    # Who lingers inside the junction does not wait for those who stand.
+    lingers = net.link_ints[link, LINK_ENTRY] != link and is_lingering(net, state, link)
     while foe >= 0:
         w = state.item_ints[foe, ITEM_VEHICLE]
-        if w >= 0 and w != v and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging):
+        no_foe = w < 0 or w == v or (lingers and state.floats[w, SPEED] <= STANDING_MPS)
+        if not no_foe and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging):
             return True
         foe = state.item_ints[foe, ITEM_NEXT]
     return False

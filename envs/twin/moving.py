@@ -42,7 +42,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import may_pass, note_request, pass_link
-from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed
+from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
@@ -59,7 +59,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     comfortable = brake_gap(speed, driver[DECEL], 0.0, step_s)
     fastest = most_speed(driver, speed, step_s)
     safe = fastest
-    needed = needed_wait = 0.0
+    needed = needed_wait = needed_m = 0.0
     needed_can_brake = waits = False
     slowest = least_speed(driver, speed, step_s)
     first = state.ints[v, FIRST_ITEM]
@@ -81,7 +81,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 if distance > VISIBILITY_M and (can_brake or not yellow):
                     safe, waits = values[ITEM_WAIT], True
                     break
-                needed_wait, needed_can_brake = values[ITEM_WAIT], can_brake
+                needed_wait, needed_m, needed_can_brake = values[ITEM_WAIT], distance, can_brake
                 needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
             safe = values[ITEM_PASS]
             waits = waits or (safe < driver[DECEL] and safe <= values[ITEM_WAIT] and safe < fastest)
@@ -100,7 +100,9 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
-            safe, waits = max(slowest, needed_wait), True
+            wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+            stop = stop_speed(driver, needed_m, speed, wish, driver[DECEL], step_s)
+            safe, waits = min(safe, max(slowest, stop)), True
         # Who goes on shall not be held up by lane changes.
         needed = 0.0 if waits and safe < speed else min(needed, safe)
     state.ints[v, HAS_TO_WAIT] = waits

@@ -80,6 +80,8 @@ def distances_of_twin(world: TwinWorld) -> dict[Pair, Place]:
                 )
             ]
             floats, ints = net.conflict_floats[row], net.conflict_ints[row]
+            if floats[CONFLICT_BEHIND] == 0.0 and floats[CONFLICT_FOE_BEHIND] == NOWHERE:
+                continue  # No place: somebody before his waiting point who will merge.
             found[world.lane_ids[own], world.lane_ids[foe]] = (
                 before[0] + float(net.lane_floats[own, LANE_LENGTH] - floats[CONFLICT_BEHIND]),
                 float(floats[CONFLICT_SIZE]),
