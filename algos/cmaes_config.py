@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from izoo.algos.registry import AlgoConfig
 from izoo.errors import check_range, check_types
@@ -27,8 +27,6 @@ class CMAESConfig(AlgoConfig):
     name: Literal["cmaes"] = "cmaes"
     population: int = 16
     initial_spread: float = 0.3
-
-    frames_per_batch: ClassVar[int] = 1  # a batch is a generation's episodes, as many steps as they have
 
     def __post_init__(self) -> None:
         check_types("algo", self)

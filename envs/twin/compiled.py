@@ -231,7 +231,7 @@ def _mark(builder: Any, kind: TableType, access: Any) -> None:
 @lower_builtin(operator.getitem, TableType, types.Any)
 def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     kind, index_type = sig.args
-    place = _place(context, builder, kind, *args[:1], index_type, args[1])
+    place = _place(context, builder, kind, args[0], index_type, args[1])
     if isinstance(sig.return_type, TableType):
         row = cgutils.create_struct_proxy(sig.return_type)(context, builder)
         table = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])

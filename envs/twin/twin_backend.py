@@ -161,7 +161,7 @@ class TwinBackend:
         self.frames["defer"][:] = 0
 
     def _step(self, chosen: np.ndarray | None, meanwhile: Callable[[], None] | None = None) -> None:
-        """Simulate one step of the environments ``chosen`` ``[N]`` bool, shared out among the threads; ``None``: all."""
+        """Simulate one step of the environments ``chosen`` ``[N]`` bool (``None``: all), shared out among threads."""
         like = self._run(0).episode.world
         addresses = self._addresses if chosen is None else self._addresses[chosen]
         every = self.threads
