@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos import base
-from izoo.algos.fleet import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.masked_gae import TEAM_REWARD
+from izoo.algos.overview import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.ppo_config import MAPPOConfig
 from izoo.algos.set_ppo import SetPPO
 from izoo.algos.sets import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out

@@ -172,7 +172,7 @@ class MAPPOConfig(PPOConfig):
             one is estimated from the team's rewards, which go on, and shared by all CVs. ``team`` needs a reward that
             is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
         critic_sees: ``cvs``: the critic sees the CVs, each as it observes; ``all``: also, from above, every vehicle of
-            the region while training (:mod:`izoo.algos.fleet`). The policy sees neither.
+            the region while training (:mod:`izoo.algos.overview`). The policy sees neither.
         control_variate: take from the team's reward what it was at the same time of the uncommanded episode of the same
             context and seed, which says how busy it is there just then, whatever the CVs do: less variance, no bias.
             Needs ``credit=team`` and ``simulator=twin``, which plays these episodes beside the training.

@@ -1,7 +1,7 @@
 """Environments as the training loop needs them: an episode's metrics travel as one leaf, :data:`TOTALS`.
 
 Metrics matter once per episode, but every leaf of a step costs time in each of TorchRL's passes over it. For the same
-reason the group of vehicles, where it is emitted, is what critics look at (:mod:`izoo.algos.fleet`).
+reason the group of vehicles, where it is emitted, is what critics look at (:mod:`izoo.algos.overview`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from izoo.algos import fleet
+from izoo.algos import overview
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.twin_env import TwinEnv
@@ -44,9 +44,9 @@ class _Training(EcoDrivingBase):
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
-            self.reader.vehicle_names = fleet.COLUMNS
+            self.reader.vehicle_names = overview.COLUMNS
             group = self.observation_spec["vehicles"]
-            kept = {name: group[name] for name in fleet.COLUMNS}
+            kept = {name: group[name] for name in overview.COLUMNS}
             self.observation_spec["vehicles"] = Composite(kept, shape=group.shape)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:

@@ -13,8 +13,8 @@ from torchrl.envs import check_env_specs
 
 from izoo import train
 from izoo.algos import base
-from izoo.algos.fleet import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
 from izoo.algos.mappo import MAPPO
+from izoo.algos.overview import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
 from izoo.algos.ppo_config import MAPPOConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
