@@ -27,6 +27,7 @@ class CMAESConfig(AlgoConfig):
     name: Literal["cmaes"] = "cmaes"
     population: int = 16
     initial_spread: float = 0.3
+    frames_per_batch = 1  # no option: a batch is an episode of each environment, however long those are
 
     def __post_init__(self) -> None:
         check_types("algo", self)
