@@ -1,6 +1,6 @@
 """How far the twin is from SUMO, on any contexts.
 
-``python -m izoo.benchmarks.twin contexts=dataset contexts.folder=NETS`` plays the same episodes on both. For some
+``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both. For some
 policies every vehicle is compared in every step, up to where the two part; for all of them CO2, vehicles that crossed,
 travel and stopped times per approach, and what each policy gains over human driving. The folder ``out`` gets
 ``ladder.json``, ``approaches.csv``, ``exact.csv``, ``ladder.png`` and the two evaluations; the same command goes on
@@ -149,7 +149,7 @@ COMMAND = OptionCommand(
     summary="Compare the twin with SUMO on any contexts: every vehicle and step, CO2 per approach, gains of policies.",
     examples=(
         "izoo.benchmarks.twin contexts=pcg num_contexts=8",
-        "izoo.benchmarks.twin contexts=dataset contexts.folder=NETS adoptions=[0.33,1] policies=[uncommanded,glide]",
+        "izoo.benchmarks.twin contexts=dataset contexts.path=NETS adoptions=[0.33,1] policies=[uncommanded,glide]",
         "izoo.benchmarks.twin contexts=catalogue contexts.city=atlanta num_contexts=20 demand=[all] out=atlanta",
     ),
     config="izoo.benchmarks.ladder_options:LadderConfig",

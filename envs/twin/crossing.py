@@ -37,6 +37,7 @@ from izoo.envs.twin.arrays import (
     LINK_FIRST_RESPONSE,
     LINK_FROM,
     LINK_NEXT,
+    LINK_PROGRAM,
     LINK_RESPONSES,
     LINK_TO,
     MIN_GAP,
@@ -197,6 +198,13 @@ def is_lingering(net, state, link):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def is_protected(net, state, link):  # type: ignore[no-untyped-def]
+    """Whether ``link`` is a waiting point behind a signal that gives priority now: nobody need wait there."""
+    entry = net.link_ints[link, LINK_ENTRY]
+    return entry != link and net.link_ints[entry, LINK_PROGRAM] >= 0 and is_major(state.link_letter[entry])
+
+
+@compiled
 def _goes_first(net, state, v, w, link, row):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
@@ -265,7 +273,7 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
     letter = state.link_letter[link]
     if letter == RED:
         return False
-    if is_major(letter) or net.link_ints[link, LINK_CONT]:
+    if is_major(letter) or net.link_ints[link, LINK_CONT] or is_protected(net, state, link):
         return True
     if letter == STOP and state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
         return False

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from izoo.contexts.source import ContextList
+from tests.envs.twin.alongside import differences
 from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play_twin
 
@@ -57,11 +58,23 @@ def passed(case: Case, trace: Trace) -> int:
     return int(on_exit[trace.lane].any(axis=0).sum())
 
 
+def measured(dataset: ContextList, name: str) -> Case:
+    """Return a measured intersection with demand from all approaches."""
+    context = next(context for context in dataset if name in context.name.split("/"))
+    return Case.of(context.replace(approach=None), 7, 600.0)
+
+
 @pytest.mark.parametrize("name", ["308", "110"])
 def test_measured_junctions_are_not_blocked(dataset: ContextList, name: str) -> None:
     """Left-turners once waited for each other there until the end: 268 of 474 and 114 of 255 vehicles passed."""
-    context = next(context for context in dataset if name in context.name.split("/"))
-    case = Case.of(context.replace(approach=None), 7, 600.0)
+    case = measured(dataset, name)
     theirs, ours = passed(case, play_sumo(case, 1200)), passed(case, play_twin(case, 1200))
     assert theirs > 200
     assert abs(ours - theirs) <= 0.02 * theirs
+
+
+def test_nearly_every_step_of_every_vehicle_is_the_same(dataset: ContextList) -> None:
+    """From where SUMO has everybody: 109 of 119,000 steps of vehicles were measured to differ."""
+    case = measured(dataset, "308")
+    sumo = play_sumo(case, 800)
+    assert len(list(differences(case, sumo))) <= 0.002 * (sumo.lane >= 0).sum()

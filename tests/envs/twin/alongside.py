@@ -1,0 +1,234 @@
+"""The twin driven alongside SUMO: after every step vehicles that differ are put where SUMO has them.
+
+A free comparison (:mod:`tests.envs.twin.oracle`) ends with the first departure, since everything after it may follow
+from it. Here each difference is one step old, so that a single episode shows all of its causes, and what share of the
+steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET INTERSECTION`` lists them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from izoo.envs.twin.advising import clear_memories
+from izoo.envs.twin.arrays import (
+    ACCEL,
+    ARRIVED,
+    CONFLICT_MS,
+    DEPART_LANE,
+    DRIVING,
+    DROPPED,
+    JUNCTION_MS,
+    LANE,
+    LANE_EDGE,
+    LANE_INSIDE,
+    LANE_TAILS,
+    LINK_CONT,
+    LINK_FROM,
+    MAX_TAIL_LANES,
+    NEVER_MS,
+    NOW_MS,
+    ON_ROAD,
+    POSITION,
+    ROUTE,
+    SPEED,
+    STATUS,
+    TAIL_LANES,
+    VARIANT,
+    WAITING,
+    WAITING_MS,
+    open_net,
+    open_state,
+    open_traffic,
+)
+from izoo.envs.twin.best_lanes import find_variant
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.order import lay_tail, place, take_out
+from izoo.envs.twin.twin_episode import TwinEpisode
+from izoo.envs.twin.whole_net import twin_traffic
+from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.road import read_road
+from tests.envs.twin.oracle import Case, Trace, play_sumo
+
+
+class Place(NamedTuple):
+    """Lane (row, -1 off the road), position (m) and speed (m/s) of a vehicle."""
+
+    lane: int
+    position_m: float
+    speed_mps: float
+
+
+class Difference(NamedTuple):
+    """Where a vehicle is after a step, in SUMO and on the twin."""
+
+    step: int
+    vehicle: int
+    sumo: Place
+    twin: Place
+
+
+def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Difference]:
+    """Play ``case`` on the twin along the trace of SUMO and yield the vehicles that differ, step by step."""
+    net = case.world.net
+    episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(case.net_path), net), case.step_ms)
+    edges = net.lane_ints[:, LANE_EDGE]
+    passed: list[list[int]] = [[] for _ in range(len(case.traffic))]
+    for t in range(len(sumo.lane)):
+        episode.step()
+        found = []
+        for v in np.flatnonzero((sumo.lane[t] >= 0) | (episode.status == DRIVING)).tolist():
+            theirs = Place(int(sumo.lane[t, v]), float(sumo.position_m[t, v]), float(sumo.speed_mps[t, v]))
+            ours = Place(-1, np.nan, np.nan)
+            if episode.status[v] == DRIVING:
+                ours = Place(int(episode.lane[v]), float(episode.position_m[v]), float(episode.speed_mps[v]))
+            if theirs.lane >= 0:
+                if not passed[v] or edges[passed[v][-1]] != edges[theirs.lane]:
+                    passed[v].append(theirs.lane)
+                passed[v][-1] = theirs.lane
+            if theirs.lane == ours.lane and np.abs(np.subtract(theirs[1:], ours[1:])).max() <= tolerance:
+                episode.state.floats[v, [POSITION, SPEED]] = theirs[1:]
+            else:
+                found.append(Difference(t, v, theirs, ours))
+        for difference in found:
+            _correct(episode, difference, passed[difference.vehicle], sumo)
+        yield from found
+
+
+def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], sumo: Trace) -> None:
+    """Put a vehicle where SUMO has it; ``passed`` are the lanes that its front was on, a lane for each edge."""
+    t, v, theirs, ours = difference
+    if theirs.lane < 0:
+        later = (sumo.lane[t:, v] >= 0).any()
+        status = ARRIVED if passed else WAITING if later else DROPPED
+        _remove(*episode.addresses, v, status)
+        return
+    if episode.status[v] == WAITING:
+        _leave_queue(*episode.addresses[1:], v)
+    state = episode.state
+    tails = int(state.ints[v, TAIL_LANES]) if theirs.lane == ours.lane else -1
+    if tails < 0:
+        _forget_tail(*episode.addresses[2:], v)
+        behind = _lanes_behind(episode, theirs.lane, passed)
+        state.tail_lane[v, : len(behind)] = behind
+        tails = len(behind)
+    _put(*episode.addresses, v, theirs.lane, theirs.position_m, theirs.speed_mps, tails, episode.step_ms)
+
+
+def _lanes_behind(episode: TwinEpisode, lane: int, passed: list[int]) -> list[int]:
+    """Return the lanes that lead to ``lane``, on the edges that were passed, nearest first."""
+    net, found = episode.net, []
+    edges = net.lane_ints[:, LANE_EDGE]
+    for before in reversed(passed[:-1]):
+        links = net.incoming_links[net.incoming_start[lane] : net.incoming_start[lane + 1]]
+        lanes = [k for k in net.link_ints[links, LINK_FROM].tolist() if edges[k] == edges[before]]
+        if not lanes or len(found) == MAX_TAIL_LANES:
+            break
+        lane = before if before in lanes else lanes[0]
+        found.append(lane)
+    return found
+
+
+@compiled
+def _forget_tail(state_at, v):  # type: ignore[no-untyped-def]
+    """Take the tail of ``v`` off all lanes, whatever its own list says."""
+    state = open_state(state_at)
+    for lane in range(state.tails.shape[0]):
+        for j in range(state.lanes[lane, LANE_TAILS]):
+            if state.tails[lane, j] == v:
+                state.lanes[lane, LANE_TAILS] -= 1
+                state.tails[lane, j] = state.tails[lane, state.lanes[lane, LANE_TAILS]]
+                break
+    state.ints[v, TAIL_LANES] = 0
+
+
+@compiled
+def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms):  # type: ignore[no-untyped-def]
+    """Put ``v`` on ``lane``, with the first ``tails`` lanes of its list behind it, as if it had driven there."""
+    net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
+    ints, floats = state.ints, state.floats
+    before = ints[v, LANE]
+    _forget_tail(state_at, v)
+    if ints[v, STATUS] == DRIVING:
+        take_out(state, v)
+    else:
+        before = lane
+        ints[v, STATUS] = DRIVING
+        ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
+        state.clock[ON_ROAD] += 1
+    floats[v, ACCEL] += (speed - floats[v, SPEED]) * 1000.0 / step_ms
+    floats[v, POSITION], floats[v, SPEED] = position, speed
+    if speed > 0.1:
+        ints[v, WAITING_MS] = 0
+    place(state, v, lane)
+    lay_tail(net, traffic, state, v, tails)
+    entered_ms = state.clock[NOW_MS] - step_ms
+    if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
+        if before != lane:
+            clear_memories(state, v)
+    elif not net.lane_ints[lane, LANE_INSIDE]:
+        ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
+        ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
+    else:
+        waits = False
+        for k in range(net.incoming_start[lane], net.incoming_start[lane + 1]):
+            waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
+        if ints[v, JUNCTION_MS] == NEVER_MS:
+            ints[v, JUNCTION_MS] = entered_ms
+        if not waits:
+            ints[v, CONFLICT_MS] = entered_ms
+
+
+@compiled
+def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped-def]
+    """Take ``v`` off the road; who is to wait is the next to enter on its lane."""
+    traffic, state = open_traffic(traffic_at), open_state(state_at)
+    _forget_tail(state_at, v)
+    take_out(state, v)
+    state.ints[v, STATUS] = status
+    state.clock[ON_ROAD] -= 1
+    if status == WAITING:
+        lane = traffic.ints[v, DEPART_LANE]
+        state.waiting_next[v] = state.waiting_first[lane]
+        state.waiting_first[lane] = v
+        if state.waiting_last[lane] < 0:
+            state.waiting_last[lane] = v
+
+
+@compiled
+def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
+    """Take ``v`` out of those who wait to enter."""
+    traffic, state = open_traffic(traffic_at), open_state(state_at)
+    lane, before = traffic.ints[v, DEPART_LANE], -1
+    w = state.waiting_first[lane]
+    while w >= 0 and w != v:
+        before, w = w, state.waiting_next[w]
+    if w < 0:
+        return
+    if before < 0:
+        state.waiting_first[lane] = state.waiting_next[v]
+    else:
+        state.waiting_next[before] = state.waiting_next[v]
+    if state.waiting_last[lane] == v:
+        state.waiting_last[lane] = before
+
+
+def main(folder: str, name: str, steps: int = 1200) -> None:
+    """Print the differences of an episode with demand from all approaches."""
+    context = next(c for c in load_dataset(Path(folder)) if name in c.name.split("/")).replace(approach=None)
+    case = Case.of(context, 7, 0.5 * steps)
+    sumo, count = play_sumo(case, steps), 0
+    lanes = (*case.world.lane_ids, "")
+    for t, v, theirs, ours in differences(case, sumo):
+        sides = [f"{lanes[side.lane]} {side.position_m:.4f} m {side.speed_mps:.4f} m/s" for side in (theirs, ours)]
+        print(f"step {t} vehicle {v}: SUMO {sides[0]}, twin {sides[1]}")
+        count += 1
+    print(f"{count} of {int((sumo.lane >= 0).sum())} vehicle steps differ")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])
