@@ -56,7 +56,7 @@ WORDS = 4
 _WORD = ir.IntType(64)
 
 
-class TableType(types.Type):  # type: ignore[misc]
+class TableType(types.Type):
     """Numba's type of a table of one or two dimensions, or of a row of one.
 
     Args:
@@ -78,7 +78,7 @@ class TableType(types.Type):  # type: ignore[misc]
         return TableType(self.owner, self.field, self.dtype_name, 1, self.columns, self.constant)
 
 
-class TablesType(types.Type):  # type: ignore[misc]
+class TablesType(types.Type):
     """Numba's type of a directory: which arrays, of what type, in which order."""
 
     def __init__(self, owner: str, fields: tuple[tuple[str, str, int, int], ...], constant: bool) -> None:

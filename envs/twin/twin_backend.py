@@ -60,7 +60,9 @@ class TwinBackend:
         self._emitters = [Emitter(module) for _ in range(self.threads)]
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
-        self._pool = ThreadPoolExecutor(max(self.threads - 1, 1), "izoo-twin", _use_one_torch_thread)
+        # Where several threads share the environments out, each does what torch does for its own share, alone.
+        begin = _use_one_torch_thread if self.threads > 1 else None
+        self._pool = ThreadPoolExecutor(max(self.threads - 1, 1), "izoo-twin", begin)
         self._preparer = ThreadPoolExecutor(1, "izoo-prepare")
         self._finalizer = weakref.finalize(self, _close, self._pool, self._preparer)
 

@@ -35,7 +35,7 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 6
     out = capsys.readouterr().out
     assert "1 context, 2 seeds each, episodes of 90 s of which the first 25 s are not measured" in out
-    assert "gentle against human (headline)" in out
+    assert "gentle against human on SUMO (headline)" in out
 
 
 @pytest.mark.parametrize(

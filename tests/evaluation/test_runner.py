@@ -150,7 +150,7 @@ def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts
     print_summary(summary, console)
     assert "policy: 100 % of its commands were NaN; SUMO drove those vehicles." in console.file.getvalue()
     shown = " ".join(console.file.getvalue().split())
-    assert "policy against human (headline); 100 % of the commands NaN, driven by SUMO" in shown
+    assert "policy against human on SUMO (headline); 100 % of the commands NaN, driven by SUMO" in shown
     assert "uncommanded: 0 %" not in shown and "uncommanded against human;" not in shown
 
 

@@ -98,7 +98,7 @@ def test_printed_summary_names_what_matters() -> None:
     text = io.StringIO()
     print_summary(summarise(make_table()), Console(file=text, width=100))
     for words in (
-        "ppo against human (headline)",
+        "ppo against human on SUMO (headline)",
         "benefit, mean",
         "9.2 %",
         "gated to 0",
