@@ -11,24 +11,29 @@ from collections.abc import Sequence
 from izoo.errors import unknown_choice
 
 RECIPE = "recipe="
+BUSY_LANE = (
+    "contexts=pcg",
+    "contexts.lane_count=1",
+    "contexts.phase_count=1",
+    "contexts.inflow_vph_per_lane=400..600",
+    "contexts.green_s=20..26",
+    "contexts.red_s=24..32",
+    "contexts.lane_length_m=250..500",
+    "simulator=twin",
+    "twin.surrogate=compiled",
+    "action=advise",
+    "env.hold_s=2",
+    "env.num_agents=32",
+    "env.num_vehicles=128",
+    "evaluation.contexts=16",
+)
+"""One-lane approaches near capacity, where smooth driving helps most; the simulator and the action that suit them."""
 RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     "busy_lane": (
-        "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",
+        "one-lane approaches near capacity, on the twin; the policy imitates glide",
         (
-            "contexts=pcg",
-            "contexts.lane_count=1",
-            "contexts.phase_count=1",
-            "contexts.inflow_vph_per_lane=400..600",
-            "contexts.green_s=20..26",
-            "contexts.red_s=24..32",
-            "contexts.lane_length_m=250..500",
-            "simulator=twin",
-            "twin.surrogate=compiled",
+            *BUSY_LANE,
             "num_envs=32",
-            "action=advise",
-            "env.hold_s=2",
-            "env.num_agents=32",
-            "env.num_vehicles=128",
             "algo=ppo",
             "algo.warm_start=glide",
             "algo.warm_start_frames=96000",
@@ -41,7 +46,22 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
             "total_frames=96000",
             "validation.every_batches=2",
             "validation.contexts=6",
-            "evaluation.contexts=16",
+        ),
+    ),
+    "from_scratch": (
+        "the same approaches; linear policies are searched by what whole teams are paid: what make train trains",
+        (
+            *BUSY_LANE,
+            "num_envs=128",
+            "env.horizon_s=500",
+            "env.reward=fuel_team",
+            "env.neighbours=[leader]",
+            "env.observed=[green_s,red_s,speed_limit_mps]",
+            "algo=cmaes",
+            "total_frames=731136",
+            "validation.every_batches=4",
+            "validation.contexts=16",
+            "validation.simulator=twin",
         ),
     ),
 }
