@@ -30,7 +30,7 @@ BUSY_LANE = (
 """One-lane approaches near capacity, where smooth driving helps most; the simulator and the action that suit them."""
 RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     "busy_lane": (
-        "one-lane approaches near capacity, on the twin; the policy imitates glide",
+        "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",
         (
             *BUSY_LANE,
             "num_envs=32",
@@ -49,11 +49,10 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "from_scratch": (
-        "the same approaches; linear policies are searched by what whole teams are paid: what make train trains",
+        "the same approaches; linear policies are searched by what whole teams are paid",
         (
             *BUSY_LANE,
             "num_envs=128",
-            "env.horizon_s=500",
             "env.reward=fuel_team",
             "env.neighbours=[leader]",
             "env.observed=[green_s,red_s,speed_limit_mps]",
