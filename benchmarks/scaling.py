@@ -177,7 +177,7 @@ def run_twin(config: ScalingConfig) -> None:
         content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
         write_json(Path(config.out), {**content, **options})
     about = f"surrogate {config.surrogate}, {config.threads} thread{'s' if config.threads > 1 else ''}"
-    twin_parts.print_table(f"the twin, us per environment step, {about}", by_world)
+    twin_parts.print_table(f"the twin beside bare libsumo, us per environment step, {about}", by_world)
     twin_parts.print_table(f"the twin by number of environments, {about}", by_count)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
 

@@ -98,7 +98,7 @@ def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    columns = {"environments": "environments", "vehicles": "vehicles", "bare_us": "bare libsumo", "whole_us": "twin"}
+    columns = {"environments": "envs", "vehicles": "vehicles", "bare_us": "bare", "whole_us": "twin"}
     columns |= {f"{part}_us": heading for part, heading in PARTS.items()} | {"kilobytes": "kB each"}
     shown = [name for name in columns if any(name in row for row in rows)]
     table = Table(title=title, title_justify="left")

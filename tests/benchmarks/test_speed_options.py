@@ -77,7 +77,8 @@ def test_scaling_of_the_twin(
     for name, value in (("MIDDLE", 0), ("SETTLE_STEPS", 20), ("MANY_STEPS", 5)):
         monkeypatch.setattr(scaling, name, value)
     assert scaling.main(["simulator=twin", "steps=20", "num_envs=2", "counts=[1,4]", f"out={out}"]) == 0
-    assert "bare libsumo" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "bare libsumo" in shown and "driving" in shown and "ratio" in shown
     result = json.loads(out.read_text())
     assert [row["environments"] for row in result["environments"]] == [1.0, 4.0]
     for row in result["worlds"]:
