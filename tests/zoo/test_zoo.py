@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,8 @@ from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.commands.zoo_policies import ZOO
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
@@ -136,3 +140,29 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(tmp_path: Path, capsy
     assert torch.equal(*acted)
     assert ZOO.main(["export", str(run), "--out", str(out / "mine.pt")]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+HELD = {"busy_lane_imitation": 105.3357, "busy_lane_search": 106.9911}
+"""CO2 of all vehicles that crossed, g per vehicle, in one episode of 1,000 s; uncommanded CVs: 107.1335."""
+
+
+def grams_per_vehicle(policy: str, env: EnvConfig) -> float:
+    context = procedural_context(
+        lane_count=1, phase_count=1, inflow_vph_per_lane=500, green_s=23, red_s=28, adoption=0.5
+    )
+    with contextlib.closing(EcoDrivingEnv(context, config=dataclasses.replace(env, horizon_s=1000.0))) as played:
+        state = played.reset(seed=11)
+        acting = as_candidate(policy, env).policy
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            while not bool(state["done"]):
+                state = played.step_lean(acting(state))
+    counted = state["metrics", "approach"]
+    return float(counted["emission_g"].sum() / counted["crossed"].sum())
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_a_shipped_policy_drives_as_it_did(name: str) -> None:
+    env = zoo.load(name).env
+    assert grams_per_vehicle(f"zoo:{name}", env) == pytest.approx(HELD[name], rel=1e-3)
+    assert HELD[name] < grams_per_vehicle("uncommanded", env)
+    assert set(HELD) == set(zoo.names())
