@@ -70,6 +70,7 @@ class DirectAction:
 class AdviseAction:
     """The policy's action is advice to the simulator's own driver: at or below 0 none, above it a lower speed limit.
 
+    It is heard before the stop line alone.
     So an untrained policy is, but for its exploration, the uncommanded CV.
 
     Attributes:

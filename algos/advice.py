@@ -36,7 +36,7 @@ class Translator(nn.Module):
 
     two_sided = False
 
-    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
         """Return what :meth:`command` needs, ``[*B, A]`` each; two-sided translators: secondly, who is guided.
 
         Args:
@@ -45,7 +45,7 @@ class Translator(nn.Module):
         """
         raise NotImplementedError
 
-    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
+    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
         """Return accelerations in m/s^2, and who is left to the simulator's driver, ``[*B, A]`` each.
 
         Args:
@@ -54,7 +54,7 @@ class Translator(nn.Module):
         """
         raise NotImplementedError
 
-    def advice_for(self, seen: tuple[Tensor, Tensor], accel: Tensor, defer: Tensor) -> Tensor:
+    def advice_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
         """Return the advice ``[*B, A]`` that comes closest to a command; the inverse of :meth:`command`.
 
         Args:
@@ -70,7 +70,8 @@ class SpeedCap(Translator):
 
     A vehicle that is faster brakes, within one decision or as hard as allowed, whichever is milder. Below the cap it
     accelerates no faster than to reach the cap at the end of the decision; the simulator keeps it to what its own
-    driver would do, so a small ``u`` changes little.
+    driver would do, so a small ``u`` changes little. Advice is heard before the stop line alone: what is behind it
+    does not count in the benefit of an approach, so that whoever searches for that would find ways to burn it there.
 
     Args:
         config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
@@ -86,21 +87,23 @@ class SpeedCap(Translator):
                 "speed_limit_mps."
             )
         self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
+        self.approaching = names.index("location_approaching")
         self.limit_scale = feature("speed_limit_mps").scale
         self.brake_mps2, self.decision_s = brake_mps2, config.decision_s
 
-    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        return observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        speed, limit = observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
+        return speed, limit, observation[..., self.approaching] > 0.5
 
-    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
-        speed, limit = seen
+    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
+        speed, limit, heard = seen
         accel = ((1.0 - advice) * limit - speed) / self.decision_s
-        return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), advice <= 0.0
+        return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), (advice <= 0.0) | ~heard
 
-    def advice_for(self, seen: tuple[Tensor, Tensor], accel: Tensor, defer: Tensor) -> Tensor:
-        speed, limit = seen
+    def advice_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
+        speed, limit, heard = seen
         advice = 1.0 - (speed + accel * self.decision_s) / limit.clamp_min(1e-3)
-        return torch.where(defer, torch.zeros_like(advice), advice.clamp(0.0, 1.0))
+        return torch.where(defer | ~heard, torch.zeros_like(advice), advice.clamp(0.0, 1.0))
 
 
 class AdvisedPolicy(TensorDictModuleBase):

@@ -90,10 +90,10 @@ class Correction(Translator):
         super().__init__()
         self.nominal = nominal
 
-    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
         accel, idle = self.nominal(observation, mask)
         return accel, ~idle
 
-    def command(self, seen: tuple[Tensor, Tensor], advice: Tensor) -> tuple[Tensor, Tensor]:
+    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
         accel, guided = seen
         return accel - advice, ~guided & (advice <= 0.0)

@@ -164,6 +164,11 @@ def test_advice_caps_the_speed_and_its_origin_is_doing_nothing() -> None:
     torch.testing.assert_close(acted[base.ACTION].squeeze(-1)[2:], torch.tensor([-2.0, -2.5, 2.6]))
 
 
+def test_advice_is_not_heard_behind_the_stop_line() -> None:
+    for place in ("location_inside", "location_leaving"):
+        assert say(SpeedCap(ENV, brake_mps2=2.5), [0.4, 0.8], location_approaching=0.0, **{place: 1.0})[DEFER].all()
+
+
 def test_a_quiet_band_is_taken_off_and_what_was_said_is_kept() -> None:
     acted = say(SpeedCap(ENV, brake_mps2=2.5), [0.1, 0.2, 0.6], band=0.2)
     assert acted[DEFER].tolist() == [True, True, False]

@@ -47,13 +47,15 @@ def test_advice_for_a_command_gives_that_command() -> None:
     speed, limit = 12.0 * torch.rand(500, generator=generator), torch.full((500,), 15.0)
     accel = 3.5 * torch.rand(500, generator=generator) - 1.4
     defer = torch.rand(500, generator=generator) < 0.3
-    advice = cap.advice_for((speed, limit), accel, defer)
-    again, deferred = cap.command((speed, limit), advice)
+    heard = torch.ones(500, dtype=torch.bool)
+    advice = cap.advice_for((speed, limit, heard), accel, defer)
+    again, deferred = cap.command((speed, limit, heard), advice)
     assert torch.equal(deferred, defer | (advice <= 0.0)) and 0.5 < float((~deferred).float().mean()) < 0.8
     within = ~deferred & (advice < 1.0)
     torch.testing.assert_close(again[within], accel[within], atol=1e-4, rtol=0.0)
     # At or above the limit there is nothing to advise.
-    assert not cap.advice_for((limit, limit), torch.ones(500), torch.zeros(500, dtype=torch.bool)).any()
+    assert not cap.advice_for((limit, limit, heard), torch.ones(500), torch.zeros(500, dtype=torch.bool)).any()
+    assert not cap.advice_for((speed, limit, ~heard), accel, defer).any()
 
 
 @pytest.mark.parametrize("algo", ALGOS)
