@@ -128,7 +128,7 @@ def _change(group: pd.DataFrame, name: str) -> float:
 
 
 def gains(sumo: pd.DataFrame, twin: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean benefit over human driving, ungated, in SUMO and on the twin, per policy that was played on both."""
+    """Return the mean benefit over human driving, ungated, in SUMO and on the twin, of policies played on both."""
     rows = []
     played = set(twin["policy"])
     for policy in [name for name in sumo["policy"].unique() if name != HUMAN and name in played]:
