@@ -128,9 +128,10 @@ def _change(group: pd.DataFrame, name: str) -> float:
 
 
 def gains(sumo: pd.DataFrame, twin: pd.DataFrame) -> pd.DataFrame:
-    """Return per policy the mean benefit over human driving, ungated, in SUMO and on the twin."""
+    """Return the mean benefit over human driving, ungated, in SUMO and on the twin, of policies played on both."""
     rows = []
-    for policy in [name for name in sumo["policy"].unique() if name != HUMAN]:
+    played = set(twin["policy"])
+    for policy in [name for name in sumo["policy"].unique() if name != HUMAN and name in played]:
         found = {}
         for side, table in (("sumo", sumo), ("twin", twin)):
             chosen, human = (table[table["policy"] == name] for name in (policy, HUMAN))

@@ -113,6 +113,8 @@ def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, 
     rows: list[dict[str, Any]] = table.to_dict("records")
     done = {(row["policy"], row["context_hash"], row["seed"]) for row in rows}
     todo = [(p, c) for c in contexts for p in config.exact if (p, c.content_hash, seed) not in done]
+    if not todo:
+        return table
     both = SideBySide(config.env)
     try:
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
@@ -150,7 +152,7 @@ COMMAND = OptionCommand(
     examples=(
         "izoo.benchmarks.twin contexts=pcg num_contexts=8",
         "izoo.benchmarks.twin contexts=dataset contexts.path=NETS adoptions=[0.33,1] policies=[uncommanded,glide]",
-        "izoo.benchmarks.twin contexts=catalogue contexts.city=atlanta num_contexts=20 demand=[all] out=atlanta",
+        "izoo.benchmarks.twin contexts=city contexts.city=atlanta num_contexts=20 demand=[all] out=atlanta",
     ),
     config="izoo.benchmarks.ladder_options:LadderConfig",
     work="izoo.benchmarks.twin:run",

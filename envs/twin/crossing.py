@@ -63,6 +63,7 @@ from izoo.envs.twin.conflicts import (
     CROSSING,
     MERGING,
     NOWHERE,
+    PARTING,
 )
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.lights import is_major
@@ -179,6 +180,81 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
 
 
 @compiled
+def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # type: ignore[no-untyped-def]
+    """Return who inside the junction would hold ``v`` up most if it went on by ``link``, or -1, and the gap (m).
+
+    Args:
+        distance_m: from the front of ``v``, whatever its lane, to ``link``.
+    """
+    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    found, found_gap, least = -1, 0.0, math.inf
+    first = net.conflict_first[link]
+    for row in range(first, first + net.conflict_count[link]):
+        lane = net.conflict_ints[row, CONFLICT_LANE]
+        front, tails = state.lanes[lane, LANE_FRONT], state.lanes[lane, LANE_TAILS]
+        k = 0
+        while front >= 0 or k < tails:
+            if front >= 0:
+                w = front
+                front = state.ints[w, BEHIND]
+            else:
+                w = state.tails[lane, k]
+                k += 1
+            counts, gap = _conflict_gap(net, traffic, state, v, w, link, row, distance_m)
+            if not counts:
+                continue
+            if gap >= 0.0:
+                safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
+            else:
+                to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+                safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
+            if safe < least:
+                found, found_gap, least = w, gap, safe
+    return found, found_gap
+
+
+@compiled
+def _conflict_gap(net, traffic, state, v, w, link, row, distance_m):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``v`` heeds ``w`` on the way of conflict ``row``, and the gap (m, less minGap)."""
+    if w == v:
+        return False, 0.0
+    kind = net.conflict_ints[row, CONFLICT_KIND]
+    size = foe_size = 0.0
+    if kind == CROSSING:
+        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
+    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
+    if kind != MERGING and to_conflict + size < 0.0:
+        return False, 0.0
+    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
+    nowhere = foe_behind == NOWHERE
+    if nowhere and not outside:
+        return False, 0.0
+    lane = net.conflict_ints[row, CONFLICT_LANE]
+    in_front = state.ints[w, LANE] == lane
+    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
+    swing = _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
+    past = back_left + foe_size + swing < 0.0 and not nowhere
+    entered = back_left < traffic.floats[w, LENGTH]
+    in_the_way = (to_conflict > 0.0 and not past and entered) or (
+        kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
+    )
+    if kind != MERGING and past:
+        return False, 0.0
+    if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
+        return False, 0.0
+    if not (outside or in_the_way or _goes_first(net, state, v, w, link, row)):
+        return False, 0.0
+    gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    if kind == CROSSING:
+        if nowhere or net.conflict_ints[row, CONFLICT_FOE_WAITS] == 1:
+            return True, -1.0
+        gap -= foe_size
+    return True, gap
+
+
+@compiled
 def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
     """Return how far (m) the body of vehicle ``v``, with a metre at both ends, reaches inside a turn: the sagitta.
 
@@ -208,6 +284,8 @@ def is_protected(net, state, link):  # type: ignore[no-untyped-def]
 def _goes_first(net, state, v, w, link, row):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
+    if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
+        foe = state.ints[w, JUNCTION_MS]
     if net.conflict_ints[row, CONFLICT_YIELDS] and state.ints[v, CONFLICT_MS] == NEVER_MS:
         # At a waiting point one goes after everybody, but leaves before those whose signal has changed to green.
         lingers = net.conflict_ints[row, CONFLICT_FOE_YIELDS] and is_lingering(net, state, link)

@@ -113,3 +113,15 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert twin.main(words) == 0  # nothing is left to be played
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")} == first
     assert "Benefit over human driving" in capsys.readouterr().out
+
+
+def test_policies_that_one_side_has_not_played_yet_have_no_gain() -> None:
+    """A folder may hold what was played before the options were changed."""
+    twin_rows = [episode("human", "A", 1, 10, 1000.0)]
+    sumo = [*twin_rows, episode("glide", "A", 1, 10, 900.0)]
+    assert ladder.gains(pd.DataFrame(sumo), pd.DataFrame(twin_rows)).empty
+
+
+@pytest.mark.parametrize("example", twin.COMMAND.examples)
+def test_the_examples_of_the_help_are_good(example: str) -> None:
+    compose.compose_config(twin.COMMAND.name, LadderConfig, twin.COMMAND.options(example.split()[1:]))
