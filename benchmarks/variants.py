@@ -360,18 +360,20 @@ class OnTwinWithResets:
         """Time the episodes after the first reset up to the last one's end."""
         config, context = EnvConfig(emit=(), num_agents=AGENT_SLOTS), self.plan.contexts[scenario]
         action = torch.full((self.envs, config.num_agents, 1), ACTION_HIGH_MPS2)
-        agents = vehicle_steps = steps = 0.0
+        agents = vehicle_steps = before = 0.0
+        steps = 0
         with contextlib.closing(TwinEnv(self.envs, context, config=config, threads=self.threads)) as env:
             state = env.reset()
+            totals = env.frames["episode_metrics"]
             begin = time.perf_counter()
             for _ in range(RESET_EPISODES * config.control_steps):
                 state.set(ACTION, action)
-                following, state = env.step_and_maybe_reset(state)
+                _, state = env.step_and_maybe_reset(state)
                 if steps % SAMPLE_STEPS == 0:
                     agents += SAMPLE_STEPS * float(env.frames["mask"].sum())
-                if bool(following["next", "done"].any()):
-                    vehicle_steps += float(following["next", TOTALS][..., VEHICLE_STEPS].sum())
-                steps += 1
+                seen = float(totals[:, VEHICLE_STEPS].sum())
+                vehicle_steps += before if seen < before else 0.0  # all episodes have ended, and others begun
+                before, steps = seen, steps + 1
             elapsed = time.perf_counter() - begin
         played = steps * self.envs
         return Sample(played / elapsed, agents / elapsed, vehicle_steps / played, agents / played)
