@@ -233,7 +233,7 @@ class Campaign:
         table: pd.DataFrame = read_csv(folder / CSV_FILE)
         there = set(table[list(EPISODE_KEY)].itertuples(index=False, name=None))
         names = {HUMAN, UNCOMMANDED, entry}
-        return all((n, c.content_hash, s) in there for n in names for c in contexts for s in self.plan.seeds)
+        return all((n, c.content_hash, s) in there for n in names for c in contexts for s in self.plan.seeds.of(c))
 
     def _run_dir(self, entry: Entry, seed: int) -> Path:
         return self.folder / TRAIN_FOLDER / _place(entry, seed)

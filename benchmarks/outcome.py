@@ -154,7 +154,9 @@ def write_submissions(folder: Path, results: Results, plan: Plan, env: EnvConfig
         policy = {name: getattr(entry, name) for name in ("name", "kind", "algo", "action")}
         policy["frames"] = max(run.frames for run in entry.runs)
         played = simulator_of_run(folder, entry.done[0])
-        content = make_submission(policy, protocol, results.versions, plan.seeds, entry_rows(folder, entry), played)
+        content = make_submission(
+            policy, protocol, results.versions, range(len(plan.seeds)), entry_rows(folder, entry), played
+        )
         written.append(folder / LEADERBOARD_FOLDER / f"{entry.name}.json")
         write_submission(written[-1], content)
     return written

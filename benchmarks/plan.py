@@ -22,7 +22,7 @@ from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.evaluation.selection import episode_seeds
+from izoo.evaluation.selection import EpisodeSeeds
 
 EVALUATION_SEED = 241015221
 """Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
@@ -46,7 +46,7 @@ class Plan:
     train_text: str
     test: list[Context]
     test_text: str
-    seeds: list[int]
+    seeds: EpisodeSeeds
     test_count: int
 
 
@@ -81,9 +81,9 @@ def place_name(place: str) -> str:
     return Path(place).name if is_folder(place) else city_name(place)
 
 
-def evaluation_seeds(count: int) -> list[int]:
+def evaluation_seeds(count: int) -> EpisodeSeeds:
     """Return the episode seeds of the evaluation: published, so that everyone's episodes pair up."""
-    return episode_seeds(EVALUATION_SEED, count)
+    return EpisodeSeeds(EVALUATION_SEED, count)
 
 
 def place_contexts(place: str, split: Split, config: GeneralizationConfig) -> CityContexts | DatasetContexts:

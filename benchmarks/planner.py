@@ -37,15 +37,15 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
     from rich.console import Console
 
     from izoo.evaluation.baselines import baseline_context
-    from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, episode_seeds
+    from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.files import write_json
 
     contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
-    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     env = settings(config)
     rows: list[dict[str, Any]] = []
     for adoption in config.adoptions:
-        plays = [(context.replace(adoption=adoption), seed) for context in contexts for seed in seeds]
+        plays = [(context.replace(adoption=adoption), seed) for context in contexts for seed in seeds.of(context)]
         for first in range(0, len(plays), AT_ONCE):
             part = plays[first : first + AT_ONCE]
             human = [(baseline_context(context), seed) for context, seed in part]

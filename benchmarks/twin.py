@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from izoo.benchmarks.ladder_options import LadderConfig
     from izoo.contexts.context import Context
+    from izoo.evaluation.selection import EpisodeSeeds
 
 SIMULATORS = ("sumo", "twin")
 
@@ -32,13 +33,13 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import ladder
     from izoo.evaluation.runner import evaluate_policy
-    from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+    from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
 
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)
-    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
     tables = {}
     for simulator in SIMULATORS:
@@ -54,7 +55,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
                 cache=config.cache,
                 simulator=simulator,
             )
-    exact = compare_steps(contexts, seeds[0], config, out / "exact.csv")
+    exact = compare_steps(contexts, seeds, config, out / "exact.csv")
     compared = ladder.approaches(tables["sumo"], tables["twin"])
     rungs, gained = ladder.rungs(compared), ladder.gains(tables["sumo"], tables["twin"])
     write_text(out / "approaches.csv", compared.to_csv(index=False))
@@ -92,8 +93,8 @@ def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
     return list({context.content_hash: context for context in found}.values())
 
 
-def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, path: Path) -> pd.DataFrame:
-    """Play the episodes that are not in the table at ``path`` yet side by side; return it, a row per episode.
+def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: LadderConfig, path: Path) -> pd.DataFrame:
+    """Play each context's first episode side by side, unless it is in the table at ``path``; return a row for each.
 
     Returns:
         ``policy``, ``context``, ``context_hash``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted``
@@ -112,13 +113,14 @@ def compare_steps(contexts: Sequence[Context], seed: int, config: LadderConfig, 
     table = pd.read_csv(path, dtype={"parted": "Int64"}) if path.exists() else pd.DataFrame()
     rows: list[dict[str, Any]] = table.to_dict("records")
     done = {(row["policy"], row["context_hash"], row["seed"]) for row in rows}
-    todo = [(p, c) for c in contexts for p in config.exact if (p, c.content_hash, seed) not in done]
+    plays = [(p, c, seeds.of(c)[0]) for c in contexts for p in config.exact]
+    todo = [(p, c, seed) for p, c, seed in plays if (p, c.content_hash, seed) not in done]
     if not todo:
         return table
     both = SideBySide(config.env)
     try:
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
-            for number, (name, context) in enumerate(todo, 1):
+            for number, (name, context, seed) in enumerate(todo, 1):
                 policy = as_candidate(name, config.env).policy
                 parting, steps, (sumo, twin) = both.play(policy, context, seed)
                 road = read_road(build_net(context.intersection))

@@ -17,7 +17,7 @@ from izoo.errors import IzooError
 from izoo.evaluation.playing import Policy
 from izoo.evaluation.policies import as_candidate
 from izoo.evaluation.runner import evaluate_policy
-from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.evaluation.show import print_summary
 from izoo.evaluation.summary import summarise
 from izoo.training import checkpoint, runs
@@ -44,7 +44,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     """
     subject = resolve(config, given)
     contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
-    seeds = episode_seeds(EVALUATION_STREAM + config.seed, config.seeds)
+    seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
     where = "" if config.simulator == "sumo" else " on the twin"
     print(f"Evaluating {subject.name}{where}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)

@@ -20,6 +20,7 @@ from izoo.evaluation.policies import HUMAN, POLICY_FREE, UNCOMMANDED, Candidate,
 from izoo.evaluation.processes import Rows, Task, play_all
 from izoo.evaluation.provenance import settings
 from izoo.evaluation.remote import play_on_ray
+from izoo.evaluation.selection import EpisodeSeeds
 from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
 
@@ -32,7 +33,7 @@ Key = tuple[str, str, int]
 def evaluate_policy(
     policy: str | Policy,
     contexts: Sequence[Context],
-    seeds: Sequence[int],
+    seeds: Sequence[int] | EpisodeSeeds,
     env_config: EnvConfig | None = None,
     num_workers: int = 2,
     out_dir: Path | str | None = None,
@@ -50,7 +51,8 @@ def evaluate_policy(
     Args:
         policy: a scripted driver's name, ``module:function``, a TensorDict module, or a callable of TensorDicts.
         contexts: the contexts; repeated ones are played once.
-        seeds: episode seeds; three or more for the tested gate to mean something.
+        seeds: episode seeds, the same in all contexts or each intersection's own; three or more for the tested gate to
+            mean something.
         env_config: the environment; what it emits is chosen here.
         num_workers: worker processes, each with one simulator; 0 plays in this process.
         out_dir: where ``evaluation.csv`` and ``summary.json`` go. Episodes that are already there are not played
@@ -77,7 +79,7 @@ def evaluate_policy(
     config = dataclasses.replace(env_config or EnvConfig(), emit=())
     check_range("num_workers", num_workers, 0, 1024)
     check_choice("executor", executor, EXECUTORS)
-    if not contexts or not seeds:
+    if not contexts or not len(seeds):
         raise IzooError("an evaluation needs one or more contexts and one or more seeds.")
     candidate = as_candidate(policy, config, name)
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
@@ -87,7 +89,7 @@ def evaluate_policy(
     cached = EpisodeCache(Path(cache) if cache else default_folder(), config, simulator)
     with folder.open(candidate.name, candidate.fingerprint):
         unique = list({context.content_hash: context for context in contexts}.values())
-        wanted = [(driver, c, int(s)) for c in unique for s in dict.fromkeys(seeds) for driver in names]
+        wanted = [(driver, c, int(s)) for c in unique for s in seeds_of(seeds, c) for driver in names]
         if out_dir is not None:
             add_sources(Path(out_dir), unique, candidate.name, policy if isinstance(policy, str) else source)
         todo = [entry for entry in wanted if _key(*entry) not in folder.done]
@@ -101,6 +103,11 @@ def evaluate_policy(
             progress,
         )
     return folder.table
+
+
+def seeds_of(seeds: Sequence[int] | EpisodeSeeds, context: Context) -> Sequence[int]:
+    """Return the seeds of a context, each once."""
+    return list(dict.fromkeys(seeds.of(context) if isinstance(seeds, EpisodeSeeds) else seeds))
 
 
 def _key(name: str, context: Context, seed: int) -> Key:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -34,12 +36,30 @@ def choose_contexts(source: ContextSource, count: int | None, seed: int) -> list
     return list({context.content_hash: context for context in drawn}.values())
 
 
-def episode_seeds(base: int, count: int) -> list[int]:
-    """Return the seeds of ``count`` paired episodes per context."""
-    return [episode_seed(base, number) for number in range(count)]
+@dataclass(frozen=True)
+class EpisodeSeeds:
+    """Seeds of paired episodes: every intersection has its own, so that a busy draw of one is not busy in all.
+
+    What drives there, adoption, fleet and weather do not change an intersection's seeds.
+
+    Attributes:
+        base: other bases have other seeds.
+        count: episodes per context.
+    """
+
+    base: int
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def of(self, context: Context) -> list[int]:
+        """Return the seeds of a context."""
+        own = zlib.crc32(context.intersection.name.encode())
+        return [episode_seed(episode_seed(self.base, own), number) for number in range(self.count)]
 
 
-def describe(contexts: Sequence[Context], seeds: Sequence[int], env: EnvConfig) -> str:
+def describe(contexts: Sequence[Context], seeds: Sized, env: EnvConfig) -> str:
     """Return in words what an evaluation plays."""
     number = f"{len(contexts)} context{'' if len(contexts) == 1 else 's'}"
     each = f"{len(seeds)} seed{'' if len(seeds) == 1 else 's'} each"

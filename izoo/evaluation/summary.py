@@ -18,6 +18,11 @@ from izoo.metrics.scores import SCORES, pool
 BASELINES = (HUMAN, UNCOMMANDED)
 
 
+def seeds_per_context(table: pd.DataFrame) -> int:
+    """Return how many episode seeds the context with the most of them has; contexts have their own."""
+    return int(table.groupby("context_hash")["seed"].nunique().max())
+
+
 def approach_table(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
     """Return the benefit of ``policy`` over ``baseline`` for every approach, with its interval over episode seeds.
 
@@ -85,7 +90,7 @@ def _counts(table: pd.DataFrame) -> dict[str, int]:
     return {
         "contexts": int(table["context_hash"].nunique()),
         "intersections": int(table["intersection"].nunique()),
-        "seeds": int(table["seed"].nunique()),
+        "seeds": seeds_per_context(table),
         "episodes": len(episodes),
     }
 

@@ -20,7 +20,7 @@ from izoo import __version__
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import intervals_in_words, nan_in_words, percent, score_rows
-from izoo.evaluation.summary import summarise
+from izoo.evaluation.summary import seeds_per_context, summarise
 from izoo.files import os_reason, write_text
 from izoo.reporting import drawing, figures, histograms
 from izoo.reporting.material import Material, collect
@@ -192,7 +192,7 @@ def _intro(material: Material, scored: Sequence[Scored]) -> str:
     tables = [run.table for s in scored for run in s.entry.runs]
     pairs = pd.concat([t[["context_hash", "approach", "intersection", "seed", "policy"]] for t in tables])
     approaches = len(pairs[["context_hash", "approach"]].drop_duplicates())
-    seeds = int(tables[0]["seed"].nunique())
+    seeds = seeds_per_context(tables[0])
     text = f"{approaches} approaches on {pairs['intersection'].nunique()} intersections, {seeds} paired seeds each. "
     places = [int(s.rows["intersection"].nunique()) for s in scored]
     return text + intervals_in_words(places, [len(s.tables) for s in scored if s.trained])

@@ -55,7 +55,7 @@ def make_submission(
 
     Args:
         policy, protocol, versions: as in the schema.
-        eval_seeds: episode seeds of the evaluation.
+        eval_seeds: numbers of the evaluation's episode seeds, of which each intersection has its own.
         rows: of :func:`izoo.evaluation.across.run_rows`, all training seeds one after the other.
         simulator: what played the episodes.
     """

@@ -20,7 +20,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
-from izoo.evaluation.selection import EVALUATION_STREAM, choose_contexts, describe, episode_seeds
+from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
 from izoo.training.episodes import episode_stats
@@ -402,7 +402,7 @@ class Session:
         from izoo.evaluation.words import in_words
 
         contexts = choose_contexts(self.source, options.contexts, self.config.seed)
-        seeds = episode_seeds(self.config.seed + EVALUATION_STREAM, options.seeds)
+        seeds = EpisodeSeeds(self.config.seed + EVALUATION_STREAM, options.seeds)
         print(f"Comparing with human driving: {describe(contexts, seeds, self.config.env)}.", flush=True)
         table = evaluate_policy(
             self.learner.policy,

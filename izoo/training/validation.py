@@ -20,7 +20,7 @@ from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
-from izoo.evaluation.selection import choose_contexts, episode_seeds
+from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
 from izoo.metrics.benefit import SIGNIFICANCE
 from izoo.metrics.statistics import fall_p_value
 from izoo.training import checkpoint
@@ -222,7 +222,7 @@ def validate(path: Path) -> dict[str, Any]:
     algorithm, config, state = runs.load_algorithm(path)
     options = config.validation
     contexts = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
-    seeds = episode_seeds(VALIDATION_SEED, options.seeds)
+    seeds = EpisodeSeeds(VALIDATION_SEED, options.seeds)
     table = evaluate_policy(
         algorithm.policy.eval(),
         contexts,

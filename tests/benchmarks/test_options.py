@@ -18,6 +18,7 @@ from izoo.benchmarks.plan import (
 )
 from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
+from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
 
 
@@ -79,9 +80,11 @@ def test_a_folder_named_like_a_city_is_not_that_city() -> None:
     assert _place("datasets/atlanta") == "atlanta/" and _place("atlanta") == "atlanta" and _place(None) is None
 
 
-def test_evaluation_seeds_extend() -> None:
-    assert evaluation_seeds(5)[:3] == evaluation_seeds(3)
-    assert len(set(evaluation_seeds(5))) == 5
+def test_evaluation_seeds_extend_and_every_intersection_has_its_own() -> None:
+    one, other = (procedural_context(inflow_vph_per_lane=flow) for flow in (300, 500))
+    assert evaluation_seeds(5).of(one)[:3] == evaluation_seeds(3).of(one)
+    assert len({*evaluation_seeds(5).of(one), *evaluation_seeds(5).of(other)}) == 10
+    assert evaluation_seeds(5).of(one) == evaluation_seeds(5).of(one.replace(adoption=1.0))
 
 
 def test_scales_fill_what_is_null() -> None:

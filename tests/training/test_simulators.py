@@ -10,7 +10,7 @@ import pytest
 
 from izoo import collect, evaluate, train
 from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_folder
-from izoo.evaluation.selection import choose_contexts, episode_seeds
+from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
 from izoo.training import runs
 from izoo.training.validation import VALIDATION_SEED, held_out
 
@@ -32,7 +32,7 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
     assert len((run_dir / "validation.csv").read_text().splitlines()) == 2
     (context,) = choose_contexts(held_out(config.contexts), 1, VALIDATION_SEED)
     env = dataclasses.replace(config.env, emit=())
-    for seed in episode_seeds(VALIDATION_SEED, config.validation.seeds):
+    for seed in EpisodeSeeds(VALIDATION_SEED, config.validation.seeds).of(context):
         played = [
             EpisodeCache(default_folder(), env, simulator).get("human", baseline_context(context), seed) is not None
             for simulator in ("sumo", "twin")
