@@ -112,7 +112,7 @@ class ResultFolder:
             return
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         with contextlib.suppress(IzooError):  # an interrupted evaluation may lack baselines
-            write_json(path / SUMMARY_FILE, summarise(self.table, self.settings["simulator"]))
+            write_json(path / SUMMARY_FILE, summarise(self.table, self.settings.get("simulator", "sumo")))
 
 
 def _read_manifest(path: Path) -> dict[str, Any] | None:

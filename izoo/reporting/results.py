@@ -179,7 +179,7 @@ def evaluation_of(folder: Path, run: RunRecord) -> pd.DataFrame:
 
 def simulator_of_run(folder: Path, run: RunRecord) -> str:
     """Return what played the evaluation of a run that is done."""
-    return str(json.loads(read_text(folder / run.evaluation / MANIFEST_FILE))["settings"]["simulator"])
+    return str(json.loads(read_text(folder / run.evaluation / MANIFEST_FILE))["settings"].get("simulator", "sumo"))
 
 
 def human_vehicles_of(folder: Path, run: RunRecord) -> pd.DataFrame | None:

@@ -55,9 +55,9 @@ class TrainedPolicy:
 
 
 def full_episodes(env: EnvConfig) -> EnvConfig:
-    """Return an environment that training may have shortened, and kept from emitting, with what evaluations play."""
+    """Return an environment whose episodes training may have shortened with episodes as evaluations play them."""
     whole = EnvConfig()
-    return dataclasses.replace(env, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s, emit=whole.emit)
+    return dataclasses.replace(env, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s)
 
 
 def load(name: str) -> TrainedPolicy:
@@ -111,7 +111,8 @@ def write(path: Path, config: TrainConfig, policy: TensorDictModuleBase) -> None
     """
     import torch
 
-    options = to_mapping(dataclasses.replace(config, env=full_episodes(config.env)))
+    env = dataclasses.replace(full_episodes(config.env), emit=EnvConfig().emit)
+    options = to_mapping(dataclasses.replace(config, env=env))
     state = {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()}
     with replacing(path) as partial:
         torch.save({"format": FORMAT, "options": {name: options[name] for name in KEPT}, "policy": state}, partial)
