@@ -34,7 +34,7 @@ FULL = 3.0
 
 
 class LinearPolicies(TensorDictModuleBase):
-    """A population of linear policies while exploring, and their mean otherwise.
+    """A population of linear policies while exploring in training mode, and their mean otherwise.
 
     Environments are shared out among the policies in equal blocks, in order. An agent's action is a tanh of
     ``x = weights . observation + bias``, stretched to the bounds. Where an action of 0 is doing nothing, so is every
@@ -67,7 +67,7 @@ class LinearPolicies(TensorDictModuleBase):
             IzooError: while exploring, the environments cannot be shared out evenly.
         """
         seen, mask = tensordict.get(base.OBSERVATION).clamp(-MOST, MOST), tensordict.get(base.MASK)
-        if base.explores():
+        if self.training and base.explores():
             count, envs = len(self.candidates), mask.shape[0] if mask.ndim > 1 else 1
             if mask.ndim < 2 or envs % count:
                 raise IzooError(

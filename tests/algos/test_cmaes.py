@@ -77,6 +77,14 @@ def test_untrained_it_does_nothing_and_empty_slots_hold_nothing() -> None:
     assert not acted[base.ACTION].squeeze(-1)[~acted[base.MASK]].any()
 
 
+def test_in_evaluation_mode_it_is_its_mean_for_any_number_of_environments() -> None:
+    algorithm = make()
+    algorithm.policy.mean.normal_()
+    explored = algorithm.policy.eval()(frames(BLOCK))
+    algorithm.policy.train()
+    assert torch.equal(explored[base.ACTION], act(algorithm, BLOCK, ExplorationType.DETERMINISTIC)[base.ACTION])
+
+
 def test_without_a_rest_it_begins_at_full_throttle() -> None:
     torch.manual_seed(0)
     algorithm = CMAES(CMAESConfig(), FEATURES, -4.5, 2.6)
