@@ -91,6 +91,11 @@ class ProcessesCollector(MultiSyncCollector):
                     f"process {self.watch.hung[0]} of {self.num_workers} that collect took no step for env.watchdog_s "
                     "and was ended; go on with resume=RUN_DIR."
                 ) from error
+            if self.watch.withheld:
+                raise UnfinishedError(
+                    f"none of {self.num_workers} processes that collect handed over its steps for env.watchdog_s, and "
+                    "all were ended; go on with resume=RUN_DIR."
+                ) from error
             # TorchRL notices too, but then stumbles over the other processes, or over the pipe, as it may happen.
             for number, process in enumerate(self.procs):
                 code = _exit_code(process)

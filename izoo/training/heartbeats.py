@@ -1,10 +1,12 @@
 """A watch over processes that collect: each counts its steps where this process sees them, and one that stops is ended.
 
-TorchRL's collector notices a process that has ended, but waits forever for one that is stopped or hangs.
+TorchRL's collector notices a process that has ended, but waits forever for one that is stopped or hangs: within its
+steps, or between the last of them and handing over the batch, where nobody can see which process it is.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import tempfile
@@ -25,7 +27,8 @@ def open_counts(path: Path, size: int) -> np.ndarray:
 
 
 class Watch:
-    """Ends processes that owe steps and take none for a time, while a batch is waited for.
+    """Ends processes that owe steps and take none for a time, while a batch is waited for; or all of them, where none
+    owes a step and the batch still does not come.
 
     Args:
         size: how many processes there are.
@@ -34,7 +37,8 @@ class Watch:
 
     Attributes:
         path: the file of the counts, for the processes.
-        hung: numbers of the processes that were ended.
+        hung: numbers of the processes that were ended because they took no step.
+        withheld: whether all were ended because their batch did not come.
     """
 
     def __init__(self, size: int, steps: int, patience_s: float) -> None:
@@ -42,6 +46,7 @@ class Watch:
         os.ftruncate(descriptor, 8 * size)
         os.close(descriptor)
         self.path, self.hung = Path(name), list[int]()
+        self.withheld = False
         self._counts = open_counts(self.path, size)
         self._steps, self.patience_s = steps, patience_s
         self._batches = 0
@@ -81,7 +86,17 @@ class _Waiting:
             moved = counts != before
             since_s[moved], patience_s[moved] = now_s, self._watch.patience_s
             before = counts.copy()
-            for number in np.flatnonzero((before < self._owed) & (now_s - since_s > patience_s)).tolist():
+            owing, idle = before < self._owed, now_s - since_s > patience_s
+            for number in np.flatnonzero(owing & idle).tolist():
                 if number not in self._watch.hung:
                     self._watch.hung.append(number)
-                    os.kill(self._pids[number], signal.SIGKILL)
+                    self._end(number)
+            if not owing.any() and idle.all():
+                self._watch.withheld = True
+                for number in range(len(self._pids)):
+                    self._end(number)
+                return
+
+    def _end(self, number: int) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self._pids[number], signal.SIGKILL)

@@ -271,6 +271,31 @@ def test_a_process_that_owes_steps_and_takes_none_is_ended() -> None:
     assert not watch.path.exists()
 
 
+def test_processes_that_owe_no_step_and_hand_over_no_batch_are_all_ended() -> None:
+    """One that is stopped after its last step keeps the batch from coming, and nobody can see which one it is."""
+    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(2)]
+    watch = Watch(2, steps=10, patience_s=0.4)
+    counts = open_counts(watch.path, 2)
+    try:
+        counts[:] = 10
+        with watch.over([process.pid for process in sleepers]):
+            time.sleep(0.1)
+        counts[0] = 20
+        with watch.over([process.pid for process in sleepers]):
+            for _ in range(6):
+                counts[1] += 1
+                time.sleep(0.15)
+            assert not watch.withheld
+            counts[1] = 20
+            assert [process.wait(10) for process in sleepers] == [-signal.SIGKILL] * 2
+        assert watch.withheld and not watch.hung
+    finally:
+        watch.close()
+        for process in sleepers:
+            process.kill()
+            process.wait()
+
+
 @pytest.mark.slow
 def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
@@ -293,7 +318,7 @@ def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_
         os.kill(collecting[1], signal.SIGSTOP)
         _, error = process.communicate(timeout=100)
         assert process.returncode == 1 and "Traceback" not in error, error
-        assert "took no" in error and "env.watchdog_s" in error and time.monotonic() - begin < 60
+        assert "for env.watchdog_s" in error and "resume=" in error and time.monotonic() - begin < 60
         with contextlib.suppress(ProcessLookupError):
             os.kill(collecting[1], 0)
             raise AssertionError("the stopped process is still there")
