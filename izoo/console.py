@@ -247,6 +247,11 @@ def plain(text: object) -> str:
     return "".join(c if unicodedata.category(c) not in _CONTROL else ascii(c)[1:-1] for c in str(text))
 
 
+def counted(count: int, what: str) -> str:
+    """Return ``1 seed``, ``2 seeds``."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def duration(seconds: float) -> str:
     """Seconds in words: ``80 s``, ``3 min``, ``1.5 h``."""
     if seconds < 90.0:

@@ -126,7 +126,7 @@ def _figures(evaluation: Path | None) -> list[str]:
     if evaluation is None:
         return ["Not yet."]
     from izoo.evaluation.policies import UNCOMMANDED
-    from izoo.evaluation.show import comparison_rows, intervals_in_words
+    from izoo.evaluation.show import comparison_rows, intervals_in_words, places_in_words
     from izoo.evaluation.summary import summarise
     from izoo.evaluation.table import CSV_FILE, read_csv
 
@@ -143,7 +143,7 @@ def _figures(evaluation: Path | None) -> list[str]:
     words = intervals_in_words([n["intersections"]])
     return [
         *lines,
-        f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds. {words}",
+        f"{places_in_words(n)}, {n['seeds']} paired seeds. {words}",
     ]
 
 

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from izoo.console import counted
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, episode_seed
 from izoo.envs.config import EnvConfig
@@ -61,6 +62,5 @@ class EpisodeSeeds:
 
 def describe(contexts: Sequence[Context], seeds: Sized, env: EnvConfig) -> str:
     """Return in words what an evaluation plays."""
-    number = f"{len(contexts)} context{'' if len(contexts) == 1 else 's'}"
-    each = f"{len(seeds)} seed{'' if len(seeds) == 1 else 's'} each"
+    number, each = counted(len(contexts), "context"), f"{counted(len(seeds), 'seed')} each"
     return f"{number}, {each}, episodes of {env.horizon_s:g} s of which the first {env.warmup_s:g} s are not measured"

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from izoo.console import plain
+from izoo.console import counted, plain
 from izoo.envs.config import SIMULATOR_NAMES
 from izoo.evaluation.policies import HUMAN
 from izoo.metrics.scores import SCORES
@@ -71,12 +71,12 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
         if scores["nan_share"]:
             console.print(nan_in_words(plain(name), scores["nan_share"]), highlight=False, markup=False)
     console.print(
-        f"{n['contexts']} contexts on {n['intersections']} intersections, {n['seeds']} paired seeds, "
+        f"{places_in_words(n)}, {n['seeds']} paired seeds, "
         f"{n['episodes']} episodes. {intervals_in_words([n['intersections']])}",
         highlight=False,
     )
     if n["seeds"] < MIN_EVAL_SEEDS:
-        console.print(f"Only {n['seeds']} seed(s) per context: three or more are needed to judge throughput.")
+        console.print(f"Only {counted(n['seeds'], 'seed')} per context: three or more are needed to judge throughput.")
 
 
 def score_table(summary: dict[str, Any]) -> Table:
@@ -98,6 +98,11 @@ def benefit_table(
     if nan_share:
         mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline} on {SIMULATOR_NAMES[simulator]}{mark}", *comparison_rows(comparison))
+
+
+def places_in_words(n: dict[str, int]) -> str:
+    """Return on how many contexts and intersections an evaluation rests; ``n`` is that of its summary."""
+    return f"{counted(n['contexts'], 'context')} on {counted(n['intersections'], 'intersection')}"
 
 
 def nan_in_words(name: str, share: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from izoo.console import counted
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 
 AGAINST = {HUMAN: "human driving", UNCOMMANDED: "the same vehicles uncommanded"}
@@ -24,7 +25,7 @@ def in_words(summary: dict[str, Any], unseen: bool = False) -> str:
     if not savings or any(saving["value"] is None for saving in savings.values()):
         return "Nothing can be said of CO2: no vehicle crossed a stop line."
     parts = [f"{_amount(saving)} than {AGAINST[name]}" for name, saving in savings.items()]
-    places = f"{count} {'unseen ' if unseen else ''}intersection{'' if count == 1 else 's'}"
+    places = counted(count, "unseen intersection" if unseen else "intersection")
     lines = [f"On {places} vehicles emit {' and '.join(parts)}."]
     fallen = [name for name, blocks in found.items() if (blocks["throughput"]["mean"]["value"] or 0.0) < 0.0]
     if fallen:

@@ -38,10 +38,10 @@ class Figure:
 
 
 def colours(scored: Sequence[Scored]) -> dict[str, str]:
-    """Return a colour per policy; the uncommanded CV is grey."""
-    named = [s.name for s in scored if s.entry.policy != UNCOMMANDED]
-    found = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(named)}
-    return {s.name: found.get(s.name, QUIET) for s in scored}
+    """Return a colour per policy; weights before training have that of the trained ones, the uncommanded CV is grey."""
+    families = {s.name: s.name.removesuffix("_untrained") for s in scored if s.entry.policy != UNCOMMANDED}
+    found = {family: PALETTE[k % len(PALETTE)] for k, family in enumerate(dict.fromkeys(families.values()))}
+    return {s.name: found.get(families.get(s.name, ""), QUIET) for s in scored}
 
 
 def axis(title: str, **options: Any) -> dict[str, Any]:

@@ -14,46 +14,62 @@ from izoo.reporting.histograms import beside_published, histograms
 from izoo.reporting.material import Material
 from izoo.reporting.scored import Scored, profile
 
+MARKS = (
+    ("mean, exact gate", "exact", "mean", "circle", PALETTE[0], True),
+    ("over uncommanded, no gate", "over_uncommanded", "mean", "square", PALETTE[1], True),
+    ("interquartile mean, exact gate", "exact", "iqm", "circle-open", PALETTE[0], False),
+    ("mean, tested gate", "tested", "mean", "diamond-open", PALETTE[2], False),
+    ("interquartile mean, tested gate", "tested", "iqm", "diamond-wide-open", PALETTE[2], False),
+)
+"""Marks per policy: label, part and statistic of its summary, symbol, colour, and whether it is shown at first."""
+
 
 def forest(scored: Sequence[Scored]) -> Figure:
-    """Mean and interquartile mean of the benefit under both gates, with intervals where there are any."""
+    """Benefits over human driving under both gates, and over uncommanded CVs, with intervals where there are any."""
     data, names = [], [escaped(s.name) for s in scored][::-1]
-    for gate, symbol in (("exact", "circle"), ("tested", "diamond-open")):
-        for statistic, label, shift in (("mean", "mean", 0.12), ("iqm", "interquartile mean", -0.12)):
-            estimates = [s.summary["all"][gate][statistic] for s in scored][::-1]
-            x = [in_percent(e["value"]) for e in estimates]
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": f"{label}, {gate} gate",
-                    "x": x,
-                    "y": [k + shift + (0.03 if gate == "tested" else -0.03) for k in range(len(names))],
-                    "error_x": error_bars(estimates),
-                    "text": [f"{name}: n = {e['n']}" for name, e in zip(names, estimates, strict=True)],
-                    "hovertemplate": "%{text}<br>%{x:.2f} %<extra>%{fullData.name}</extra>",
-                    "marker": {"symbol": symbol, "size": 9, "color": PALETTE[0] if statistic == "mean" else PALETTE[1]},
-                    "visible": True if gate == "exact" else "legendonly",
-                }
-            )
+    for number, (label, part, statistic, symbol, colour, shown) in enumerate(MARKS):
+        marked = [
+            (k, s.summary["all"][part][statistic]) for k, s in enumerate(scored[::-1]) if part in s.summary["all"]
+        ]
+        estimates = [estimate for _, estimate in marked]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": label,
+                "x": [in_percent(e["value"]) for e in estimates],
+                "y": [k + 0.1 * (2 - number) for k, _ in marked],
+                "error_x": error_bars(estimates),
+                "text": [f"{names[k]}: n = {e['n']}" for k, e in marked],
+                "hovertemplate": "%{text}<br>%{x:.2f} %<extra>%{fullData.name}</extra>",
+                "marker": {"symbol": symbol, "size": 9, "color": colour},
+                "visible": True if shown else "legendonly",
+            }
+        )
     ticks = {"tickvals": list(range(len(names))), "ticktext": names, "range": [-0.6, len(names) - 0.4]}
     layout = {
         "xaxis": axis("emission benefit (%)", zeroline=True),
         "yaxis": {**ticks, "automargin": True, "zeroline": False},
     }
     words = [f"{s.name} {in_words(s.summary['all']['exact']['mean'])}" for s in scored]
-    caption = "Benefit with 95 % intervals, where there are any. The tested gate can be switched on in the legend."
+    caption = (
+        "Benefit over human driving, and over CVs that nobody commands, with 95 % intervals where there are any. The "
+        "legend switches marks on and off."
+    )
     alt = f"Mean benefit, exact gate: {'; '.join(words)}."
     return Figure("forest", "Benefit", caption, alt, data, layout, max(360, 150 + 52 * len(names)))
 
 
 def profiles(scored: Sequence[Scored]) -> Figure:
     """Performance profiles: the share of approaches above each benefit."""
-    data, tint = [], colours(scored)
+    data, tint, reach = [], colours(scored), 0.05
     for s in scored:
         share = profile(s)
         if share.size:
-            dash = "dot" if s.entry.policy == UNCOMMANDED else "solid"
+            dash = "dot" if s.entry.policy == UNCOMMANDED or s.untrained else "solid"
+            between = np.flatnonzero((share > 0.0) & (share < 1.0))
+            if between.size:
+                reach = max(reach, *np.abs(np.array(THRESHOLDS)[between[[0, -1]]]))
             data.append(
                 {
                     "type": "scatter",
@@ -66,7 +82,7 @@ def profiles(scored: Sequence[Scored]) -> Figure:
                 }
             )
     layout = {
-        "xaxis": axis("emission benefit, exact gate (%)", zeroline=True, range=[-50, 50]),
+        "xaxis": axis("emission benefit, exact gate (%)", zeroline=True, range=[-110.0 * reach, 110.0 * reach]),
         "yaxis": axis("approaches above it (%)", range=[0, 101]),
     }
     caption = (

@@ -85,7 +85,7 @@ def histograms(scored: Sequence[Scored], title: str) -> list[Figure]:
         runs = every.shape[0]
         pooled = label if runs == 1 else f"{label}, all {runs} seeds"
         found.append(histogram(every.ravel(), pooled, f"histogram-{k}", tint[s.name]))
-        if runs > 1:
+        if s.best_summary is not None:
             best = every[s.best]
             words = f"{label}, best of {runs} seeds (the paper's form)"
             found.append(histogram(best, words, f"histogram-{k}-best", tint[s.name]))

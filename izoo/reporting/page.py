@@ -17,6 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from izoo import __version__
+from izoo.console import counted
 from izoo.errors import IzooError
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import intervals_in_words, nan_in_words, percent, score_rows
@@ -37,19 +38,19 @@ REPLAY_BYTES = 4_000_000
 """Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
 SUMMARY_COLUMNS = (
     ("benefit, mean", "exact", "mean"),
-    ("interquartile mean", "exact", "iqm"),
+    ("over uncommanded", "over_uncommanded", "mean"),
+    ("whole region: mean", "region_exact", "mean"),
+    ("region, over uncommanded", "region_over_uncommanded", "mean"),
+    ("throughput, mean change", "throughput", "mean"),
     ("approaches with benefit", "exact", "share_positive"),
     ("gated to 0", "exact", "share_gated"),
-    ("whole region: mean", "region_exact", "mean"),
+    ("interquartile mean", "exact", "iqm"),
     ("whole region: IQM", "region_exact", "iqm"),
     ("tested gate: mean", "tested", "mean"),
     ("tested gate: IQM", "tested", "iqm"),
     ("no gate: mean", "ungated", "mean"),
-    ("throughput, mean change", "throughput", "mean"),
     ("kept throughput", "throughput", "share_kept"),
     ("demand served", "served", "policy"),
-    ("over uncommanded", "over_uncommanded", "mean"),
-    ("over uncommanded, whole region", "region_over_uncommanded", "mean"),
 )
 """Columns of the summary: label, part and statistic of :func:`izoo.evaluation.across.compare`."""
 Note = Callable[[str], None]
@@ -114,7 +115,7 @@ def render(material: Material, *, replay: bool = True, imports: bool = False, no
     """Return the page of collected results."""
     scored = []
     for entry in material.entries:
-        note(f"Scoring {entry.name}: {len(entry.runs)} run(s).")
+        note(f"Scoring {entry.name}: {counted(len(entry.runs), 'run')}.")
         scored.append(score(entry))
     played, lost = _replays(scored, imports, note) if replay else ([], [])
     drawn = figures.figures(material, scored)
@@ -162,7 +163,8 @@ def _replays(scored: Sequence[Scored], imports: bool, note: Note) -> tuple[list[
     """Replays of the best policies, in the page's order, and why others are missing."""
     played: list[tuple[dict[str, Any], bytes]] = []
     lost: list[tuple[str, str]] = []
-    able = [s for s in scored if s.entry.policy != UNCOMMANDED] or list(scored)
+    # Weights before training are kept nowhere, and nobody wants to see them drive.
+    able = [s for s in scored if s.entry.policy != UNCOMMANDED and not s.untrained] or list(scored)
     ranked = sorted(able, key=lambda s: -(s.summary["all"]["exact"]["mean"]["value"] or 0.0))
     if ranked[REPLAY_POLICIES:]:
         names = ", ".join(s.name for s in ranked[REPLAY_POLICIES:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ class Scored:
         baseline: what its benefit is over: human driving, or with electric CVs the uncommanded CV.
         tables: per training seed, :func:`izoo.evaluation.summary.approach_table` plus features of the approaches.
         summary: as :func:`izoo.evaluation.across.compare` gives, over all training seeds.
-        best: which of ``tables`` has the highest ratio of sums, as the paper chooses, where there are several.
+        best: which of ``tables`` has the highest ratio of sums, as the paper chooses, of several that were trained.
         best_summary: its ``compare``.
     """
 
@@ -47,6 +48,11 @@ class Scored:
     def trained(self) -> bool:
         """Whether the policy came out of training runs."""
         return self.entry.policy != UNCOMMANDED and any(run.run is not None for run in self.entry.runs)
+
+    @property
+    def untrained(self) -> bool:
+        """Whether the policy has several training seeds, but is what runs begin with and not what they end with."""
+        return len(self.tables) > 1 and not self.trained
 
     @property
     def nan_share(self) -> float:
@@ -81,10 +87,11 @@ def score(entry: Entry) -> Scored:
         extra = [name for name in FEATURES if name not in result]
         tables.append(result.merge(described[[*TASK, *extra]], on=TASK))
     summary = across.compare(_numbered(tables))
-    if len(tables) == 1:
-        return Scored(entry, baseline, tuple(tables), summary)
+    scored = Scored(entry, baseline, tuple(tables), summary)
+    if len(tables) == 1 or scored.untrained:
+        return scored
     best = int(np.argmax([ratio_of_sums(emission_pairs(table[table["left_out"] == ""], "exact")) for table in tables]))
-    return Scored(entry, baseline, tuple(tables), summary, best, across.compare(tables[best]))
+    return dataclasses.replace(scored, best=best, best_summary=across.compare(tables[best]))
 
 
 def _numbered(tables: tuple[pd.DataFrame, ...] | list[pd.DataFrame]) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from typing import Any
 import pandas as pd
 from jsonschema import Draft202012Validator
 
+from izoo.console import counted
 from izoo.envs.config import SIMULATOR_NAMES
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate
@@ -156,10 +157,12 @@ def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) 
     if there < count:
         marks.append(f"{count - there} of {count} test contexts are missing")
     if len(submission["eval_seeds"]) < FULL_EVAL_SEEDS:
-        marks.append(f"{len(submission['eval_seeds'])} evaluation seed(s); the protocol asks for {FULL_EVAL_SEEDS}")
+        marks.append(
+            f"{counted(len(submission['eval_seeds']), 'evaluation seed')}; the protocol asks for {FULL_EVAL_SEEDS}"
+        )
     notes = []
     if submission["policy"]["kind"] == "trained" and len(submission["train_seeds"]) < FULL_TRAIN_SEEDS:
-        notes.append(f"{len(submission['train_seeds'])} training seed(s) of {FULL_TRAIN_SEEDS}")
+        notes.append(f"{counted(len(submission['train_seeds']), 'training seed')} of {FULL_TRAIN_SEEDS}")
     if submission["protocol"]["scale"] != "paper":
         notes.append(f"trained at scale {submission['protocol']['scale']}")
     return Checked(source, submission, tuple(marks), tuple(notes))

@@ -117,7 +117,7 @@ def test_what_is_missing_or_of_other_versions_is_marked() -> None:
     assert marks(sealed(other)) == ("other version of sumo: 1.27.0, not 1.28.0",)
     other = submission()
     other["eval_seeds"] = other["eval_seeds"][:2]
-    assert marks(sealed(other)) == ("2 evaluation seed(s); the protocol asks for 3",)
+    assert marks(sealed(other)) == ("2 evaluation seeds; the protocol asks for 3",)
 
 
 def test_another_environment_is_marked() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import gzip
 import json
 import re
@@ -18,6 +19,7 @@ from izoo.conf.report_options import ReportConfig
 from izoo.report import COMMAND, main
 from izoo.reporting.material import collect
 from izoo.reporting.page import render
+from izoo.reporting.results import EntryRecord, RunRecord, read_results, write_results
 from izoo.reporting.scored import improvement, score
 from tests.reporting.made_results import METRICS, benchmark, rename_policy
 
@@ -66,7 +68,7 @@ def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
     assert "248 of 1048" in text
     for words in (
         "whole region: mean",
-        "over uncommanded, whole region",
+        "region, over uncommanded",
         "demand served",
         "fewer than 6 intersections",
     ):
@@ -108,6 +110,27 @@ def test_page_of_a_benchmark(evaluation: Path, tmp_path: Path) -> None:
     glide = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "glide"]
     # One run emits as glide does, the other nine tenths of it; the mean of both is shown.
     assert ours == pytest.approx([1.0 - 0.95 * (1.0 - b) for b in glide], abs=1e-5)
+
+
+def test_weights_before_training_are_neither_replayed_nor_chosen_from(evaluation: Path, tmp_path: Path) -> None:
+    """``ppo_untrained`` has a run per training seed, like ``ppo``, but nothing that was trained."""
+    folder = benchmark(evaluation, tmp_path / "results")
+    runs = []
+    for seed in (0, 1):
+        where = f"evaluation/ppo_untrained/seed{seed}"
+        rename_policy(evaluation, folder / where, "glide", "ppo_untrained")
+        runs.append(RunRecord(seed, "done", where))
+    results = read_results(folder)
+    untrained = EntryRecord("ppo_untrained", "scripted", "ppo", "direct", tuple(runs))
+    write_results(folder, dataclasses.replace(results, entries=(untrained, *results.entries)))
+    assert main([str(folder)]) == 0
+    text = (folder / "report.html").read_text()
+    assert text.count("<small>best of 2 seeds (the paper&#39;s form)</small>") == 1  # of ppo
+    assert "No replay of ppo_untrained" not in text and "No replay of ppo:" in text
+    content = content_of(folder / "report.html")
+    assert {scene["name"] for scene in content["scenes"]} == {"glide"}
+    lines = {trace["name"]: trace["line"]["dash"] for trace in content["figures"]["profiles"]["data"]}
+    assert [lines[name] for name in lines if name.startswith(("ppo_untrained", "uncommanded"))] == ["dot", "dot"]
 
 
 def test_the_headline_says_where_commands_were_nan(evaluation: Path, tmp_path: Path) -> None:
