@@ -9,12 +9,16 @@ it changes the advice of one CV at a time.
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from izoo.commands.option_command import OptionCommand
+from izoo.conf.mapping import to_mapping
+from izoo.errors import IzooError
+from izoo.files import read_text, write_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
     from izoo.contexts.context import Context
     from izoo.envs import EnvConfig, TwinEnv
 
+MAY_CHANGE = ("out", "threads", "num_contexts", "adoptions", "seeds")
+"""Options that may differ when a file of rows is gone on with."""
 AT_ONCE = 16
 """Intersections that are played side by side."""
 LEAST_GAIN = 1e-3
@@ -32,39 +38,80 @@ Play = tuple["Context", int]
 
 
 def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict[str, Any]]:
-    """Play all contexts, print the table, write the rows where they are wanted, and return them."""
+    """Play all contexts that the file ``out`` does not hold yet, print the table, and return all rows.
+
+    Raises:
+        IzooError: ``out`` is not a file of this command, or was made with other options.
+    """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from rich.console import Console
 
+    from izoo.console import Progress
     from izoo.evaluation.baselines import baseline_context
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
-    from izoo.files import write_json
 
+    rows = kept(config)
     contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
-    env = settings(config)
-    rows: list[dict[str, Any]] = []
+    env, done = settings(config), {(row["adoption"], row["context"], row["seed"]) for row in rows}
+    parts: list[list[Play]] = []
     for adoption in config.adoptions:
         plays = [(context.replace(adoption=adoption), seed) for context in contexts for seed in seeds.of(context)]
-        for first in range(0, len(plays), AT_ONCE):
-            part = plays[first : first + AT_ONCE]
+        todo = [(context, seed) for context, seed in plays if (adoption, context.name, seed) not in done]
+        parts += [todo[first : first + AT_ONCE] for first in range(0, len(todo), AT_ONCE)]
+    if done:
+        print(f"{config.out} holds {len(rows)} episodes; it goes on.", flush=True)
+    with Progress(len(parts) * env.decisions, unit="decisions", file=sys.stderr) as bar:
+        for number, part in enumerate(parts):
+
+            def seen(decisions: int, before: int = number * env.decisions) -> None:
+                bar.update(before + decisions)
+
             human = [(baseline_context(context), seed) for context, seed in part]
             found = {
                 "human": played(human, env, config, scripted("human", env)),
                 "uncommanded": played(part, env, config, scripted("uncommanded", env)),
                 "glide": played(part, env, config, scripted("glide", env)),
-                "planner": played(part, env, config, lambda world: Planner(world, config).act),
+                "planner": played(part, env, config, lambda world: Planner(world, config, seen).act),
             }
             for k, (context, seed) in enumerate(part):
                 row = {"context": context.name, "intersection": context.intersection.name, "seed": seed}
                 lanes = int(found["human"]["lanes"][k])
-                rows.append({**row, "adoption": adoption, "lanes": lanes, **_sums(found, k)})
-            print(f"{len(rows)} of {len(plays) * len(config.adoptions)} episodes", file=sys.stderr, flush=True)
-    if config.out is not None:
-        write_json(Path(config.out), {"rows": rows, "summary": summary(rows)})
+                rows.append({**row, "adoption": context.adoption, "lanes": lanes, **_sums(found, k)})
+            keep(config, rows)
     Console().print(table(rows))
     print("Percentages are of CO2 per vehicle that crosses, saved over uncommanded CVs; brackets: 95 % intervals.")
     return rows
+
+
+def kept(config: PlannerConfig) -> list[dict[str, Any]]:
+    """Return the rows that the file ``out`` holds; none where there is no such file."""
+    if config.out is None or not Path(config.out).exists():
+        return []
+    try:
+        content = json.loads(read_text(Path(config.out)))
+        made_with, rows = content["options"], list(content["rows"])
+    except (ValueError, KeyError, TypeError):
+        raise IzooError(f"{config.out} is no file of izoo.benchmarks.planner; choose another with out=FILE.") from None
+    for name, value in _identity(config).items():
+        if made_with.get(name) != value:
+            raise IzooError(
+                f"{config.out} was made with {name}={made_with.get(name)}, and now it is {value}; give the same, or "
+                "choose another file with out=FILE."
+            )
+    return rows
+
+
+def keep(config: PlannerConfig, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows, and what they come to, where they are wanted."""
+    if config.out is not None:
+        content = {"options": _identity(config), "rows": rows, "summary": summary(rows)}
+        write_json(Path(config.out), content)
+
+
+def _identity(config: PlannerConfig) -> dict[str, Any]:
+    """Return the options that rows of one file share."""
+    return {name: value for name, value in to_mapping(config).items() if name not in MAY_CHANGE}
 
 
 def settings(config: PlannerConfig) -> EnvConfig:
@@ -129,15 +176,16 @@ class Planner:
     Args:
         world: the environments, at the beginning of their episodes; the branches are made of them.
         config: options.
+        note: is told after how many decisions it is.
     """
 
-    def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
+    def __init__(self, world: TwinEnv, config: PlannerConfig, note: Callable[[int], None] = lambda _: None) -> None:
         import torch
 
         from izoo.algos.advice import SpeedCap
         from izoo.envs.mdp.frame import observation_names
 
-        self.world, self.config = world, config
+        self.world, self.config, self.note = world, config, note
         self.cap = SpeedCap(world.config, config.brake_mps2)
         self.approaching = observation_names(world.config).index("location_approaching")
         self.candidates = torch.tensor([0.0, 0.0, *config.caps])  # as it is, nothing, or one of the caps
@@ -166,6 +214,7 @@ class Planner:
             self.advice[rows[better], slot[better]] = tried[rows, best][better]
             self.asked[rows, slot] = float(self.decisions)
         self.decisions += 1
+        self.note(self.decisions)
         return self._command(state, self.advice)
 
     def _tried(self, slot: Any, tried: Any) -> Any:

@@ -27,7 +27,7 @@ class PlannerConfig:
         seeds: episodes per context.
         seed: base of the episode seeds and of the drawn contexts.
         threads: of the twin; null: one per core.
-        out: also write the rows as JSON to this file.
+        out: write the rows as JSON to this file as well; what it holds already is not played again.
     """
 
     contexts: ContextsConfig = field(default_factory=CityContexts)

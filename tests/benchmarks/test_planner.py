@@ -77,6 +77,16 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert len(result["rows"]) == 2 and {row["adoption"] for row in result["rows"]} == {0.5}
     assert all(row["crossed_planner"] > 0 for row in result["rows"])
     assert "What there is to gain" in capsys.readouterr().out
+    before, more = out.read_text(), [word.replace("adoptions=[0.5]", "adoptions=[0.5,1.0]") for word in words]
+    assert planner.main([*more, "threads=1", f"out={out}"]) == 0
+    again = json.loads(out.read_text())
+    assert again["rows"][:2] == result["rows"] and [row["adoption"] for row in again["rows"]] == [0.5, 0.5, 1.0, 1.0]
+    assert "holds 2 episodes" in capsys.readouterr().out
+    assert planner.main([*words, "every_s=5", f"out={out}"]) == 2
+    assert "every_s=10" in capsys.readouterr().err and out.read_text() != before
+    other = tmp_path / "other.json"
+    other.write_text("[]")
+    assert planner.main([*words, f"out={other}"]) == 2 and other.read_text() == "[]"
 
 
 @pytest.mark.parametrize(
