@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     from izoo.benchmarks.generalization_options import GeneralizationConfig
@@ -48,6 +48,7 @@ COMMAND = OptionCommand(
     config="izoo.benchmarks.generalization_options:GeneralizationConfig",
     work="izoo.benchmarks.generalization:run",
     check="izoo.commands.given_paths:check_benchmark",
+    stopped=GOES_ON,
 )
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError
 from izoo.files import read_text, write_json
@@ -315,6 +315,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.planner_options:PlannerConfig",
     work="izoo.benchmarks.planner:run",
+    stopped=f"with out=FILE {GOES_ON}",
 )
 main = COMMAND.main
 

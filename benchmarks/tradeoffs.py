@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
@@ -54,6 +54,7 @@ COMMAND = OptionCommand(
     config="izoo.benchmarks.tradeoffs_options:TradeoffsConfig",
     work="izoo.benchmarks.tradeoffs:run",
     check="izoo.commands.given_paths:check_benchmark",
+    stopped=GOES_ON,
 )
 
 

@@ -35,11 +35,16 @@ SPEED_OVER = 20
 """Updates that the time left is estimated from."""
 
 
-def exit_code(name: str, main: Callable[[], int]) -> int:
+def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
     """Return what ``main`` returns, or how it ended.
 
     That is 1 for work that cannot be finished, 2 for input that cannot be used, and 130 for Ctrl-C: also where the work
     was then closed in good order.
+
+    Args:
+        name: of the command, without ``izoo``.
+        main: its work.
+        stopped: what to say after Ctrl-C beside that it was stopped.
     """
     try:
         code = main()
@@ -53,7 +58,7 @@ def exit_code(name: str, main: Callable[[], int]) -> int:
         print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
         return EXIT_UNFINISHED
     except KeyboardInterrupt:
-        print(f"izoo {name}: stopped.", file=sys.stderr, flush=True)
+        print(f"izoo {name}: stopped{stopped and f'; {stopped}'}.", file=sys.stderr, flush=True)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         if not _is_unread(sys.stdout):

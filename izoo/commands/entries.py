@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 
 TRAIN = OptionCommand(
     name="train",
@@ -32,6 +32,7 @@ EVALUATE = OptionCommand(
     config="izoo.conf.evaluate_options:EvaluateConfig",
     work="izoo.commands.evaluating:evaluate",
     check="izoo.commands.given_paths:check_evaluate",
+    stopped=GOES_ON,
 )
 COLLECT = OptionCommand(
     name="collect",

@@ -20,6 +20,7 @@ from izoo.conf.recipes import with_recipe
 from izoo.console import EXIT_BAD_INPUT, EXIT_UNFINISHED, exit_code, unheard
 from izoo.errors import IzooError, UnfinishedError, unknown_choice
 
+GOES_ON = "the same command goes on where it stopped"
 FOLDERS = ("run_dir", "out")
 """Options that name where a command's results go."""
 FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
@@ -40,6 +41,7 @@ class OptionCommand:
             imported; it imports nothing slow.
         place: an option that is given without its name, as in ``izoo.report FOLDER``.
         literal: options whose values are taken as they are written, whatever signs they hold.
+        stopped: what to say after Ctrl-C beside that it was stopped, such as how to go on.
         recipes: whether ``recipe=NAME`` may stand for other words (:mod:`izoo.conf.recipes`).
     """
 
@@ -51,6 +53,7 @@ class OptionCommand:
     check: str | None = None
     place: str | None = None
     literal: tuple[str, ...] = ()
+    stopped: str = ""
     recipes: bool = False
 
     def main(self, argv: Sequence[str] | None = None) -> int:
@@ -59,7 +62,7 @@ class OptionCommand:
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-        return exit_code(self.name, lambda: self._run(words))
+        return exit_code(self.name, lambda: self._run(words), self.stopped)
 
     def config_class(self) -> type:
         """Import and return the dataclass of the options."""

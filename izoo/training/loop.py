@@ -282,9 +282,9 @@ class Session:
                 print(f"Could not begin a validation: {error}; training goes on.", file=sys.stderr, flush=True)
 
     def _validate_last(self, interrupt: Any, sinks: list[records.Sink]) -> None:
-        """Validate the last weights, unless the run is to stop, or was too short for any validation."""
+        """Validate the last weights, unless the run is to stop, was too short for any validation, or lost them."""
         every = self.config.validation.every_batches
-        if interrupt.requested or every == 0 or self.batches < every:
+        if self._saved_at != self.frames or interrupt.requested or every == 0 or self.batches < every:
             return
         if float(self.frames) not in self.validator.table.series("frames")[1]:
             self._validate()
