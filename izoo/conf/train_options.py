@@ -187,6 +187,9 @@ class TrainConfig:
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
             Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
         total_frames: environment steps of the whole run, over all workers.
+        start: a run, or one of its checkpoints, whose policy this run begins with (PPO, MAPPO and graph RL); what it
+            observes and what its actions stand for must be the same. The value function and all else begin anew. null:
+            random weights.
         run_dir: folder of the run; null: ``runs/<date-time>-<algo>-seed<seed>`` in the current folder.
         resume: folder of a run to go on with; its own options are used, except ``total_frames`` and ``num_workers``
             where given.
@@ -208,6 +211,7 @@ class TrainConfig:
     num_envs: int | None = None
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     total_frames: int = 195_000
+    start: str | None = None
     run_dir: str | None = None
     resume: str | None = None
 
@@ -239,7 +243,12 @@ class TrainConfig:
                 "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
                 "twin does beside training; choose simulator=twin, or algo.control_variate=false."
             )
-        for name in ("run_dir", "resume"):
+        if self.start is not None and not hasattr(self.algo, "warm_start"):
+            raise IzooError(
+                f"start={self.start} begins with the policy of another run, which algo={self.algo.name} cannot: what "
+                "it keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."
+            )
+        for name in ("start", "run_dir", "resume"):
             _make_absolute(self, name)
 
     @property

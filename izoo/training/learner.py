@@ -87,7 +87,7 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`."""
         stats = self.algorithm.update(to_learner(batch, self.device), progress)
-        self._share()
+        self.share()
         return stats
 
     def state_dict(self) -> dict[str, Any]:
@@ -100,11 +100,12 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
         load_state(self.algorithm, state["algorithm"])
-        self._share()
+        self.share()
         torch.set_rng_state(state["torch_rng"])
         if self.device.type == "cuda" and "cuda_rng" in state:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)
 
-    def _share(self) -> None:
+    def share(self) -> None:
+        """Hand the algorithm's weights to the policy that collects."""
         if self.policy is not self.algorithm.policy:
             self.policy.load_state_dict(self.algorithm.policy.state_dict())

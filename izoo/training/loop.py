@@ -65,7 +65,11 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     check_collector(config)
     source = config.contexts.build()
     with runs.created(config) as run_dir, _room(run_dir):
-        Session(config, run_dir, source).run()
+        session = Session(config, run_dir, source)
+        if config.start is not None:
+            runs.begin_with(session.learner.algorithm, config)
+            session.learner.share()
+        session.run()
     return run_dir
 
 
