@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
@@ -89,6 +90,11 @@ class Learner:
         stats = self.algorithm.update(to_learner(batch, self.device), progress)
         self.share()
         return stats
+
+    def advantage(self) -> Tensor:
+        """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""
+        learned: Any = getattr(self.algorithm, "learned", self.algorithm)
+        return learned.advantage.to(COLLECTS_ON)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the algorithm's state and the states of the random generators that learning draws from."""
