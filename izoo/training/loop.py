@@ -272,6 +272,8 @@ class Session:
                     row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
                     records.log_all(sinks, row)
+                    if "validation_frames" in row:  # an interval that it lacks must not be that of an earlier one
+                        latest = {name: value for name, value in latest.items() if not name.startswith("validation_")}
                     latest |= row
                     bar.update(self.frames, records.in_short(latest))
                     if self.batches % config.checkpoint.every_batches == 0:
