@@ -12,6 +12,8 @@
 - :mod:`~izoo.algos.action`: what a learned action stands for.
 - :mod:`~izoo.algos.resting`, :mod:`~izoo.algos.advice`, :mod:`~izoo.algos.residual`: actions whose origin is doing
   nothing; advice to the simulator's driver, and corrections of glide.
+- :mod:`~izoo.algos.ddpg`, :mod:`~izoo.algos.td3`: off-policy learners; :mod:`~izoo.algos.applied`: what came of
+  commands.
 - :mod:`~izoo.algos.ppo_config`, :mod:`~izoo.algos.ddpg_config`: hyper-parameters.
 - :mod:`~izoo.algos.scripted`: drivers that do not learn.
 """

@@ -11,6 +11,7 @@ from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
+    from izoo.algos.applied import AppliedAcceleration
     from izoo.algos.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
@@ -63,15 +64,19 @@ class DirectAction:
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        return build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+        learned = build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+        if not _stores_applied(config):
+            return learned
+        from izoo.algos.applied import AsApplied
+
+        return AsApplied(learned, env)
 
 
 @dataclass(frozen=True)
 class AdviseAction:
     """The policy's action is advice to the simulator's own driver: at or below 0 none, above it a lower speed limit.
 
-    It is heard before the stop line alone.
-    So an untrained policy is, but for its exploration, the uncommanded CV.
+    So an untrained policy is, but for its exploration, the uncommanded CV. Advice is heard before the stop line alone.
 
     Attributes:
         name: the action mode.
@@ -106,7 +111,8 @@ class AdviseAction:
         learned = build(config, features, -self.depth, self.depth, rest=self.rest)
         name = getattr(config, "warm_start", "none")
         expert = None if name == "none" else make_driver(name, env)
-        return Advised(learned, SpeedCap(env, self.brake_mps2), expert, self.depth)
+        applied = _applied(config, env)
+        return Advised(learned, SpeedCap(env, self.brake_mps2), self.depth, expert=expert, applied=applied)
 
 
 @dataclass(frozen=True)
@@ -145,7 +151,20 @@ class ResidualAction:
         from izoo.algos.residual import Correction, NominalDriver
 
         learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, rest=self.rest)
-        return Advised(learned, Correction(NominalDriver(env)))
+        applied = _applied(config, env)
+        return Advised(learned, Correction(NominalDriver(env)), self.half_width_mps2, applied=applied)
+
+
+def _stores_applied(config: Any) -> bool:
+    """Whether an algorithm replays what came of its actions."""
+    return getattr(config, "stores", "commanded") == "applied"
+
+
+def _applied(config: Any, env: EnvConfig) -> AppliedAcceleration | None:
+    """Return what tells the algorithm what came of its actions, if it wants to know."""
+    from izoo.algos.applied import AppliedAcceleration
+
+    return AppliedAcceleration(env) if _stores_applied(config) else None
 
 
 ActionConfig = DirectAction | AdviseAction | ResidualAction

@@ -14,6 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from izoo.algos import base
+from izoo.algos.applied import AppliedAcceleration
 from izoo.algos.scripted import DEFER
 from izoo.algos.warm_start import EXPERT_ADVICE
 from izoo.contexts.features import feature
@@ -25,6 +26,8 @@ from izoo.errors import IzooError
 ADVICE = ("agents", "advice")
 MOST_IMITATED = 0.98
 """Advice is imitated up to this share of the deepest: the tanh reaches that nowhere."""
+NOTICED_MPS2 = 0.05
+"""A vehicle that accelerates less than commanded by no more than this does what it was told."""
 
 
 class Translator(nn.Module):
@@ -61,6 +64,16 @@ class Translator(nn.Module):
             seen: what :meth:`look` returned.
             accel: ``[*B, A]`` m/s^2.
             defer: ``[*B, A]`` bool: the command is to leave the vehicle alone.
+        """
+        raise NotImplementedError
+
+    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
+        """Return the advice ``[*B, A]`` that stands for what came of ``advice``.
+
+        Args:
+            seen: what :meth:`look` returned.
+            advice: ``[*B, A]``, without its band.
+            applied: ``[*B, A]`` m/s^2, the acceleration that the vehicle had.
         """
         raise NotImplementedError
 
@@ -105,6 +118,11 @@ class SpeedCap(Translator):
         advice = 1.0 - (speed + accel * self.decision_s) / limit.clamp_min(1e-3)
         return torch.where(defer | ~heard, torch.zeros_like(advice), advice.clamp(0.0, 1.0))
 
+    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
+        """Return the advice, and 0 where it changed nothing: where the vehicle accelerated less than it was told."""
+        accel, defer = self.command(seen, advice)
+        return torch.where(defer | (applied < accel - NOTICED_MPS2), torch.zeros_like(advice), advice)
+
 
 class AdvisedPolicy(TensorDictModuleBase):
     """A learned policy's action becomes ``("agents", "advice")``, and what it stands for the action.
@@ -127,12 +145,15 @@ class AdvisedPolicy(TensorDictModuleBase):
             tensordict.set(base.GUIDED, seen[1])
         advice = self.learned(tensordict).get(base.ACTION)
         tensordict.set(ADVICE, advice)
-        acted, band = advice.squeeze(-1), float(self.learned.quiet_band)
-        if band > 0.0:
-            acted = acted.sign() * (acted.abs() - band).clamp_min(0.0)
+        acted = self.without_band(advice).squeeze(-1)
         accel, defer = self.translator.command(seen, acted)
         tensordict.set(DEFER, defer)
         return tensordict.set(base.ACTION, accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1))
+
+    def without_band(self, advice: Tensor) -> Tensor:
+        """Return advice, of any shape, less the band around 0 that counts as doing nothing."""
+        band = float(self.learned.quiet_band)
+        return advice.sign() * (advice.abs() - band).clamp_min(0.0) if band > 0.0 else advice
 
 
 class Advised:
@@ -141,24 +162,29 @@ class Advised:
     Args:
         learned: the algorithm, built for advice.
         translator: makes commands of what its policy emits.
+        depth: no advice is beyond this.
         expert: a driver for it to imitate; every batch is then handed on with the advice that it would have given.
-        depth: no such advice is beyond this.
+        applied: reads what came of the commands; the algorithm then learns from that.
     """
 
     def __init__(
         self,
         learned: base.Algorithm,
         translator: Translator,
+        depth: float,
+        *,
         expert: TensorDictModuleBase | None = None,
-        depth: float = 1.0,
+        applied: AppliedAcceleration | None = None,
     ) -> None:
-        self.learned, self.translator, self.expert, self.depth = learned, translator, expert, depth
+        self.learned, self.translator, self.depth = learned, translator, depth
+        self.expert, self.applied = expert, applied
         self.policy = AdvisedPolicy(learned.policy, translator)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Hand the batch on with the advice in the place of the action; the batch itself stays as it is."""
         own = batch.copy()
-        own.set(base.ACTION, batch.get(ADVICE))
+        emitted = batch.get(ADVICE)
+        own.set(base.ACTION, emitted if self.applied is None else self.carried_out(batch, self.applied(batch)))
         if self.expert is not None:
             own.set(EXPERT_ADVICE, self.expert_advice(batch))
         stats = self.learned.update(own, progress)
@@ -167,6 +193,14 @@ class Advised:
             stats["advice_abs"] = float(batch.get(ADVICE)[mask].abs().mean())
             stats["acting_share"] = float((~batch.get(DEFER)[mask]).float().mean())
         return stats
+
+    def carried_out(self, batch: TensorDictBase, accel: Tensor) -> Tensor:
+        """Return the advice that stands for accelerations ``[N, T, A, 1]`` of a batch, in the same shape."""
+        seen = self.translator.look(batch.get(base.OBSERVATION), batch.get(base.MASK))
+        advice = self.policy.without_band(batch.get(ADVICE)).squeeze(-1)
+        done = self.translator.carried_out(seen, advice, accel.squeeze(-1)).unsqueeze(-1)
+        # What was carried out as it was advised stays as the policy emitted it, the band around 0 included.
+        return torch.where(done == advice.unsqueeze(-1), batch.get(ADVICE), done.clamp(-self.depth, self.depth))
 
     @torch.no_grad()
     def expert_advice(self, batch: TensorDictBase) -> Tensor:

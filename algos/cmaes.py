@@ -90,7 +90,7 @@ class CMAES:
         features: length of an observation.
         low, high: bounds of the action: an acceleration in m/s^2, or advice.
         device: where the weights live.
-        rest: that an action of 0 is doing nothing; one of 0 and below it then is.
+        rest: that an action of 0 is doing nothing; a policy whose weights are 0 then does nothing.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
-from torchrl.objectives import SoftUpdate
+from torchrl.objectives import LossModule, SoftUpdate
 
 from izoo.algos import acting, base
 from izoo.algos.action import Rest
@@ -137,7 +137,7 @@ class ExploringPolicy(TensorDictModuleBase):
 
 
 class DDPG:
-    """The algorithm: actor, critic, replay, optimiser and update.
+    """The algorithm: actor, critic, replay, optimiser and update; see :class:`izoo.algos.base.Algorithm`.
 
     Args:
         config: hyper-parameters.
@@ -146,6 +146,9 @@ class DDPG:
         device: where the networks and the replay live.
         rest: that an action of 0 is doing nothing.
     """
+
+    critic_name = "value"
+    """What TorchRL's loss calls its critics."""
 
     def __init__(
         self,
@@ -158,21 +161,14 @@ class DDPG:
     ) -> None:
         self.config = config
         self.actor = make_actor(features, low, high, config, rest).to(device)
-        self.critic = ValueOperator(
-            ActionValue(features, low, high, config),
-            in_keys=[base.OBSERVATION, base.ACTION],
-            out_keys=[base.ACTION_VALUE],
-        ).to(device)
         self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
         self.untrained_output = self.actor.module[0][-1].bias.item()
-        self.loss = MaskedDDPGLoss(self.actor, self.critic, loss_function=config.value_loss, gamma=config.gamma).to(
-            device
-        )
+        self.loss = self.make_loss(features, low, high).to(device)
         self.loss.set_keys(priority=ERROR)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
         self.parameters = {
             "actor": list(self.loss.actor_network_params.values(True, True)),
-            "critic": list(self.loss.value_network_params.values(True, True)),
+            "critic": list(getattr(self.loss, f"{self.critic_name}_network_params").values(True, True)),
         }
         self.optimiser = torch.optim.Adam(
             [
@@ -185,6 +181,20 @@ class DDPG:
             config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta, device
         )
         self.frames = self.frames_held = 0
+
+    def make_critic(self, features: int, low: float, high: float) -> ValueOperator:
+        """Return a network of action values, on flat rows."""
+        network = ActionValue(features, low, high, self.config)
+        return ValueOperator(network, in_keys=[base.OBSERVATION, base.ACTION], out_keys=[base.ACTION_VALUE])
+
+    def make_loss(self, features: int, low: float, high: float) -> LossModule:
+        """Return the loss of ``actor`` and a critic of its own."""
+        self.critic = self.make_critic(features, low, high)
+        return MaskedDDPGLoss(self.actor, self.critic, loss_function=self.config.value_loss, gamma=self.config.gamma)
+
+    def moves_actor(self) -> bool:
+        """Whether this gradient step moves the actor and the target networks, too; asked once in each."""
+        return True
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Store a batch ``[N, T]`` and learn from the replay; see :class:`izoo.algos.base.Algorithm`."""
@@ -200,27 +210,31 @@ class DDPG:
         return stats
 
     def _learn(self, steps: int) -> dict[str, float]:
-        totals: dict[str, Tensor] = {}
+        found: dict[str, list[Tensor]] = {}
         for _ in range(steps):
             for key, value in self.gradient_step(self.replay.sample()).items():
-                totals[key] = totals.get(key, 0.0) + value
-        return {key: float(value) / steps for key, value in totals.items()}
+                found.setdefault(key, []).append(value)
+        return {key: float(torch.stack(values).mean()) for key, values in found.items()}
 
     def gradient_step(self, minibatch: TensorDictBase) -> dict[str, Tensor]:
-        """Move both networks, then their targets, by one minibatch of transitions; returns what to log."""
+        """Move the networks, then their targets, by one minibatch of transitions; returns what to log."""
         losses = self.loss(minibatch)
         self.optimiser.zero_grad()
-        output = self.actor.module[0](minibatch.get(base.OBSERVATION))
-        losses["loss_saturation"] = self.config.saturation_coeff * (output - self.untrained_output).square().mean()
-        total = losses["loss_actor"] + losses["loss_value"] + losses["loss_saturation"]
-        total.backward()
-        logged = {key: losses[key].detach() for key in ("loss_actor", "loss_value", "loss_saturation")}
+        parts, moved, moves_actor = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"], self.moves_actor()
+        if moves_actor:
+            output = self.actor.module[0](minibatch.get(base.OBSERVATION))
+            distance = (output - self.untrained_output).square().mean()
+            parts |= {"loss_actor": losses["loss_actor"], "loss_saturation": self.config.saturation_coeff * distance}
+            moved.append("actor")
+        torch.stack(list(parts.values())).sum().backward()
+        logged = {key: value.detach() for key, value in parts.items()}
         logged["value"] = losses["pred_value"].detach().mean()
-        for name, parameters in self.parameters.items():
+        for name in moved:
             bound = self.config.max_grad_norm or math.inf
-            logged[f"{name}_grad_norm"] = nn.utils.clip_grad_norm_(parameters, bound)
+            logged[f"{name}_grad_norm"] = nn.utils.clip_grad_norm_(self.parameters[name], bound)
         self.optimiser.step()
-        self.target_update.step()
+        if moves_actor:
+            self.target_update.step()
         self.replay.learned(minibatch)
         return logged
 

@@ -1,4 +1,4 @@
-"""Hyper-parameters of DDPG, apart from it so that commands answer before PyTorch is loaded."""
+"""Hyper-parameters of DDPG and TD3, apart from them so that commands answer before PyTorch is loaded."""
 
 from __future__ import annotations
 
@@ -59,6 +59,10 @@ class DDPGConfig(AlgoConfig):
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
         initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5).
+        stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
+            of it. The simulator's own driver may brake harder than a command asks, and then every such command does
+            the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
+            none was given.
         save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without
             it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
     """
@@ -90,6 +94,7 @@ class DDPGConfig(AlgoConfig):
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "relu"
     initial_accel_mps2: float = 0.5
+    stores: Literal["commanded", "applied"] = "commanded"
     save_replay: bool = True
 
     def __post_init__(self) -> None:
@@ -141,3 +146,31 @@ class DDPGConfig(AlgoConfig):
             hidden=(400, 300),
             initial_accel_mps2=-0.95,
         )
+
+
+@dataclass(frozen=True)
+class TD3Config(DDPGConfig):
+    """Hyper-parameters of TD3: those of DDPG, and of its three changes.
+
+    The paper has no TD3, so there is no preset ``paper``.
+
+    Attributes:
+        name: the algorithm.
+        policy_delay: gradient steps of the critics for each one of the actor and of the target networks (TD3 2; ours
+            the same).
+        target_noise: spread of the noise on the target network's action, in half widths of the action's range (TD3
+            0.2; ours the same).
+        target_noise_clip: most of that noise (TD3 0.5; ours the same).
+    """
+
+    name: Literal["td3"] = "td3"  # type: ignore[assignment]
+    stores: Literal["commanded", "applied"] = "applied"
+    policy_delay: int = 2
+    target_noise: float = 0.2
+    target_noise_clip: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range("algo.policy_delay", self.policy_delay, 1, 10**6)
+        for name in ("target_noise", "target_noise_clip"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)

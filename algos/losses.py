@@ -20,7 +20,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBas
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.modules import ValueNorm
-from torchrl.objectives import ClipPPOLoss, DDPGLoss, ValueEstimators
+from torchrl.objectives import ClipPPOLoss, DDPGLoss, TD3Loss, ValueEstimators
 
 from izoo.algos import base
 from izoo.algos.masked_gae import MaskedGAE
@@ -221,7 +221,57 @@ class MaskedGraphPPOLoss(MaskedPPOLoss):
             )
 
 
-class MaskedDDPGLoss(DDPGLoss):
+class _OnTransitions:
+    """What off-policy losses share: transitions ``[*B, A]`` in, their valid rows into TorchRL's own loss.
+
+    Mixed in before a loss whose ``tensor_keys`` have ``mask``.
+    """
+
+    tensor_keys: Any
+    actor_network: TensorDictModuleBase
+
+    def _estimate_by_td0(self: Any, gamma: float) -> None:
+        """Set the keys of the agents where TorchRL reads them, and the estimator of targets."""
+        self.set_keys(**{name: getattr(self.default_keys(), name) for name in ("reward", "done", "terminated")})
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    def _critic(self) -> TensorDictModuleBase:
+        """Return the network of action values."""
+        raise NotImplementedError
+
+    def rows(self, batch: TensorDictBase) -> TensorDict:
+        """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
+        keys = self.tensor_keys
+        mask = batch.get(keys.mask)
+        own = dict.fromkeys([*self.actor_network.in_keys, *self._critic().in_keys])
+        after = [
+            ("next", *path_of(key)) for key in (*self.actor_network.in_keys, keys.reward, keys.done, keys.terminated)
+        ]
+        gone = batch.get(("next", *path_of(keys.terminated)))
+        cleared = batch.copy()
+        for key in after[: len(self.actor_network.in_keys)]:
+            leaf = batch.get(key)
+            cleared.set(key, torch.where(gone, torch.zeros_like(leaf), leaf))
+        return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask.
+
+        The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
+        """
+        plain = super().forward  # type: ignore[misc]
+        mask = tensordict.get(self.tensor_keys.mask, None)
+        if mask is None:
+            return plain(tensordict)
+        rows = self.rows(tensordict)
+        losses = plain(rows)
+        error = rows.get(self.tensor_keys.priority)
+        spread = torch.zeros(mask.shape, dtype=error.dtype, device=error.device)
+        tensordict.set(self.tensor_keys.priority, spread.masked_scatter(mask, error.detach()))
+        return losses
+
+
+class MaskedDDPGLoss(_OnTransitions, DDPGLoss):
     """TorchRL's DDPG loss over the valid transitions of ``[*B, A]``: TD(0) targets from target copies of the networks.
 
     Args:
@@ -253,35 +303,67 @@ class MaskedDDPGLoss(DDPGLoss):
     ) -> None:
         delays = {"delay_actor": True, "delay_value": True}
         super().__init__(actor, critic, loss_function=loss_function, **{**delays, **options})
-        self.set_keys(**{name: getattr(self.default_keys(), name) for name in ("reward", "done", "terminated")})
-        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+        self._estimate_by_td0(gamma)
 
-    def rows(self, batch: TensorDictBase) -> TensorDict:
-        """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
-        keys = self.tensor_keys
-        mask = batch.get(keys.mask)
-        own = dict.fromkeys([*self.actor_network.in_keys, *self.value_network.in_keys])
-        after = [
-            ("next", *path_of(key)) for key in (*self.actor_network.in_keys, keys.reward, keys.done, keys.terminated)
-        ]
-        gone = batch.get(("next", *path_of(keys.terminated)))
-        cleared = batch.copy()
-        for key in after[: len(self.actor_network.in_keys)]:
-            leaf = batch.get(key)
-            cleared.set(key, torch.where(gone, torch.zeros_like(leaf), leaf))
-        return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
+    def _critic(self) -> TensorDictModuleBase:
+        return self.value_network
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask.
 
-        The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
-        """
-        mask = tensordict.get(self.tensor_keys.mask, None)
-        if mask is None:
-            return super().forward(tensordict)
-        rows = self.rows(tensordict)
-        losses = super().forward(rows)
-        error = rows.get(self.tensor_keys.priority)
-        spread = torch.zeros(mask.shape, dtype=error.dtype, device=error.device)
-        tensordict.set(self.tensor_keys.priority, spread.masked_scatter(mask, error.detach()))
-        return losses
+class MaskedTD3Loss(_OnTransitions, TD3Loss):
+    """TorchRL's TD3 loss over the valid transitions of ``[*B, A]``: targets from the lesser of several critics, at an
+    action to which noise was added.
+
+    It moves the actor whenever it is called; the delay is the caller's.
+
+    Args:
+        actor: deterministic; writes the batch's action.
+        critic: reads observation and action of one agent, writes ``("agents", "state_action_value")``; a list of
+            critics, or one, of which a second is made that begins elsewhere.
+        bounds: of the action, in its unit.
+        target_noise, target_noise_clip: spread of the noise on the target's action, and most of it, in half widths of
+            the action's range (TorchRL's ``policy_noise`` and ``noise_clip`` are in the action's unit).
+        loss_function: ``smooth_l1`` or ``l2``; the critics' losses are summed.
+        gamma: discount of the default value estimator.
+        options: further ones of TorchRL's ``TD3Loss``.
+    """
+
+    @dataclass
+    class _AcceptedKeys(TD3Loss._AcceptedKeys):
+        action: NestedKey = base.ACTION
+        state_action_value: NestedKey = base.ACTION_VALUE
+        reward: NestedKey = base.REWARD
+        done: NestedKey = base.DONE
+        terminated: NestedKey = base.TERMINATED
+        mask: NestedKey = base.MASK
+
+    default_keys = _AcceptedKeys
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        critic: TensorDictModuleBase | Sequence[TensorDictModuleBase],
+        *,
+        bounds: tuple[float, float],
+        target_noise: float = 0.2,
+        target_noise_clip: float = 0.5,
+        loss_function: str = "smooth_l1",
+        gamma: float = 0.99,
+        **options: Any,
+    ) -> None:
+        low, high = (float(end) for end in bounds)
+        half = (high - low) / 2
+        critics = critic if isinstance(critic, TensorDictModuleBase) else list(critic)
+        super().__init__(
+            actor,
+            critics,
+            bounds=(low, high),  # type: ignore[arg-type]
+            num_qvalue_nets=len(critics) if isinstance(critics, list) else 2,
+            policy_noise=target_noise * half,
+            noise_clip=target_noise_clip * half,
+            loss_function=loss_function,
+            **options,
+        )
+        self._estimate_by_td0(gamma)
+
+    def _critic(self) -> TensorDictModuleBase:
+        return self.qvalue_network

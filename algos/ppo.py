@@ -60,7 +60,12 @@ class PPO:
         low, high: bounds of the action: an acceleration in m/s^2, or advice.
         device: where the networks live.
         rest: that an action of 0 is doing nothing.
+
+    Attributes:
+        advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
     """
+
+    advantage: Tensor
 
     def __init__(
         self,
@@ -172,7 +177,9 @@ class PPO:
             reward = batch.get(key, None)
             if reward is not None:
                 estimated.set(key, reward * self.config.reward_scale)
-        rows = self.loss.rows(self.loss.value_estimator(estimated))
+        self.loss.value_estimator(estimated)
+        self.advantage = estimated.get(base.ADVANTAGE).squeeze(-1)
+        rows = self.loss.rows(estimated)
         valid = rows.get(base.ADVANTAGE)
         if len(valid) > 1:
             rows.set(base.ADVANTAGE, (valid - valid.mean()) / valid.std().clamp_min(1e-6))

@@ -73,6 +73,7 @@ class Home:
 ALGORITHMS = {
     "ppo": Home("izoo.algos.ppo:PPO", "izoo.algos.ppo_config:PPOConfig", ("paper",)),
     "ddpg": Home("izoo.algos.ddpg:DDPG", "izoo.algos.ddpg_config:DDPGConfig", ("paper",)),
+    "td3": Home("izoo.algos.td3:TD3", "izoo.algos.ddpg_config:TD3Config"),
     "mappo": Home("izoo.algos.mappo:MAPPO", "izoo.algos.ppo_config:MAPPOConfig", ("paper",)),
     "cmaes": Home("izoo.algos.cmaes:CMAES", "izoo.algos.cmaes_config:CMAESConfig"),
     "gcrl": Home("izoo.algos.gcrl:GCRL", "izoo.algos.ppo_config:GCRLConfig", ("paper",)),

@@ -97,3 +97,8 @@ class Correction(Translator):
     def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
         accel, guided = seen
         return accel - advice, ~guided & (advice <= 0.0)
+
+    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
+        """Return how much the vehicle was held back, and 0 where it was left to the simulator's driver."""
+        accel, guided = seen
+        return torch.where(guided | (advice > 0.0), accel - applied, torch.zeros_like(advice))

@@ -21,11 +21,10 @@ from izoo.errors import IzooError
 from izoo.files import read_text, write_json
 
 if TYPE_CHECKING:
-    import numpy as np
     from tensordict import TensorDictBase
 
     from izoo.benchmarks.planner_options import PlannerConfig
-    from izoo.contexts.context import Context
+    from izoo.benchmarks.whole_episodes import Play, Sums
     from izoo.envs import EnvConfig, TwinEnv
 
 MAY_CHANGE = ("out", "threads", "num_contexts", "adoptions", "seeds")
@@ -34,7 +33,6 @@ AT_ONCE = 16
 """Intersections that are played side by side."""
 LEAST_GAIN = 1e-3
 """Advice is changed for no less, in units of what human driving burns in a step: rounding is no reason."""
-Play = tuple["Context", int]
 
 
 def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict[str, Any]]:
@@ -46,6 +44,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from rich.console import Console
 
+    from izoo.benchmarks.whole_episodes import played, scripted
     from izoo.console import Progress
     from izoo.evaluation.baselines import baseline_context
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
@@ -69,10 +68,10 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
 
             human = [(baseline_context(context), seed) for context, seed in part]
             found = {
-                "human": played(human, env, config, scripted("human", env)),
-                "uncommanded": played(part, env, config, scripted("uncommanded", env)),
-                "glide": played(part, env, config, scripted("glide", env)),
-                "planner": played(part, env, config, lambda world: Planner(world, config, seen).act),
+                "human": played(human, env, config.threads, scripted("human", env)),
+                "uncommanded": played(part, env, config.threads, scripted("uncommanded", env)),
+                "glide": played(part, env, config.threads, scripted("glide", env)),
+                "planner": played(part, env, config.threads, lambda world: Planner(world, config, seen).act),
             }
             for k, (context, seed) in enumerate(part):
                 row = {"context": context.name, "intersection": context.intersection.name, "seed": seed}
@@ -120,52 +119,6 @@ def settings(config: PlannerConfig) -> EnvConfig:
 
     reward, emit = RewardConfig.fuel_team(), ("team_reward",)
     return dataclasses.replace(config.env, hold_s=config.every_s, reward=reward, emit=emit)
-
-
-def scripted(name: str, env: EnvConfig) -> Callable[[TwinEnv], Callable[[TensorDictBase], TensorDictBase]]:
-    """Return what makes a scripted driver for a world."""
-    from izoo.algos.scripted import make_driver
-
-    return lambda world: make_driver(name, env)
-
-
-def played(
-    plays: Sequence[Play],
-    env: EnvConfig,
-    config: PlannerConfig,
-    make: Callable[[TwinEnv], Callable[[TensorDictBase], TensorDictBase]],
-) -> dict[str, np.ndarray]:
-    """Play whole episodes, and return sums of each over its scored approaches, ``[n]``, by name."""
-    import numpy as np
-    import torch
-
-    from izoo.envs import TwinEnv
-    from izoo.evaluation.table import scored_approaches
-
-    world = TwinEnv(
-        len(plays), lambda number: plays[number % len(plays)], config=env, threads=config.threads, surrogate="compiled"
-    )
-    with torch.no_grad():
-        state = world.reset()
-        act = make(world)
-        while True:
-            following = world.step_lean(act(state))
-            if following.get("done").any():
-                break
-            state = following.exclude(("agents", "reward"))
-    approaches = world.reader.metrics().get("approach")
-    roads = [world.scene(k).road for k in range(len(plays))]
-    chosen = [
-        [road.approaches.index(leg) for leg in scored_approaches(context)]
-        for road, (context, _) in zip(roads, plays, strict=True)
-    ]
-    sums = {
-        name: np.array([float(approaches.get(name)[k, legs].sum()) for k, legs in enumerate(chosen)])
-        for name in ("emission_g", "crossed", "waiting")
-    }
-    world.close()
-    sums["lanes"] = np.array([int(max(road.lane_count[legs])) for road, legs in zip(roads, chosen, strict=True)])
-    return sums
 
 
 class Planner:
@@ -251,7 +204,7 @@ class Planner:
         return state.set(("agents", "defer"), defer)
 
 
-def _sums(found: dict[str, dict[str, np.ndarray]], k: int) -> dict[str, float]:
+def _sums(found: dict[str, Sums], k: int) -> dict[str, float]:
     return {
         f"{name}_{driver}": float(sums[name][k])
         for driver, sums in found.items()

@@ -37,6 +37,12 @@ def test_lines_without_a_terminal_say_how_long_it_takes(capsys: pytest.CaptureFi
     assert lines[1:] == ["       100 / 100 frames  done"]
 
 
+def test_a_validation_stands_with_its_interval_where_it_has_one() -> None:
+    row = {"validation_benefit": 0.031, "validation_benefit_low": -0.0104, "validation_benefit_high": 0.072}
+    text = in_short({**row, "validation_benefit_over_uncommanded": 0.01, "frames_per_s": 12.3})
+    assert text == "12 frames/s  validation +3.1% [-1.0, 7.2]  (+1.0% over uncommanded)"
+
+
 def test_durations_are_words() -> None:
     assert [duration(seconds) for seconds in (5, 600, 7200)] == ["5 s", "10 min", "2.0 h"]
 

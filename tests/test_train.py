@@ -66,6 +66,7 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
     assert json.loads((finished / "summary.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_run_ends_by_saying_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Contexts that are drawn from an interval are others than those of training; the one of pcg_easy is the same."""
     for words, places in (([], "On 1 intersection "), (["contexts.green_s=20..32"], "On 1 unseen intersection ")):

@@ -78,6 +78,40 @@ class TrainingTwinConfig(TwinConfig):
 
 
 @dataclass(frozen=True)
+class LevelsConfig:
+    """Which contexts are played in training; a level is a context with the seed of its episode.
+
+    "PLR" is arXiv 2010.03934.
+
+    Attributes:
+        draw: ``uniform``: every episode draws a context anew; ``prioritised``: some play a level again that promises to
+            teach (PLR). That needs the advantages of PPO, MAPPO or graph RL, and the twin.
+        share: share of the episodes that play a level again, once half of ``kept`` are known (PLR: more and more; ours
+            0.5).
+        kept: how many levels are kept: those with the greatest scores (PLR: all of a finite set; ours 256).
+        score: of a level: the mean over its agent-steps of the advantage's ``magnitude`` (PLR), or of its ``positive``
+            part, what went better than expected.
+        temperature: the less, the more a great score counts: the chance falls with the rank, to the power of minus one
+            by this (PLR 0.1; ours the same).
+        staleness: share of the chance that goes by how long ago a level was played instead (PLR 0.1; ours the same).
+    """
+
+    draw: Literal["uniform", "prioritised"] = "uniform"
+    share: float = 0.5
+    kept: int = 256
+    score: Literal["magnitude", "positive"] = "magnitude"
+    temperature: float = 0.1
+    staleness: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_types("levels", self)
+        for name in ("share", "staleness"):
+            check_range(f"levels.{name}", getattr(self, name), 0.0, 1.0)
+        check_range("levels.kept", self.kept, 1, 10**6)
+        check_range("levels.temperature", self.temperature, 0.01, 100.0)
+
+
+@dataclass(frozen=True)
 class LoggerConfig:
     """Where metrics go besides ``metrics.csv``, which is always written.
 
@@ -171,6 +205,7 @@ class TrainConfig:
         action: whether the policy commands accelerations (``direct``), advises the simulator's own driver (``advise``)
             or corrects a scripted one (``residual``).
         contexts: which contexts episodes are drawn from.
+        levels: which of these are played.
         env: the environment.
         collector: how environments are stepped.
         logger: where metrics go besides the CSV.
@@ -187,6 +222,9 @@ class TrainConfig:
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
             Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
         total_frames: environment steps of the whole run, over all workers.
+        start: a run, or one of its checkpoints, whose policy this run begins with (PPO, MAPPO and graph RL); what it
+            observes and what its actions stand for must be the same. The value function and all else begin anew. null:
+            random weights.
         run_dir: folder of the run; null: ``runs/<date-time>-<algo>-seed<seed>`` in the current folder.
         resume: folder of a run to go on with; its own options are used, except ``total_frames`` and ``num_workers``
             where given.
@@ -195,6 +233,7 @@ class TrainConfig:
     algo: AlgoConfig = field(default_factory=PPOConfig)
     action: ActionConfig = field(default_factory=DirectAction)
     contexts: ContextsConfig = field(default_factory=CityContexts)
+    levels: LevelsConfig = field(default_factory=LevelsConfig)
     env: EnvConfig = field(default_factory=training_env)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
@@ -208,6 +247,7 @@ class TrainConfig:
     num_envs: int | None = None
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     total_frames: int = 195_000
+    start: str | None = None
     run_dir: str | None = None
     resume: str | None = None
 
@@ -215,7 +255,8 @@ class TrainConfig:
         check_types("", self)
         check_range("seed", self.seed, 0, 2**31 - 1)
         check_range("num_workers", self.num_workers, 1, 1024)
-        check_num_envs(self.simulator, self.num_envs)
+        if self.resume is None:  # a run that goes on has its own simulator
+            check_num_envs(self.simulator, self.num_envs)
         if self.simulator == "twin" and self.collector.name != "parallel":
             raise IzooError(
                 f"collector={self.collector.name} is a way to step SUMO; with simulator=twin leave collector out, and "
@@ -239,7 +280,18 @@ class TrainConfig:
                 "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
                 "twin does beside training; choose simulator=twin, or algo.control_variate=false."
             )
-        for name in ("run_dir", "resume"):
+        if self.levels.draw == "prioritised" and (self.simulator != "twin" or not hasattr(self.algo, "gae_lambda")):
+            raise IzooError(
+                f"levels.draw=prioritised scores contexts by the advantages that PPO, MAPPO and graph RL estimate, and "
+                f"saves its place with the twin, but algo is {self.algo.name} and simulator {self.simulator}; choose "
+                "algo=ppo, mappo or gcrl and simulator=twin, or levels.draw=uniform."
+            )
+        if self.start is not None and not hasattr(self.algo, "warm_start"):
+            raise IzooError(
+                f"start={self.start} begins with the policy of another run, which algo={self.algo.name} cannot: what "
+                "it keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."
+            )
+        for name in ("start", "run_dir", "resume"):
             _make_absolute(self, name)
 
     @property

@@ -63,7 +63,8 @@ def _curve(
 ) -> Figure:
     """Lines against environment steps; training batches are noisy, so their running mean is drawn.
 
-    Where a policy has several training seeds, a band beside their lines reaches from the lowest to the highest.
+    Where a policy has several training seeds, a band beside their lines reaches from the lowest to the highest; the
+    validations of a single one have their intervals over intersections.
     """
     data: list[dict[str, Any]] = []
     ends: list[str] = []
@@ -81,6 +82,9 @@ def _curve(
             "line": {"color": shades[family], "width": 1.7},
             "opacity": 0.85,
         }
+        bars = _interval_bars(table, column, x, y)
+        if bars is not None:
+            line["error_y"] = bars
         data.append(_trace(family, line))
         if len(y):
             ends.append(f"{run} ends at {y[-1]:.4g}")
@@ -88,11 +92,23 @@ def _curve(
     for trace in data:
         if trace["legendgroup"] in map(escaped, banded):
             trace |= {"opacity": 0.35, "line": {**trace["line"], "width": 1.0}}
+            trace.pop("error_y", None)
     for family, lines in banded.items():
         data += _band(family, lines, shades[family])
     layout = {"xaxis": axis("environment steps"), "yaxis": {"automargin": True}, "showlegend": len(tables) > 1}
     alt = f"{label} against environment steps; {'; '.join(ends)}."
     return Figure(name, label, BAND_CAPTION if banded else "", alt, data, layout, 280)
+
+
+def _interval_bars(table: Any, column: str, x: np.ndarray, y: np.ndarray) -> dict[str, Any] | None:
+    """Return the intervals that stand beside a column of validations as error bars; ``None`` where there are none."""
+    ends = [f"{column}_{end}" for end in ("low", "high")]
+    if not all(end in table and table[end].notna().any() for end in ends) or len(x) > CURVE_POINTS:
+        return None
+    table = table.drop_duplicates("frames", keep="last").set_index("frames")
+    low, high = (table[end].reindex(x).to_numpy(float) for end in ends)
+    above, below = (np.nan_to_num(part) for part in (high - y, y - low))
+    return {"type": "data", "symmetric": False, "array": _short(above), "arrayminus": _short(below), "width": 3}
 
 
 def _smoothed(table: Any, column: str, window: int) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ BEST = "best.pt"
 ENTRIES = {
     **dict.fromkeys(("frames", "features", "batches", "episodes", "first_episode"), "int"),
     **{"seconds": "float", "options": "str", "torch_rng": "Tensor", "pasts": "list"},
-    **{"algorithm": "dict", "environments": "dict"},
+    **{"algorithm": "dict", "environments": "dict", "levels": "dict"},
 }
 """What the checkpoint of a run holds besides its format, and the names of the types."""
 

@@ -21,6 +21,7 @@ from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.twin_env import TwinEnv
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
+from izoo.training.levels import Levels
 
 NUMBERS = "context_ids"
 """Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
@@ -130,6 +131,12 @@ class TrainingTwinEnv(_Training, TwinEnv):
             return self.present()
         frame = super()._reset(tensordict, **options)
         return frame if phases is None else self.advance(phases)
+
+    def _look_ahead(self) -> None:
+        # Levels are drawn here and now: the thread that prepares the episodes would draw them at any time.
+        if isinstance(self.schedule, Levels):
+            self.schedule.settle(self._next_episode.tolist())
+        super()._look_ahead()
 
 
 def random_phases(num_envs: int, decisions: int, seed: int) -> list[int]:

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from izoo.algos.base import Algorithm
 from izoo.algos.registry import make_algorithm
@@ -87,8 +88,13 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`."""
         stats = self.algorithm.update(to_learner(batch, self.device), progress)
-        self._share()
+        self.share()
         return stats
+
+    def advantage(self) -> Tensor:
+        """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""
+        learned: Any = getattr(self.algorithm, "learned", self.algorithm)
+        return learned.advantage.to(COLLECTS_ON)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the algorithm's state and the states of the random generators that learning draws from."""
@@ -100,11 +106,12 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
         load_state(self.algorithm, state["algorithm"])
-        self._share()
+        self.share()
         torch.set_rng_state(state["torch_rng"])
         if self.device.type == "cuda" and "cuda_rng" in state:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)
 
-    def _share(self) -> None:
+    def share(self) -> None:
+        """Hand the algorithm's weights to the policy that collects."""
         if self.policy is not self.algorithm.policy:
             self.policy.load_state_dict(self.algorithm.policy.state_dict())

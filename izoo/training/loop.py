@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 
+from izoo.algos.base import MASK
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.context import Context
@@ -23,8 +25,10 @@ from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
+from izoo.training.environments import NUMBERS
 from izoo.training.episodes import episode_stats
 from izoo.training.learner import Learner, is_finite, learner_device
+from izoo.training.levels import Levels
 from izoo.training.paired import Paired
 from izoo.training.past import Pasts
 from izoo.training.validation import Validator
@@ -65,7 +69,11 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     check_collector(config)
     source = config.contexts.build()
     with runs.created(config) as run_dir, _room(run_dir):
-        Session(config, run_dir, source).run()
+        session = Session(config, run_dir, source)
+        if config.start is not None:
+            runs.begin_with(session.learner.algorithm, config)
+            session.learner.share()
+        session.run()
     return run_dir
 
 
@@ -153,6 +161,8 @@ class Session:
         self.config, self.run_dir, self.source = config, run_dir, source
         self.features, self._options = len(observation_names(config.env)), runs.options_digest(config)
         self.learner = Learner(config, learner_device(config.device))
+        self.draws = RandomSchedule(source, config.seed)
+        self.levels = Levels(self.draws, config.levels, config.seed) if config.levels.draw == "prioritised" else None
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
         self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
@@ -175,6 +185,8 @@ class Session:
         """
         with runs.fitting(path):
             self.learner.load_state_dict(state)
+            if self.levels is not None:
+                self.levels.load_state_dict(state["levels"])
             environments, pasts = state["environments"], Pasts.from_state(state["pasts"])
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
@@ -184,6 +196,8 @@ class Session:
                 episodes, later = environments["episodes"], max(environments["next_episodes"])
             if len(episodes) == num_envs(self.config):
                 self._environments = environments
+            elif self.levels is not None:
+                self.levels.forget_episodes()
             else:
                 self.first_episode += later
         elif len(pasts.pasts) == len(self.pasts.pasts):
@@ -246,7 +260,10 @@ class Session:
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
         self._batches = batches
         if config.simulator == "twin":
-            self._paired = Paired(config, self._schedule())
+            levels = self.levels
+            self._paired = Paired(
+                config, *((self._schedule(),) if levels is None else (self.draws, None, levels.level))
+            )
         try:
             self._load(batches)
             latest: dict[str, float] = {}
@@ -255,6 +272,8 @@ class Session:
                     row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
                     records.log_all(sinks, row)
+                    if "validation_frames" in row:  # an interval that it lacks must not be that of an earlier one
+                        latest = {name: value for name, value in latest.items() if not name.startswith("validation_")}
                     latest |= row
                     bar.update(self.frames, records.in_short(latest))
                     if self.batches % config.checkpoint.every_batches == 0:
@@ -318,6 +337,8 @@ class Session:
         if self.config.simulator == "sumo":
             self.pasts.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
+        if self.levels is not None:
+            learned |= self._score_levels(self.levels, batch)
         self._require_finite(learned)
         torch.set_num_threads(1)
         batches.synchronise(self.learner.policy)
@@ -338,6 +359,12 @@ class Session:
             "update_s": seconds - (beside - start),
         }
 
+    def _score_levels(self, levels: Levels, batch: TensorDictBase) -> dict[str, float]:
+        """Let a batch's advantages score what was played in it; return what to log."""
+        numbers, done = batch.get(NUMBERS)[..., 0], batch.get(("next", "done")).squeeze(-1)
+        levels.learn(numbers, self.learner.advantage(), batch.get(MASK), done)
+        return levels.stats()
+
     def _require_finite(self, learned: Mapping[str, float]) -> None:
         """Raise :class:`UnfinishedError` where an update has left losses or weights that are no numbers any more."""
         bad = [name for name, value in learned.items() if name.startswith("loss") and not math.isfinite(value)]
@@ -352,7 +379,9 @@ class Session:
 
     def _schedule(self) -> Schedule:
         """Return the training episodes; other numbers of environments have played those that are left out."""
-        schedule: Schedule = RandomSchedule(self.source, self.config.seed)
+        if self.levels is not None:
+            return self.levels
+        schedule: Schedule = self.draws
         if self.first_episode:
             schedule = ShiftedSchedule(schedule, self.first_episode)
         blocks = self.config.algo.candidates
@@ -370,6 +399,7 @@ class Session:
             "seconds": self.seconds,
             "first_episode": self.first_episode,
             "pasts": self.pasts.state_dict(),
+            "levels": {} if self.levels is None else self.levels.state_dict(),
             "environments": self._environments if self._batches is None else self._batches.environments(),
         }
         try:
@@ -421,6 +451,5 @@ class Session:
         played = self.first_episode + self.episodes + num_envs(self.config)
         if hasattr(self.source, "__len__") or played > MOST_LOOKED_UP:
             return False
-        schedule = RandomSchedule(self.source, self.config.seed)
-        seen = {schedule(number)[0].content_hash for number in range(played)}
+        seen = {self.draws(number)[0].content_hash for number in range(played)}
         return seen.isdisjoint(context.content_hash for context in contexts)

@@ -12,7 +12,7 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -182,9 +182,17 @@ class Paired:
         config: options of a run on the twin.
         schedule: its episodes.
         folder: of the cache.
+        level: the number in ``schedule`` of what a numbered episode of the run plays; ``None``: the same.
     """
 
-    def __init__(self, config: TrainConfig, schedule: Schedule, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        schedule: Schedule,
+        folder: Path | None = None,
+        level: Callable[[int], int] | None = None,
+    ) -> None:
+        self._level = level or int
         where = default_folder() if folder is None else folder
         self.every, self._skipped = config.twin.compare_every, config.staggered
         self.hold_steps = config.env.hold_steps
@@ -212,9 +220,11 @@ class Paired:
         # The last decision of an episode may be shorter.
         decisions = torch.div(steps.long() - 1, self.hold_steps, rounding_mode="floor")
         found = torch.zeros(numbers.shape)
-        for number, episode in self._subtracted.episodes(numbers.unique().tolist()).items():
+        levels = {number: self._level(number) for number in numbers.unique().tolist()}
+        episodes = self._subtracted.episodes(list(levels.values()))
+        for number, level in levels.items():
             here = numbers == number
-            found[here] = torch.from_numpy(episode.team_reward)[decisions[here]]
+            found[here] = torch.from_numpy(episodes[level].team_reward)[decisions[here]]
         batch.set(("next", TEAM_BASELINE), found.unsqueeze(-1))
 
     def compare(self, batch: TensorDictBase) -> dict[str, float]:
@@ -223,10 +233,11 @@ class Paired:
             return {}
         ended = batch.get(("next", "done")).squeeze(-1)
         numbers, totals = batch.get(("next", NUMBERS))[ended][:, 0], batch.get(("next", TOTALS))[ended]
-        chosen = (numbers % self.every == 0) & (numbers >= self._skipped)
+        levels = torch.tensor([self._level(number) for number in numbers.tolist()], dtype=torch.int64)
+        chosen = (levels % self.every == 0) & (numbers >= self._skipped)
         if not chosen.any():
             return {}
-        wanted, own = numbers[chosen].tolist(), _sums(totals[chosen])
+        wanted, own = levels[chosen].tolist(), _sums(totals[chosen])
         found: dict[str, float] = {"compared_episodes": float(len(wanted))}
         for driver, baseline in self._compared.items():
             episodes = baseline.episodes(wanted)

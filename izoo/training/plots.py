@@ -46,7 +46,8 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
     """Draw return, emission, throughput and stopped time against environment steps.
 
     Thin lines are single batches; thick ones their running mean over a fifth of the points, at most 20. Where the run
-    has validated, two more panels show the benefit and the share of approaches that kept their throughput; where its
+    has validated, two more panels show the benefit and the share of approaches that kept their throughput, with the
+    intervals of each as vertical lines; where its
     episodes were compared with the same ones without the policy, two more show what it saved.
     """
     validated = validation is not None and bool(validation.rows)
@@ -122,6 +123,10 @@ def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:
         for (name, label), colour in zip(columns, ("tab:green", "tab:gray"), strict=False):
             frames, values = table.series(name)
             axes.plot(frames, [100.0 * value for value in values], "o-", markersize=4, color=colour, label=label)
+            ends = [dict(zip(*table.series(f"{name}_{end}"), strict=True)) for end in ("low", "high")]
+            known = [number for number in frames if all(number in end for end in ends)]
+            low, high = ([100.0 * end[number] for number in known] for end in ends)
+            axes.vlines(known, low, high, color=colour, alpha=0.5, linewidth=1.5)
         _label(axes, "validation, %")
         # Above the panel, where it covers no curve.
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1, frameon=False, fontsize="small")

@@ -23,10 +23,10 @@ SHOWN = (
     ("emission_g_per_vehicle", "{:.1f} g/veh"),
     ("throughput_veh_per_episode", "{:.0f} veh/episode"),
     ("co2_saved_over_uncommanded", "{:+.1%} CO2 saved over uncommanded"),
-    ("validation_benefit", "validation {:+.1%}"),
-    ("validation_benefit_over_uncommanded", "({:+.1%} over uncommanded)"),
+    ("validation_benefit", "validation {:+.1%}{}"),
+    ("validation_benefit_over_uncommanded", "({:+.1%}{} over uncommanded)"),
 )
-"""Numbers that are shown while a run trains, and how."""
+"""Numbers that are shown while a run trains, and how; some with their interval."""
 WANDB_HOST = "api.wandb.ai"
 
 
@@ -124,7 +124,13 @@ def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:
 
 def in_short(latest: Mapping[str, float]) -> str:
     """Return the numbers of :data:`SHOWN` on one line, without those that ``latest`` lacks."""
-    return "  ".join(form.format(latest[name]) for name, form in SHOWN if name in latest)
+    return "  ".join(form.format(latest[name], _interval(latest, name)) for name, form in SHOWN if name in latest)
+
+
+def _interval(latest: Mapping[str, float], name: str) -> str:
+    """Return the interval of a share in %, with a blank before it, or nothing where there is none."""
+    ends = [latest.get(f"{name}_{end}") for end in ("low", "high")]
+    return "" if None in ends else " [{:.1f}, {:.1f}]".format(*(100.0 * end for end in ends if end is not None))
 
 
 def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:

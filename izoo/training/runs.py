@@ -195,6 +195,29 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     return algorithm, config, state
 
 
+def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
+    """Give an algorithm the policy of the run that the option ``start`` names.
+
+    Raises:
+        IzooError: there is none, or it is a policy of other networks, observations or actions.
+    """
+    path = checkpoint.find(Path(config.start or ""))
+    theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
+    check_state(state, theirs, path)
+    for what, mine, its in (
+        ("action", to_mapping(config.action), to_mapping(theirs.action)),
+        ("observes", observation_names(config.env), observation_names(theirs.env)),
+    ):
+        if mine != its:
+            raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
+    try:
+        learned: Any = getattr(algorithm, "learned", algorithm)  # of what advises, that is what has weights
+        learned.policy.load_state_dict(state["algorithm"]["policy"])
+    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(f"start={config.start} holds a policy of other networks ({reason}).") from error
+
+
 def check_layout(features: int, config: TrainConfig, path: Path) -> None:
     """Raise :class:`IzooError` unless a checkpoint observes as many ``features`` as its run's options say."""
     expected = len(observation_names(config.env))

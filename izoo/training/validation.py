@@ -101,7 +101,11 @@ class Validator:
         else:
             self._validating.unlink(missing_ok=True)
         self._begin()
-        names = ("benefit", "benefit_over_uncommanded", "throughput_kept")
+        names = [
+            f"{name}{end}"
+            for name in ("benefit", "benefit_over_uncommanded", "throughput_kept")
+            for end in ("", "_low", "_high")
+        ]
         logged = {f"validation_{name}": row[name] for name in names if name in row}
         return {"validation_frames": row["frames"], **logged}
 
@@ -213,7 +217,8 @@ def validate(path: Path) -> dict[str, Any]:
 
     ``benefit`` is the mean over approaches of the exactly gated benefit over human driving (of electric vehicles: over
     uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out; ``benefit_over_uncommanded`` has no
-    gate. Shares and benefits are fractions.
+    gate. Shares and benefits are fractions. Beside each stand the ends of its interval over intersections, ``NAME_low``
+    and ``NAME_high``; where there are too few intersections for one, they are ``None``.
     """
     from izoo.evaluation import approach_table, evaluate_policy, summarise
     from izoo.training import runs
@@ -237,14 +242,18 @@ def validate(path: Path) -> dict[str, Any]:
     entry = summary["policies"][POLICY]
     compared = approach_table(table, POLICY, entry["headline"]).query("left_out == ''")
     main, human, uncommanded = (entry["against"][baseline] for baseline in (entry["headline"], "human", "uncommanded"))
+    figures = {
+        "benefit": main["all"]["exact"]["mean"],
+        "benefit_iqm": main["all"]["exact"]["iqm"],
+        "benefit_unsaturated": main["unsaturated"]["exact"]["mean"],
+        "benefit_over_uncommanded": uncommanded["all"]["ungated"]["mean"],
+        "benefit_ungated": main["all"]["ungated"]["mean"],
+        "throughput_kept": human["all"]["throughput"]["share_kept"],
+    }
+    ends = {"": "value", "_low": "low", "_high": "high"}
     return {
         "frames": state["frames"],
-        "benefit": main["all"]["exact"]["mean"]["value"],
-        "benefit_iqm": main["all"]["exact"]["iqm"]["value"],
-        "benefit_unsaturated": main["unsaturated"]["exact"]["mean"]["value"],
-        "benefit_over_uncommanded": uncommanded["all"]["ungated"]["mean"]["value"],
-        "benefit_ungated": main["all"]["ungated"]["mean"]["value"],
-        "throughput_kept": human["all"]["throughput"]["share_kept"]["value"],
+        **{f"{name}{end}": found[part] for name, found in figures.items() for end, part in ends.items()},
         "nan_share": summary["scores"][POLICY]["nan_share"],
         "emission_g_per_vehicle": summary["scores"][POLICY]["emission_g_per_vehicle"],
         "approaches": main["all"]["exact"]["mean"]["n"],

@@ -91,6 +91,7 @@ def gradients(algorithm: MAPPO, episodes_of: int) -> torch.Tensor:
     return torch.stack(found)
 
 
+@pytest.mark.slow
 def test_the_gradient_is_the_same_in_the_mean_and_varies_less() -> None:
     """Over 400 episodes: means agree within their errors, while the spread falls to less than half."""
     plain, less = gradients(make(False), 400), gradients(make(True), 400)

@@ -13,13 +13,13 @@ from torch import nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 from torchrl.modules import ValueOperator
-from torchrl.objectives import ClipPPOLoss, DDPGLoss, LossModule, SoftUpdate, ValueEstimators
+from torchrl.objectives import ClipPPOLoss, DDPGLoss, LossModule, SoftUpdate, TD3Loss, ValueEstimators
 from torchrl.objectives.value import GAE
 
 from izoo.algos import base
 from izoo.algos.ddpg import Squash
 from izoo.algos.gaussian import normal_parameters, tanh_normal
-from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss
+from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss, MaskedTD3Loss
 from izoo.algos.mappo import TeamCritic
 from izoo.algos.masked_gae import MaskedGAE
 from izoo.algos.ppo_config import MAPPOConfig
@@ -68,7 +68,7 @@ def critic(among: bool) -> ValueOperator:
 
 def make(kind: str, **options: object) -> LossModule:
     torch.manual_seed(1)
-    if kind == "ddpg":
+    if kind in OFF_POLICY:
         policy = nn.Sequential(nn.Linear(FEATURES, 8), nn.Tanh(), nn.Linear(8, 1), Squash(LOW, HIGH))
 
         class Value(nn.Module):
@@ -80,7 +80,11 @@ def make(kind: str, **options: object) -> LossModule:
                 return self.layers(torch.cat([observation, action], -1))
 
         value = ValueOperator(Value(), in_keys=[OBSERVATION, ACTION], out_keys=[base.ACTION_VALUE])
-        return MaskedDDPGLoss(TensorDictModule(policy, [OBSERVATION], [ACTION]), value, **options)  # type: ignore[arg-type]
+        network = TensorDictModule(policy, [OBSERVATION], [ACTION])
+        if kind == "td3":  # without noise on the targets, which is drawn row by row
+            options = {"bounds": (LOW, HIGH), "target_noise": 0.0, **options}
+            return MaskedTD3Loss(network, value, **options)  # type: ignore[arg-type]
+        return MaskedDDPGLoss(network, value, **options)  # type: ignore[arg-type]
     losses = {"ppo": MaskedPPOLoss, "mappo": MaskedMAPPOLoss, "graph": MaskedGraphPPOLoss}
     return losses[kind](actor(kind == "graph"), critic(kind != "ppo"), **options)  # type: ignore[arg-type]
 
@@ -89,7 +93,7 @@ def collect(loss: LossModule, seed: int = 0) -> TensorDict:
     """What a collector would hand over: frames ``[N, T]`` with noise in empty slots, and actions in all."""
     batch = make_frames(n=2, t=6, seed=seed)
     torch.manual_seed(seed)
-    if isinstance(loss, DDPGLoss):
+    if isinstance(loss, (DDPGLoss, TD3Loss)):
         return batch.set(ACTION, torch.rand(*batch[MASK].shape, 1) * (HIGH - LOW) + LOW)
     network = loss.actor_network
     batch.set(ACTION, torch.rand(*batch[MASK].shape, 1) * 2.0 - 1.0)
@@ -98,7 +102,8 @@ def collect(loss: LossModule, seed: int = 0) -> TensorDict:
     return batch
 
 
-KINDS = ("ppo", "mappo", "graph", "ddpg")
+OFF_POLICY = {"ddpg": DDPGLoss, "td3": TD3Loss}
+KINDS = ("ppo", "mappo", "graph", *OFF_POLICY)
 
 
 def total(loss: LossModule, batch: TensorDict) -> torch.Tensor:
@@ -114,8 +119,8 @@ def gradients(loss: LossModule, batch: TensorDict) -> list[torch.Tensor]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_they_are_torchrls_own(kind: str) -> None:
     loss = make(kind)
-    assert isinstance(loss, DDPGLoss if kind == "ddpg" else ClipPPOLoss)
-    if kind != "ddpg":
+    assert isinstance(loss, OFF_POLICY.get(kind, ClipPPOLoss))
+    if kind not in OFF_POLICY:
         loss.make_value_estimator(ValueEstimators.GAE, gamma=0.9, lmbda=0.8)
         assert isinstance(loss.value_estimator, GAE) and float(loss.value_estimator.gamma) == pytest.approx(0.9)
 
@@ -157,7 +162,7 @@ def test_what_is_not_finite_in_a_valid_slot_is_named(kind: str) -> None:
         total(loss, batch)
 
 
-@pytest.mark.parametrize("kind", ["ppo", "ddpg"])
+@pytest.mark.parametrize("kind", ["ppo", *OFF_POLICY])
 def test_a_batch_without_a_mask_is_rows(kind: str) -> None:
     loss = make(kind)
     batch = collect(loss)
@@ -208,7 +213,7 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
     loss = make(kind)
     network = loss.actor_network
     optimiser = torch.optim.Adam(loss.parameters(), lr=0.02)
-    target = SoftUpdate(loss, tau=0.05) if kind == "ddpg" else None
+    target = SoftUpdate(loss, tau=0.05) if kind in OFF_POLICY else None
     storage = LazyTensorStorage(64)
     buffer = TensorDictReplayBuffer(storage=storage, sampler=SamplerWithoutReplacement(), batch_size=8)
     means = []
@@ -216,8 +221,8 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
         batch = collect(loss, number)
         mask = batch[MASK]
         with torch.no_grad(), loss.actor_network_params.to_module(network):
-            rows = loss.rows(batch.set(base.ADVANTAGE, batch[ACTION])) if kind != "ddpg" else batch
-            if kind == "ddpg":
+            rows = loss.rows(batch.set(base.ADVANTAGE, batch[ACTION])) if kind not in OFF_POLICY else batch
+            if kind in OFF_POLICY:
                 means.append(float(network(batch.clone())[ACTION][mask].mean()))
                 batch[ACTION] = (network(batch.clone())[ACTION] + torch.randn(*mask.shape, 1)).clamp(LOW, HIGH)
             else:
@@ -227,7 +232,7 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
                 batch[base.LOG_PROB][mask] = network.get_dist(rows).log_prob(drawn)
                 batch = batch.exclude(base.ADVANTAGE)
         batch["next", "agents", "reward"] = batch[ACTION].clone()
-        if kind != "ddpg":
+        if kind not in OFF_POLICY:
             loss.make_value_estimator(gamma=0.0, lmbda=0.0)
             batch = loss.value_estimator(batch)
         buffer.extend(batch.reshape(-1))
@@ -238,7 +243,7 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
             optimiser.step()
             if target is not None:
                 target.step()
-        if kind != "ddpg":
+        if kind not in OFF_POLICY:
             buffer.empty()
     assert means[-1] > means[0] + 0.3
 

@@ -81,6 +81,7 @@ def test_the_teams_statistics_are_of_all_frames() -> None:
     assert float(mappo.loss.value_norm.count) == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_large_returns_are_learned_as_fast_as_small_ones(kind: str) -> None:
     """Rewards of thousands that depend on what is observed: without normalisation the critic lags far behind."""

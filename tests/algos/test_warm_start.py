@@ -58,6 +58,7 @@ def test_advice_for_a_command_gives_that_command() -> None:
     assert not cap.advice_for((speed, limit, ~heard), accel, defer).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algo", ALGOS)
 def test_the_policy_learns_to_drive_like_glide_and_to_leave_alone_whom_glide_does(algo: str) -> None:
     torch.manual_seed(0)

@@ -10,6 +10,7 @@ import torch
 
 from izoo.benchmarks import planner
 from izoo.benchmarks.planner_options import PlannerConfig
+from izoo.benchmarks.whole_episodes import played, scripted
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv
@@ -56,9 +57,9 @@ def test_the_planner_earns_more_than_doing_nothing() -> None:
     env = planner.settings(config)
     plays = [(BUSY, 3), (BUSY, 4)]
     found = {
-        name: planner.played(plays, env, config, make)
+        name: played(plays, env, config.threads, make)
         for name, make in (
-            ("uncommanded", planner.scripted("uncommanded", env)),
+            ("uncommanded", scripted("uncommanded", env)),
             ("planner", lambda world: planner.Planner(world, config).act),
         )
     }

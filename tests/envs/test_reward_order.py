@@ -86,7 +86,8 @@ def ordered(found: dict[str, dict[str, np.ndarray]], reward: str, names: tuple[s
     return right, whole
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_order_of_drivers_is_nearly_that_of_the_score(seed: int) -> None:
     """On 20 procedural contexts as they were drawn, on the twin. It does not hold everywhere.
 

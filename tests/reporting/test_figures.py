@@ -46,6 +46,19 @@ def test_pareto_figure_joins_the_front_and_marks_lost_throughput() -> None:
     assert figure.alt.endswith("on the Pareto front: ppo, human.")
 
 
+def test_validations_of_a_single_run_have_error_bars() -> None:
+    metrics = pd.DataFrame({"frames": [100, 200], "return": [1.0, 2.0]})
+    ends = {"benefit_low": [0.05, None], "benefit_high": [0.2, None]}
+    validation = pd.DataFrame({"frames": [100, 200], "benefit": [0.1, 0.3], **ends})
+    figure = learning_curves([Curve("ppo", metrics, validation)])[0]
+    bars = figure.data[0]["error_y"]
+    assert bars["array"] == pytest.approx([0.1, 0.0]) and bars["arrayminus"] == pytest.approx([0.05, 0.0])
+    plain = learning_curves([Curve("ppo", metrics, validation[["frames", "benefit"]])])[0]
+    assert "error_y" not in plain.data[0]
+    seeds = [Curve(f"ppo seed {k}", metrics, validation) for k in range(2)]
+    assert not any("error_y" in trace for trace in learning_curves(seeds)[0].data)
+
+
 def test_learning_curves_smooth_and_leave_out_gaps() -> None:
     values = np.where(np.arange(100) % 2, 1.0, 3.0)
     values[10] = np.nan

@@ -11,7 +11,7 @@ import torch
 
 from izoo import train
 from izoo.algos.action import ResidualAction
-from izoo.algos.ddpg_config import DDPGConfig
+from izoo.algos.ddpg_config import DDPGConfig, TD3Config
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
@@ -28,6 +28,7 @@ CONFIGS = {
     "mappo": TrainConfig(algo=MAPPOConfig(hidden=(8, 8), minibatch_rows=16)),
     "gcrl": TrainConfig(algo=GCRLConfig(hidden=(8,), minibatch_rows=16)),
     "ddpg": TrainConfig(algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
+    "td3": TrainConfig(algo=TD3Config(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
     "prioritised": TrainConfig(
         algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200, priority_alpha=0.6)
     ),

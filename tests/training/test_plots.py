@@ -40,3 +40,14 @@ def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: 
         legend = axes.get_legend()
         assert legend is None or not legend.get_window_extent().overlaps(axes.get_window_extent())
     assert sum(axes.get_legend() is not None for axes in figure.axes) == (4 if paired else 2)
+
+
+def test_validations_have_their_intervals(tmp_path: Path) -> None:
+    metrics = table(tmp_path / "m.csv", [name for name, _ in PANELS], 50)
+    validated = MetricsTable(tmp_path / "v.csv")
+    plain = dict.fromkeys((name for panel in VALIDATION_PANELS for name, _ in panel), 0.1)
+    validated.append({"frames": 500, **plain})
+    validated.append({"frames": 1000, **plain, "benefit_low": 0.02, "benefit_high": 0.15})
+    figure = draw_learning_curve(metrics, "run", validated)
+    lines = [segment for axes in figure.axes for part in axes.collections for segment in part.get_segments()]
+    assert [segment.tolist() for segment in lines] == [[[1000.0, 2.0], [1000.0, 15.0]]]

@@ -39,6 +39,8 @@ TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"
 TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team", "algo.value_norm=popart"]
 """What a run may hold besides networks: statistics of value targets, and the uncommanded episodes beside it."""
 DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
+LEVELS = ["levels.draw=prioritised", "levels.kept=2", "levels.share=0.7"]
+TD3 = ["algo=td3", "action=advise", "algo.learning_starts=200", "algo.replay_rows=2000"]
 
 
 def flat(state: object, prefix: str = "") -> dict[str, object]:
@@ -83,11 +85,13 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
         ),
         pytest.param([*TWIN, *TEAM], id="twin-team", marks=pytest.mark.slow),
         pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
+        pytest.param([*TWIN, *TEAM, *LEVELS], id="twin-levels", marks=pytest.mark.slow),
+        pytest.param([*TWIN, *TD3], id="twin-td3", marks=pytest.mark.slow),
     ],
 )
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
     words = [*TOY, *words]
-    if words[-1] in DDPG:
+    if words[-1] in (*DDPG, *TD3):
         words = [word for word in words if not word.startswith("algo.minibatch_rows")]
     assert train.main([*words, f"run_dir={tmp_path / 'a'}"]) == 0
     kill_in_batch(tmp_path / "b", words, batch=4)

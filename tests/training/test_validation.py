@@ -59,6 +59,7 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
     table = rows(run_dir / validation.VALIDATION_FILE)
     assert int(table[-1]["frames"]) == 1000, "the last weights are validated at the end"
     assert {int(row["frames"]) for row in table} <= {600, 1000}
+    assert "benefit_low" not in table[0], "one intersection has no interval"
     benefits = [float(row["benefit"]) for row in table]
     best = checkpoint.load(run_dir / "checkpoints" / "best.pt")
     highest = max(range(len(table)), key=lambda k: (benefits[k], k))  # of equal ones the newest
@@ -66,6 +67,18 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
     assert [row["best"] for row in table].count("1") >= 1 and table[0]["best"] == "1"
     assert not checkpoint.candidates(run_dir)
     assert (run_dir / runs.CURVE_FILE).stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
+    words = [word for word in TOY if not word.startswith("validation.contexts")]
+    words += ["validation.contexts=6", "validation.simulator=twin", "contexts.adoption=0.5", "env.horizon_s=120"]
+    replaced = ("env.horizon_s=75", "contexts.inflow_vph_per_lane=600")
+    words = [*(word for word in words if word not in replaced), "contexts.inflow_vph_per_lane=400..700"]
+    assert train.main([*words, "collector=single", "total_frames=600", f"run_dir={tmp_path / 'run'}"]) == 0
+    (row,) = rows(tmp_path / "run" / validation.VALIDATION_FILE)
+    for name in ("benefit", "benefit_over_uncommanded", "benefit_ungated"):
+        assert float(row[f"{name}_low"]) < float(row[name]) < float(row[f"{name}_high"]), name
 
 
 def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:

@@ -10,13 +10,14 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import AdditiveGaussianModule, ProbabilisticActor, TanhModule, TanhNormal, ValueOperator
 from torchrl.objectives import LossModule, SoftUpdate
 
-from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss
+from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss, MaskedTD3Loss
 from izoo.contexts.procedural import ProceduralSource
 from izoo.envs import EnvConfig, TwinEnv
 
 OBSERVATION, MASK, ACTION = ("agents", "observation"), ("agents", "mask"), ("agents", "action")
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 LOW, HIGH = -4.5, 2.6
+OFF_POLICY = ("ddpg", "td3")
 
 
 class Alone(nn.Module):
@@ -69,11 +70,13 @@ def value(features: int, together: bool) -> ValueOperator:
 
 def make(name: str, features: int) -> tuple[TensorDictModuleBase, LossModule]:
     """The policy and its loss: ``ppo`` sees one vehicle, the critic of ``mappo`` and ``graph`` as a whole see all."""
-    if name == "ddpg":
+    if name in OFF_POLICY:
         squash = TanhModule(in_keys=[ACTION], low=LOW, high=HIGH)
         actor = TensorDictSequential(TensorDictModule(Alone(features, 1), [OBSERVATION], [ACTION]), squash)
         critic = ValueOperator(Alone(features + 1, 1), [OBSERVATION, ACTION], [("agents", "state_action_value")])
-        return actor, MaskedDDPGLoss(actor, critic, gamma=0.95)
+        if name == "ddpg":
+            return actor, MaskedDDPGLoss(actor, critic, gamma=0.95)
+        return actor, MaskedTD3Loss(actor, critic, bounds=(LOW, HIGH), gamma=0.95)
     kind = {"ppo": MaskedPPOLoss, "mappo": MaskedMAPPOLoss, "graph": MaskedGraphPPOLoss}[name]
     policy = stochastic(features, name == "graph")
     return policy, kind(policy, value(features, name != "ppo"), normalize_advantage=True, gamma=0.95, lmbda=0.9)
@@ -86,7 +89,7 @@ def train(name: str = "ppo", batches: int = 50, updates: int = 16, num_envs: int
     env = TwinEnv(num_envs, contexts, config=EnvConfig(horizon_s=25.0 + steps, hold_s=2.0, emit=()))
     policy, loss = make(name, len(env.observation_names))
     target = None
-    if name == "ddpg":
+    if name in OFF_POLICY:
         noise = AdditiveGaussianModule(env.full_action_spec[ACTION], 1.0, 1.0, action_key=ACTION, safe=False)
         policy, target = TensorDictSequential(policy, noise), SoftUpdate(loss, tau=0.05)
     else:

@@ -1,0 +1,65 @@
+"""A run that begins with the policy of another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from izoo import train
+from izoo.training import checkpoint, runs
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=100", "simulator=twin", "num_envs=2"),
+    *("twin.threads=1", "twin.compare_every=0", "action=advise", "algo.hidden=[16]", "algo.frames_per_batch=100"),
+    *("algo.minibatch_rows=64", "evaluation.contexts=0", "validation.every_batches=0", "total_frames=100"),
+]
+
+
+def weights(run_dir: Path) -> dict[str, torch.Tensor]:
+    return checkpoint.load(checkpoint.find(run_dir))["algorithm"]["policy"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run_dir = tmp_path_factory.mktemp("start") / "first"
+    assert train.main([*TOY, "algo=ppo", "algo.lr=0.01", "seed=1", f"run_dir={run_dir}"]) == 0
+    return run_dir
+
+
+def test_it_begins_there_with_whatever_value_function(trained: Path, tmp_path: Path) -> None:
+    """At a learning rate of next to nothing the policy stays what it was; without ``start`` it is another."""
+    team = ["algo=mappo", "env.reward=fuel_team", "algo.credit=team", "algo.lr=1e-12", "algo.value_norm=running"]
+    begun, anew = tmp_path / "begun", tmp_path / "anew"
+    assert train.main([*TOY, *team, f"start={trained}", f"run_dir={begun}"]) == 0
+    assert train.main([*TOY, *team, f"run_dir={anew}"]) == 0
+    for name, leaf in weights(trained).items():
+        torch.testing.assert_close(weights(begun)[name], leaf)
+    assert not all(torch.allclose(weights(anew)[name], leaf) for name, leaf in weights(trained).items())
+    assert runs.read_config(begun).start == str(trained)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["algo.hidden=[8]"], "a policy of other networks"),
+        (["env.observed=[speed_limit_mps]"], "other options (observes"),
+        (["action.depth=0.5"], "other options (action"),
+        (["algo=ddpg"], "choose algo=ppo, mappo or gcrl"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_leaves_nothing(
+    trained: Path, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toy = [word for word in TOY if word.partition("=")[0] not in {given.partition("=")[0] for given in words}]
+    if words == ["algo=ddpg"]:
+        toy = [word for word in toy if not word.startswith("algo.minibatch")]
+    assert train.main([*toy, *words, f"start={trained}", f"run_dir={tmp_path / 'run'}"]) == 2
+    assert message.lower() in capsys.readouterr().err.lower()
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert train.main([*TOY, f"start={tmp_path / 'nothing'}", f"run_dir={tmp_path / 'run'}"]) == 2
+    assert "does not exist; give the folder of a training run" in capsys.readouterr().err
