@@ -168,20 +168,21 @@ class Bench:
         from izoo.files import write_json
 
         path = self.folder / "results" / f"{name}-seed{seed}.json"
+        about = {**self.about, "row": list(ROWS[name].words) if name in ROWS else []}
         if path.is_file():
             try:
                 kept = json.loads(path.read_text())
-                same = kept["about"] == json.loads(json.dumps(self.about))
+                same = kept["about"] == json.loads(json.dumps(about))
             except (OSError, ValueError, LookupError, TypeError) as error:
                 raise IzooError(f"cannot read {path}: {error}; remove it, and it is made anew.") from error
             if not same:
                 raise IzooError(
-                    f"{path} is the result of other settings (train, num_contexts, eval_seeds or horizon_s); give "
-                    "those, or another out."
+                    f"{path} is the result of other settings (train, num_contexts, eval_seeds, horizon_s, or what the "
+                    "row stands for); give those, or another out."
                 )
         else:
             print(f"\n{name}, seed {seed}", flush=True)
-            kept = {"about": self.about, **work()}
+            kept = {"about": about, **work()}
             path.parent.mkdir(exist_ok=True)
             write_json(path, kept)
         self.entries.setdefault(name, {})[seed] = {key: value for key, value in kept.items() if key != "about"}

@@ -13,7 +13,7 @@ SETTING = (
     *BUSY_LANE,
     "num_envs=32",
     "env.horizon_s=400",
-    "total_frames=28800",
+    "total_frames=52800",
     "num_workers=1",
     "evaluation.contexts=0",
     "validation.every_batches=0",
@@ -21,7 +21,7 @@ SETTING = (
     "checkpoint.keep=1",
     "twin.compare_every=0",
 )
-"""What all rows share: the approaches of ``recipe=busy_lane`` and 28,800 decisions of 2 s, in episodes of 400 s."""
+"""What all rows share: the approaches of ``recipe=busy_lane`` and 52,800 decisions of 2 s, in episodes of 400 s."""
 PPO = (
     "algo.warm_start=glide",
     "algo.warm_start_frames=4800",
@@ -42,7 +42,6 @@ IMITATION = (
     "algo=ppo",
     *PPO,
     "env.reward=fuel_team",
-    "total_frames=52800",
     "algo.warm_start_frames=52800",
     "algo.warm_start_lr=2e-3",
     "algo.minibatch_rows=512",
@@ -64,7 +63,7 @@ START, REFERENCE = "imitation", "whole"
 
 def _frames(factor: float) -> tuple[str, ...]:
     """Return the options of the same simulated time in ``factor`` times as many decisions."""
-    of = {"total_frames": 28800, "algo.warm_start_frames": 4800, "algo.frames_per_batch": 4800}
+    of = {"total_frames": 52800, "algo.warm_start_frames": 4800, "algo.frames_per_batch": 4800}
     return tuple(f"{name}={round(factor * value)}" for name, value in of.items())
 
 

@@ -132,8 +132,10 @@ def _resumed(
     where = Path(config.resume or "")
     path = None if _has_only_begun(where) else checkpoint.find(where)
     stored = runs.read_config(run_dir)
-    changes = {name: getattr(config, name) for name in {word.split(".")[0] for word in given} - {"resume"}}
-    config = dataclasses.replace(stored, run_dir=str(run_dir), **changes)
+    changed = dataclasses.replace(stored, run_dir=str(run_dir))
+    for word in sorted(given - {"resume"}):  # a group comes before its options
+        changed = _taken_over(changed, config, word.split("."))
+    config = changed
     state = None if path is None else checkpoint.load(path)
     if state is not None and path is not None:
         runs.check_state(state, stored, path)
@@ -145,6 +147,14 @@ def _resumed(
             )
     runs.write_config(run_dir, config)
     return config, state, path or run_dir
+
+
+def _taken_over(into: Any, source: Any, path: Sequence[str]) -> Any:
+    """Return options ``into`` with the one at ``path`` as it is in ``source``; the others of its group stay."""
+    if not path:
+        return source
+    inner = _taken_over(getattr(into, path[0]), getattr(source, path[0]), path[1:])
+    return dataclasses.replace(into, **{path[0]: inner})
 
 
 class Session:

@@ -192,7 +192,7 @@ def test_training_starts_from_doing_nothing(algo: str, action: str) -> None:
         torch.testing.assert_close(acted[base.ACTION][moved].squeeze(-1), nominal[moved])
     explored = act(algorithm, batch)
     free = mask if action == "advise" else mask & idle
-    if algo == "ddpg":  # each vehicle's noise must first have grown from 0, and one call is one step of it
+    if algo in ("ddpg", "td3"):  # each vehicle's noise must first have grown from 0, and one call is one step of it
         for _ in range(30):
             explored = act_on(algorithm, explored)
     share = float((~explored[DEFER][free]).float().mean())
@@ -255,7 +255,7 @@ def test_state_is_restored(algo: str) -> None:
 
 
 def _now(algo: str) -> tuple[str, ...]:
-    return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo == "ddpg" else ()
+    return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo in ("ddpg", "td3") else ()
 
 
 def test_yaml_equals_dataclass() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -15,11 +16,13 @@ from tensordict import TensorDictBase
 
 from izoo import train
 from izoo.algos.base import ACTION, MASK
+from izoo.conf.compose import compose_config
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint, loop, runs
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from izoo.training.past import EpisodePast, Pasts
 
@@ -114,6 +117,24 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path
     assert train.main([f"resume={run_dir}"]) == 0
     after = flat(checkpoint.load(checkpoint.find(run_dir)))
     assert all(torch.equal(leaf, after[path]) for path, leaf in before.items() if isinstance(leaf, torch.Tensor))
+
+
+def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(tmp_path: Path) -> None:
+    words = [
+        "simulator=twin",
+        "num_envs=4",
+        "twin.stagger=false",
+        "validation.contexts=3",
+        "validation.every_batches=0",
+    ]
+    stored = compose_config("train", TrainConfig, words)
+    runs.write_config(tmp_path, stored)
+    given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
+    names = frozenset(word.partition("=")[0] for word in given)
+    found, state, _ = loop._resumed(compose_config("train", TrainConfig, given), names, tmp_path)
+    assert state is None and found == runs.read_config(tmp_path)
+    assert found.twin == dataclasses.replace(stored.twin, threads=1)
+    assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
 
 
 DENSE = procedural_context(adoption=1.0, inflow_vph_per_lane=900.0, lane_length_m=120.0)
