@@ -27,6 +27,7 @@ from izoo.envs.twin.arrays import (
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
     TAU,
+    WAITING_MS,
 )
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import brake_gap, follow_speed, most_speed, secure_gap, stop_speed
@@ -53,6 +54,8 @@ OVERTAKING_MPS = 10.0 / 3.6
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
 _DAWDLING_MPS2 = 1.0
 _CONGESTED_MPS = 60.0 / 3.6
+_PATIENCE_MS = 5000
+"""A leader that has stood for longer is passed."""
 
 
 @compiled
@@ -191,13 +194,19 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     way += secure_gap(traffic.floats[leader], other, speed)
     flag = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
     state.ints[leader, CHANGE_STATE] |= flag | BLOCKS_LEADER
+    if speed == other == 0.0 and state.ints[leader, WAITING_MS] > _PATIENCE_MS and left >= way:
+        # Nobody who stands waits for somebody who stands for long: it goes past, if both fit before the lane's end.
+        room = driver[LENGTH] + driver[MIN_GAP] + traffic.floats[leader, LENGTH] + traffic.floats[leader, MIN_GAP]
+        if floats[v, LEFT_SPACE] >= room:
+            return -1.0
     if not (
         faster < EPS
         or (leftward and not is_congested(state, v))
         or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < way
         or faster * remaining_s < way
     ):
-        add_advice(state, leader, other)
+        if state.ints[leader, WAITING_MS] <= _PATIENCE_MS:
+            add_advice(state, leader, other)
         return -1.0
     target = max(target, max(0.0, speed - driver[DECEL] * step_s))
     if target >= speed:
@@ -226,7 +235,8 @@ def inform_follower(  # type: ignore[no-untyped-def]
             add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, step_s))
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
-    if planned - other >= OVERTAKING_MPS:
+    # A follower that was asked to drop back by so much in the last step is that much slower, but for rounding.
+    if planned - other >= OVERTAKING_MPS - 1e-9:
         needed = secure_gap(helper, other, planned)
         if (needed - gap) / remaining_s < planned - other:
             add_advice(state, follower, max(other, planned - OVERTAKING_MPS))
@@ -238,7 +248,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
     secure = secure_gap(helper, braked_1s, planned)
     if opened > 0.0 and opened >= secure:
         add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
-    elif faster > 0.0 and faster * (remaining_s - 1.0) > secure - opened + _POSITION_EPS_M:
+    elif faster > 0.0 and faster * remaining_s > secure - opened + _POSITION_EPS_M:
         add_advice(state, follower, braked)
     elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))

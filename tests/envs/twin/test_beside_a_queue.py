@@ -1,0 +1,32 @@
+"""Drivers who must change lanes beside a queue that stands: who waits for whom, against SUMO."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.envs.twin.crossroads import build_crossroads, meeting
+from tests.envs.twin.oracle import first_departure, play_sumo, play_twin
+
+pytestmark = pytest.mark.slow
+RED_FOR_A = [(70.0, "r" * 4 + "G" * 12), (30.0, "G" * 4 + "r" * 12), (3.0, "r" * 16)]
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_crossroads(tmp_path_factory.mktemp("queue"), RED_FOR_A, lanes=2, length_m=160.0)
+
+
+@pytest.mark.parametrize("queue", [16, 30])
+@pytest.mark.parametrize("between", [0.0, 1.3])
+def test_passing_a_queue(net: Path, queue: int, between: float) -> None:
+    """Who must come over to a queue that stands goes past, a step in two, those who have stood for five seconds."""
+    vehicles = [{"depart": 2.2 * k, "way": "AC", "lane": 0, "max_accel": 2.0} for k in range(queue)]
+    vehicles += [{"depart": 20.0 + 7.0 * k + between, "way": "AD", "lane": 1} for k in range(4)]
+    case = meeting(net, vehicles)
+    sumo = play_sumo(case, 220)
+    departure = first_departure(case, sumo, play_twin(case, 220))
+    assert departure is None, str(departure)
+    stands, goes = sumo.speed_mps == 0.0, sumo.speed_mps > 0.05
+    assert (stands[:-2] & goes[1:-1] & stands[2:]).sum() >= 3, "nobody goes a step in two"
