@@ -85,6 +85,10 @@ class TablesType(types.Type):
         self.owner, self.fields, self.constant = owner, fields, constant
         super().__init__(name=f"Tables({owner}: {fields}, {constant})")
 
+    def dtype_of(self, name: str) -> np.dtype:
+        """Return the type of the elements of the table ``name``."""
+        return np.dtype(next(dtype for field, dtype, *_ in self.fields if field == name))
+
     def table_type(self, name: str) -> TableType | None:
         """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
         for field, dtype, dimensions, columns in self.fields:
@@ -249,6 +253,28 @@ def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     kind, index_type, _ = sig.args
     _mark(builder, kind, builder.store(args[2], _place(context, builder, kind, args[0], index_type, args[1])))
     return context.get_dummy_value()
+
+
+@intrinsic
+def fetch(typing_context, table, element):  # type: ignore[no-untyped-def]
+    """Ask for the line of the cache that holds an ``element`` of a table or array, counted through all its rows."""
+    is_table = isinstance(table, TableType)
+    if not (is_table or (isinstance(table, types.Array) and table.layout == "C")):
+        raise errors.NumbaTypeError("only tables and contiguous arrays can be fetched")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = signature.args[0]
+        box = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
+        byte = ir.IntType(8).as_pointer()
+        place = builder.bitcast(builder.gep(box.data, [args[1]]), byte)
+        number = ir.IntType(32)
+        asking = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        call = cgutils.get_or_insert_function(builder.module, asking, "llvm.prefetch.p0")
+        # To be read, kept in the second level, data.
+        builder.call(call, [place, number(0), number(2), number(1)])
+        return context.get_dummy_value()
+
+    return types.none(table, types.intp), lower
 
 
 def opener(kind: TablesType) -> Any:

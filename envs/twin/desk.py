@@ -1,0 +1,63 @@
+"""Memory of the twin's arrays: in one block, whole lines of the processor's cache; and working memory that is shared.
+
+What a step only writes down for itself is a large part of what it touches. Environments that one thread steps one after
+the other write it to the same place, a *desk*, which then stays in the cache.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from izoo.envs.twin.compiled import TablesType
+
+LINE_BYTES = 64
+Shapes = Mapping[str, int | tuple[int, ...]]
+
+
+def zeros(kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
+    """Return arrays of zeros for fields of ``kind``, by name, in one block of memory of their own."""
+    return _cut(np.zeros(_size(kind, shapes), np.uint8), kind, shapes)
+
+
+class Desk:
+    """Working memory of a thread, for any number of states, one at a time.
+
+    Args:
+        kind: the type of the directories of these states.
+    """
+
+    def __init__(self, kind: TablesType) -> None:
+        self._kind, self._block = kind, np.zeros(0, np.uint8)
+
+    def spread(self, shapes: Shapes) -> dict[str, np.ndarray]:
+        """Return arrays of these shapes by name. Others have been given the same memory, and will be."""
+        size = _size(self._kind, shapes)
+        if size > len(self._block):
+            self._block = np.zeros(size + size // 4, np.uint8)  # what was given away stays where it is
+        return _cut(self._block, self._kind, shapes)
+
+
+def _size(kind: TablesType, shapes: Shapes) -> int:
+    return LINE_BYTES + sum(_lines(kind.dtype_of(name).itemsize * _count(shape)) for name, shape in shapes.items())
+
+
+def _cut(block: np.ndarray, kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
+    """Cut a block into arrays, each of which begins with a line of the cache."""
+    arrays, at = {}, -block.ctypes.data % LINE_BYTES
+    for name, shape in shapes.items():
+        size = kind.dtype_of(name).itemsize * _count(shape)
+        arrays[name] = block[at : at + size].view(kind.dtype_of(name)).reshape(shape)
+        at += _lines(size)
+    return arrays
+
+
+def _lines(size: int) -> int:
+    """Return a size in bytes, rounded up to whole lines."""
+    return -(-size // LINE_BYTES) * LINE_BYTES
+
+
+def _count(shape: int | tuple[int, ...]) -> int:
+    return shape if isinstance(shape, int) else math.prod(shape)
