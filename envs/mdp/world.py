@@ -277,7 +277,7 @@ class _WorldAttribute(AttributeTemplate):  # type: ignore[misc]
         return world.field_dict.get(name)
 
 
-def _parts(context: Any, builder: Any, world: Any, value: Any) -> Any:
+def parts_of(context: Any, builder: Any, world: Any, value: Any) -> Any:
     """Return what a world consists of; numba's own way is closed to functions that do not count references."""
     box = cgutils.create_struct_proxy(world)(context, builder, value=value)
     words = builder.bitcast(box.meminfo, ir.IntType(8).as_pointer().as_pointer())
@@ -289,7 +289,7 @@ def _parts(context: Any, builder: Any, world: Any, value: Any) -> Any:
 
 @lower_getattr_generic(WorldType)
 def _read_part(context: Any, builder: Any, world: Any, value: Any, name: str) -> Any:
-    part = getattr(_parts(context, builder, world, value), name)
+    part = getattr(parts_of(context, builder, world, value), name)
     return impl_ret_borrowed(context, builder, world.field_dict[name], part)
 
 
@@ -298,7 +298,7 @@ def _set_part(context: Any, builder: Any, signature: Any, args: Any, name: str) 
     """Set a part of a new world."""
     world, kind = signature.args
     context.nrt.incref(builder, kind, args[1])
-    setattr(_parts(context, builder, world, args[0]), name, args[1])
+    setattr(parts_of(context, builder, world, args[0]), name, args[1])
 
 
 class World(structref.StructRefProxy):  # type: ignore[misc]

@@ -255,26 +255,45 @@ def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.get_dummy_value()
 
 
+LINE_BYTES = 64
+"""Of the processor's cache."""
+
+
 @intrinsic
-def fetch(typing_context, table, element):  # type: ignore[no-untyped-def]
-    """Ask for the line of the cache that holds an ``element`` of a table or array, counted through all its rows."""
-    is_table = isinstance(table, TableType)
-    if not (is_table or (isinstance(table, types.Array) and table.layout == "C")):
-        raise errors.NumbaTypeError("only tables and contiguous arrays can be fetched")
+def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
+    """Ask for the line of the cache at ``address``, which nothing waits for."""
+    if not isinstance(address, types.Integer):
+        raise errors.NumbaTypeError("an address is an integer")
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = signature.args[0]
-        box = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
-        byte = ir.IntType(8).as_pointer()
-        place = builder.bitcast(builder.gep(box.data, [args[1]]), byte)
-        number = ir.IntType(32)
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
         asking = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
         call = cgutils.get_or_insert_function(builder.module, asking, "llvm.prefetch.p0")
         # To be read, kept in the second level, data.
-        builder.call(call, [place, number(0), number(2), number(1)])
+        builder.call(call, [builder.inttoptr(args[0], byte), number(0), number(2), number(1)])
         return context.get_dummy_value()
 
-    return types.none(table, types.intp), lower
+    return types.none(types.int64), lower
+
+
+@intrinsic
+def place_of(typing_context, table):  # type: ignore[no-untyped-def]
+    """Return the address of the first element of a table or an array."""
+    if not isinstance(table, TableType | types.Array):
+        raise errors.NumbaTypeError("only tables and arrays have a place")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        box = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=args[0])
+        return builder.ptrtoint(box.data, _WORD)
+
+    return types.int64(table), lower
+
+
+@compiled
+def fetch(address, size):  # type: ignore[no-untyped-def]
+    """Ask for ``size`` bytes from ``address`` on."""
+    for at in range(0, size, LINE_BYTES):
+        fetch_line(address + at)
 
 
 def opener(kind: TablesType) -> Any:

@@ -7,8 +7,6 @@ surrogate :func:`play_all` does all of it, one environment after the other, as m
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from izoo.compiling import compiled
@@ -38,52 +36,23 @@ from izoo.envs.twin.arrays import (
     LANE,
     LANE_BACK,
     LANE_REGION,
-    NEXT_DEPARTURE,
-    ON_ROAD,
     POSITION,
     SIGNALS,
     STATUS,
     open_net,
     open_state,
-    open_traffic,
 )
 from izoo.envs.twin.arrays import (
     SPEED as TWIN_SPEED,
 )
-from izoo.envs.twin.compiled import Float1, Int1, Long1, fetch, opener, tables_type
-from izoo.envs.twin.emitting import WORLD_AT, count_classes
+from izoo.envs.twin.emitting import count_classes
+from izoo.envs.twin.fetching import GUESTS_AT, NET_AT, STATE_AT, TRAFFIC_AT, WORLD_AT, fetch_next
+from izoo.envs.twin.guests import open_guests
 from izoo.envs.twin.handles import world_at
 from izoo.envs.twin.stepping import step
 from izoo.envs.twin.wanting import DEFAULT_MODE, ROUTE_ONLY_MODE
 
-NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT = range(1, 5)
-"""Columns of the addresses ``[N, 5]`` of the environments, after :data:`~izoo.envs.twin.emitting.WORLD_AT`."""
 _STEPS = EPISODE_METRIC["steps"]
-_STRAGGLERS = 8
-"""For so many vehicles that are where they are expected, one more is looked for."""
-
-
-class Guests(NamedTuple):
-    """Who of the twin's vehicles is in the region, and where, for the MDP.
-
-    Attributes:
-        row_of: ``[N]`` int64, row of each vehicle of the demand in the MDP's tables, -1 where it has none.
-        entry_lanes: int32, rows of the twin's lanes on which vehicles are first seen in the region.
-        lane, position, speed, signals: ``[C]``: what was last reported of the members: region lane, m, m/s, bits.
-        begun_s: ``[1]`` float64, simulated time at the first frame.
-    """
-
-    row_of: Long1
-    entry_lanes: Int1
-    lane: Long1
-    position: Float1
-    speed: Float1
-    signals: Long1
-    begun_s: Float1
-
-
-GUESTS = tables_type(Guests)
-open_guests = opener(GUESTS)
 
 
 @compiled(nogil=True)
@@ -91,7 +60,7 @@ def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[
     """Play the first half of a step in some environments.
 
     Args:
-        addresses: ``[n, 5]`` int64 (:data:`WORLD_AT` and those that follow it).
+        addresses: ``[n, 7]`` int64 (:data:`~izoo.envs.twin.fetching.WORLD_AT` and those that follow it).
         step_ms: length of the step.
         lane_change: whether lane changes are commanded.
         like: any of the worlds; it gives the others' type.
@@ -100,9 +69,7 @@ def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[
     for c in range(by_class.shape[0]):
         by_class[c] = 0
     for k in range(addresses.shape[0]):
-        if k + 1 < addresses.shape[0]:
-            _fetch_drive(addresses, k + 1)
-            _fetch_tables(world_at(addresses[k + 1, WORLD_AT], like))
+        fetch_next(addresses, k, like, True)
         world = world_at(addresses[k, WORLD_AT], like)
         _drive(world, addresses, k, step_ms, lane_change)
         count_classes(world, by_class)
@@ -112,8 +79,7 @@ def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[
 def conclude_all(addresses, like):  # type: ignore[no-untyped-def]
     """Play the second half of a step; CO2 is there."""
     for k in range(addresses.shape[0]):
-        if k + 1 < addresses.shape[0]:
-            _fetch_tables(world_at(addresses[k + 1, WORLD_AT], like))
+        fetch_next(addresses, k, like, False)
         _conclude(world_at(addresses[k, WORLD_AT], like), addresses, k)
 
 
@@ -121,9 +87,7 @@ def conclude_all(addresses, like):  # type: ignore[no-untyped-def]
 def play_all(addresses, steps, step_ms, lane_change, like):  # type: ignore[no-untyped-def]
     """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment."""
     for k in range(addresses.shape[0]):
-        if k + 1 < addresses.shape[0]:
-            _fetch_drive(addresses, k + 1)
-            _fetch_tables(world_at(addresses[k + 1, WORLD_AT], like))
+        fetch_next(addresses, k, like, True)
         world = world_at(addresses[k, WORLD_AT], like)
         for _ in range(steps[k]):
             _drive(world, addresses, k, step_ms, lane_change)
@@ -131,39 +95,9 @@ def play_all(addresses, steps, step_ms, lane_change, like):  # type: ignore[no-u
             _conclude(world, addresses, k)
 
 
-@compiled(borrows=True)
-def _fetch_drive(addresses, k):  # type: ignore[no-untyped-def]
-    """Ask for the memory that driving in environment ``k`` will need, while another one is played.
-
-    Vehicles on the road are mostly those who departed last.
-    """
-    state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
-    end, on_road = state.clock[NEXT_DEPARTURE], state.clock[ON_ROAD]
-    for v in range(max(0, end - on_road - on_road // _STRAGGLERS), end):
-        for column in range(0, state.floats.shape[1], 8):
-            fetch(state.floats, v * state.floats.shape[1] + column)
-        for column in range(0, state.ints.shape[1], 16):
-            fetch(state.ints, v * state.ints.shape[1] + column)
-        fetch(traffic.floats, v * traffic.floats.shape[1])
-
-
-@compiled(borrows=True)
-def _fetch_tables(world):  # type: ignore[no-untyped-def]
-    """Ask for the rows of the members, mostly the first ones."""
-    tables = world.tables
-    rows = tables.cursor[MEMBERS]
-    rows += rows // _STRAGGLERS
-    for at in range(0, min(rows, tables.floats.shape[0]) * tables.floats.shape[1], 8):
-        fetch(tables.floats, at)
-    for at in range(0, min(rows, tables.ints.shape[0]) * tables.ints.shape[1], 8):
-        fetch(tables.ints, at)
-    for at in range(0, min(rows, tables.terms.shape[0]) * tables.terms.shape[1], 8):
-        fetch(tables.terms, at)
-
-
 @compiled(nogil=True)
 def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
-    """Drive environments ``[n, 5]`` for some steps, uncommanded."""
+    """Drive the environments at ``addresses`` for some steps, uncommanded."""
     for k in range(addresses.shape[0]):
         for _ in range(steps):
             step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)

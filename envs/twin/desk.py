@@ -11,9 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from izoo.envs.twin.compiled import TablesType
+from izoo.envs.twin.compiled import LINE_BYTES, TablesType
 
-LINE_BYTES = 64
 Shapes = Mapping[str, int | tuple[int, ...]]
 
 
@@ -23,21 +22,17 @@ def zeros(kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
 
 
 class Desk:
-    """Working memory of a thread, for any number of states, one at a time.
+    """Working memory of a thread, for any number of environments, one at a time."""
 
-    Args:
-        kind: the type of the directories of these states.
-    """
+    def __init__(self) -> None:
+        self._blocks: dict[TablesType, np.ndarray] = {}
 
-    def __init__(self, kind: TablesType) -> None:
-        self._kind, self._block = kind, np.zeros(0, np.uint8)
-
-    def spread(self, shapes: Shapes) -> dict[str, np.ndarray]:
-        """Return arrays of these shapes by name. Others have been given the same memory, and will be."""
-        size = _size(self._kind, shapes)
-        if size > len(self._block):
-            self._block = np.zeros(size + size // 4, np.uint8)  # what was given away stays where it is
-        return _cut(self._block, self._kind, shapes)
+    def spread(self, kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
+        """Return arrays for fields of ``kind``, by name. Others have been given the same memory, and will be."""
+        size = _size(kind, shapes)
+        if kind not in self._blocks or size > len(self._blocks[kind]):
+            self._blocks[kind] = np.zeros(size + size // 4, np.uint8)  # what was given away stays where it is
+        return _cut(self._blocks[kind], kind, shapes)
 
 
 def _size(kind: TablesType, shapes: Shapes) -> int:

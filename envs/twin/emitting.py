@@ -18,9 +18,8 @@ from izoo.emissions.moves import MovesSurrogate, tile_rows
 from izoo.emissions.weights import INPUTS
 from izoo.envs.mdp.state import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
 from izoo.envs.mdp.world import MEMBERS
+from izoo.envs.twin.fetching import WORLD_AT
 from izoo.envs.twin.handles import world_at
-
-WORLD_AT = 0
 
 
 class Emitter:

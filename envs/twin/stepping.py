@@ -61,19 +61,20 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
     lengths = {
         "clock": 8,
-        "floats": (count, VEHICLE_FLOATS),
-        "ints": (count, VEHICLE_INTS),
-        "tail_lane": (count, MAX_TAIL_LANES),
         "lanes": (lanes, 4),
         "tails": (lanes, MAX_TAIL_LANES),
         "waiting_first": lanes,
         "waiting_last": lanes,
-        "waiting_next": count,
         "link_letter": links,
         "program_phase": programs,
         "program_switch_ms": programs,
-        "advice": (count, MAX_ADVICES),
         "active": (lanes, 4),
+        # From here on rows are vehicles.
+        "floats": (count, VEHICLE_FLOATS),
+        "ints": (count, VEHICLE_INTS),
+        "tail_lane": (count, MAX_TAIL_LANES),
+        "waiting_next": count,
+        "advice": (count, MAX_ADVICES),
     }
     working = {
         "link_first": links,
@@ -86,7 +87,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "lane_room": lanes,
         "moved": count,
     }
-    state = TwinState(**zeros(STATE, lengths), **(desk or Desk(STATE)).spread(working))
+    state = TwinState(**zeros(STATE, lengths), **(desk or Desk()).spread(STATE, working))
     for name in ("tail_lane", "tails", "waiting_first", "waiting_last", "waiting_next", "active"):
         getattr(state, name)[:] = -1
     state.program_phase[:] = state.program_switch_ms[:] = -1

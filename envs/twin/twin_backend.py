@@ -18,10 +18,10 @@ from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
-from izoo.envs.twin.arrays import STATE
 from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
 from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import Emitter
+from izoo.envs.twin.fetching import PARTS_BYTES
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
@@ -54,14 +54,14 @@ class TwinBackend:
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
-        self._addresses = np.zeros((num_envs, 5), np.int64)
+        self._addresses = np.zeros((num_envs, PARTS_BYTES + 1), np.int64)
         self._left = np.zeros(num_envs, np.int64)
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
         module = MovesSurrogate(self._weights)
         self._emitters = [Emitter(module) for _ in range(self.threads)]
-        self._desks = [Desk(STATE) for _ in range(self.threads)]
-        self._preparers_desk = Desk(STATE)
+        self._desks = [Desk() for _ in range(self.threads)]
+        self._preparers_desk = Desk()
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
         # Where several threads share the environments out, each does what torch does for its own share, alone.

@@ -46,7 +46,7 @@ class TwinEpisode:
     def move_to(self, desk: Desk) -> None:
         """Use the working memory of another thread from now on."""
         shapes = {name: getattr(self.state, name).shape for name in WORKING}
-        self.state = self.state._replace(**desk.spread(shapes))
+        self.state = self.state._replace(**desk.spread(STATE, shapes))
         self._directories[-1][:] = directory(self.state, STATE)
 
     def step(self) -> None:
