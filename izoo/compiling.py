@@ -19,6 +19,10 @@ from typing import Any
 
 import filelock
 import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
 
 from izoo.files import cache_root
 
@@ -99,6 +103,33 @@ def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float],
     lines = [f"    line[{k}] = value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)]
     exec("\n".join([f"def write({arguments}, line):", *lines, "    return"]), names)
     return compiled(names["write"], borrows=True, cache=False)
+
+
+@intrinsic
+def local_floats(typing_context, count):  # type: ignore[no-untyped-def]
+    """Return an array of ``count`` float32, a constant, on the stack of the compiled function that calls it.
+
+    It must not leave that function. The compiler knows that nothing else is in that memory, and keeps it in registers.
+    """
+    if not isinstance(count, types.IntegerLiteral):
+        return None
+    array_type, length = types.Array(types.float32, 1, "C"), count.literal_value
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        memory = cgutils.alloca_once(builder, ir.ArrayType(ir.FloatType(), length))
+        array = make_array(array_type)(context, builder)
+        word = ir.IntType(64)
+        populate_array(
+            array,
+            data=builder.bitcast(memory, ir.FloatType().as_pointer()),
+            shape=[ir.Constant(word, length)],
+            strides=[ir.Constant(word, 4)],
+            itemsize=ir.Constant(word, 4),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    return array_type(count), lower
 
 
 @contextlib.contextmanager

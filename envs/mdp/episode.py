@@ -28,7 +28,18 @@ from izoo.envs.mdp.state import (
 )
 from izoo.envs.mdp.step import give_orders, make_frame
 from izoo.envs.mdp.tally import book_unfinished
-from izoo.envs.mdp.world import MEMBERS, PHASE, SUSPECTS, Frame, demand_arrays, empty_tables, grown, hold, rules_of
+from izoo.envs.mdp.world import (
+    MEMBERS,
+    PHASE,
+    SUSPECTS,
+    Frame,
+    demand_arrays,
+    empty_tables,
+    grown,
+    hold,
+    rules_of,
+    work_space,
+)
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
@@ -110,12 +121,15 @@ class Episode:
         self._demand, self._lanes = demand_arrays(traffic, road), road_arrays(road)
         self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
         self.tables = empty_tables(config, len(road.lane_ids), capacity)
+        self._work = work_space(config, len(road.lane_ids))
         self._bind()
         self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
 
     def _bind(self) -> None:
         """Hand the present tables to compiled code."""
-        self.world = hold(self.tables, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views)
+        self.world = hold(
+            self.tables, self._work, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views
+        )
 
     @property
     def steps(self) -> int:

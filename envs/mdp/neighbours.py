@@ -26,23 +26,29 @@ NO_TTC = np.inf
 LONGEST_VEHICLE_M = 30.0
 
 
-@compiled
-def sort_lanes(rows, floats, ints, num_lanes, order, start):  # type: ignore[no-untyped-def]
-    """Fill ``order [n]`` with rows by lane and position, and ``start [num_lanes + 1]`` with where each lane begins."""
-    n = rows.shape[0]
-    count = np.zeros(num_lanes + 1, np.int64)
-    for j in range(n):
-        count[ints[rows[j], REGION_LANE] + 1] += 1
+@compiled(borrows=True)
+def sort_lanes(rows, floats, ints, fill, order, start):  # type: ignore[no-untyped-def]
+    """Fill ``order [n]`` with rows by lane and position, and ``start [L + 1]`` with where each lane begins.
+
+    Args:
+        rows: in the order in which they came; of two at the same place the earlier one comes first.
+        fill: ``[L]`` working memory.
+    """
+    num_lanes = fill.shape[0]
+    for k in range(num_lanes):
+        fill[k] = 0
+    for j in range(rows.shape[0]):
+        fill[ints[rows[j], REGION_LANE]] += 1
     start[0] = 0
     for k in range(num_lanes):
-        start[k + 1] = start[k] + count[k + 1]
-    fill = start[:num_lanes].copy()
-    for j in range(n):
+        start[k + 1] = start[k] + fill[k]
+        fill[k] = start[k]
+    # Who came last is mostly furthest upstream, so that this hardly ever moves anybody.
+    for j in range(rows.shape[0] - 1, -1, -1):
         r = rows[j]
         k = ints[r, REGION_LANE]
         slot = fill[k]
-        # Insertion within the lane: lanes hold few vehicles.
-        while slot > start[k] and floats[order[slot - 1], LANE_POSITION] > floats[r, LANE_POSITION]:
+        while slot > start[k] and floats[order[slot - 1], LANE_POSITION] >= floats[r, LANE_POSITION]:
             order[slot] = order[slot - 1]
             slot -= 1
         order[slot] = r

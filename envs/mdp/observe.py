@@ -22,11 +22,12 @@ _write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicl
 
 
 @compiled(borrows=True)
-def observe(agent_row, vehicles, road, clock, features, columns, sensor_range_m, out):  # type: ignore[no-untyped-def]
+def observe(agent_row, shown, vehicles, road, clock, features, columns, sensor_range_m, out):  # type: ignore[no-untyped-def]
     """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
 
     Args:
         agent_row: ``[A]`` rows of the tables ``vehicles`` (``floats``, ``ints``, ``flags``, ``order``, ``lane_start``).
+        shown: ``[A]`` whether a slot's line may hold something; lines that hold nothing are not cleared again.
         road, clock: arrays of the road, and the state of the signals.
         features: ``[P, Q, O]`` observed context features of a movement, scaled.
         columns: ``[6]`` from :func:`~izoo.envs.mdp.observation.neighbour_columns`.
@@ -35,8 +36,11 @@ def observe(agent_row, vehicles, road, clock, features, columns, sensor_range_m,
     first_feature = out.shape[1] - features.shape[2]
     for a in range(agent_row.shape[0]):
         r = agent_row[a]
+        if r < 0 and not shown[a]:
+            continue
         line = out[a]
         line[:] = 0.0
+        shown[a] = r >= 0
         if r < 0:
             continue
         _write_ego(r, vehicles, road, clock, line)

@@ -35,8 +35,8 @@ evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.
 """``evaluate(r, floats, numbers, out)`` writes the individual terms of the vehicle in row ``r``."""
 
 
-@compiled
-def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def reward_terms(rows, floats, numbers, terms, fleet, shared, mine):  # type: ignore[no-untyped-def]
     """Evaluate all terms for the vehicles of ``rows``.
 
     The fleet means of an empty region are 0, and what is shared there is what it is at most.
@@ -45,9 +45,9 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
         terms: ``[C, NUM_TERMS]`` individual terms, written for ``rows``.
         fleet: ``[NUM_TERMS]`` output, their means over ``rows``.
         shared: ``[NUM_SHARED]`` output, the smallest value of each shared term.
+        mine: ``[NUM_SHARED]`` working memory.
     """
     fleet[:] = 0.0
-    mine = np.empty(NUM_SHARED)
     for s in range(NUM_SHARED):
         shared[s] = _MOST[s]
     n = rows.shape[0]
@@ -65,7 +65,7 @@ def reward_terms(rows, floats, numbers, terms, fleet, shared):  # type: ignore[n
 
 
 @compiled(borrows=True)
-def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, reward, vector, empty, begins):  # type: ignore[no-untyped-def]
+def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, reward, vector, full, empty, begins):  # type: ignore[no-untyped-def]
     """Write what each slot gets for the step, and add it to its decision's; slots that did not act (row -1) get 0.
 
     In an empty region everybody's reward is 0.
@@ -74,6 +74,7 @@ def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, 
         own: ``[A, T]`` individual terms by slot; a leaver's are its last.
         paid: ``[A]`` output: the step's reward.
         reward, vector: ``[A]`` and ``[A, R]``, to which the step's reward and terms are added.
+        full: whether anybody reads the vector; it is left alone otherwise.
         empty: nobody is in the region.
         begins: it is the first step of a decision, so ``reward`` and ``vector`` start from 0.
     """
@@ -82,17 +83,21 @@ def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, 
         paid[a] = 0.0
         if begins:
             reward[a] = 0.0
-            vector[a, :] = 0.0
+            if full:
+                vector[a, :] = 0.0
         if r < 0 or empty:
             continue
         total = 0.0
         for s in range(NUM_SHARED):
             total += shared_weights[s] * shared[s]
-            vector[a, 2 * NUM_TERMS + s] += shared[s]
         for c in range(NUM_TERMS):
             total += weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * own[a, c])
-            vector[a, c] += own[a, c]
-            vector[a, NUM_TERMS + c] += fleet[c]
+        if full:
+            for s in range(NUM_SHARED):
+                vector[a, 2 * NUM_TERMS + s] += shared[s]
+            for c in range(NUM_TERMS):
+                vector[a, c] += own[a, c]
+                vector[a, NUM_TERMS + c] += fleet[c]
         paid[a] = total / numbers.scale
         reward[a] += paid[a]
 

@@ -17,7 +17,6 @@ from izoo.envs.mdp.state import (
     APPROACH,
     DELAY,
     EMISSION,
-    FLOATS,
     LEADER,
     LOCATION,
     PATH_POSITION,
@@ -29,10 +28,9 @@ from izoo.networks.road import APPROACHING, LEAVING
 
 AWAITED, HERE, OUTSIDE = 0, 1, 2
 """What has become of a vehicle of the demand: not yet due, or due before control began; come; due, and not come."""
-_COLUMNS = len(FLOATS)
 
 
-@compiled
+@compiled(borrows=True)
 def count_outside(world, time_s, measured):  # type: ignore[no-untyped-def]
     """Book those who are due by now and have not come; before control begins nobody is held up yet."""
     demand, tables = world.demand, world.tables
@@ -44,7 +42,7 @@ def count_outside(world, time_s, measured):  # type: ignore[no-untyped-def]
             demand.outside[demand.approach[number]] += 1
 
 
-@compiled
+@compiled(borrows=True)
 def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
     """Write what each agent is paid for, and the fleet's sum, both in units of human driving.
 
@@ -59,7 +57,9 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
     floats, ints = tables.floats, tables.ints
     own[:, :] = 0.0
     fleet[:] = 0.0
-    rearmost = np.full(outside.shape[0], -1)
+    rearmost, standing = world.work.rearmost, world.work.standing
+    for p in range(outside.shape[0]):
+        rearmost[p] = -1
     for r in rows:
         if not _counts(r, floats, ints, rules.step_s):
             continue
@@ -71,11 +71,10 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
             fleet[c] += terms[r, c]
             if slot >= 0:
                 own[slot, c] += terms[r, c] / rules.unit_g[p]
-    standing = np.empty(NUM_TERMS)
     for p in range(outside.shape[0]):
         if outside[p] == 0:
             continue
-        _stand(rules, p, standing)
+        _stand(rules, p, world.work.standing_row, standing)
         slot = owner(rearmost[p], ints, rows.shape[0]) if rearmost[p] >= 0 else -1
         for c in range(NUM_TERMS):
             fleet[c] += outside[p] * standing[c]
@@ -103,10 +102,9 @@ def owner(r, ints, most):  # type: ignore[no-untyped-def]
     return -1
 
 
-@compiled
-def _stand(rules, p, out):  # type: ignore[no-untyped-def]
-    """Write the terms of a vehicle that stands for one step where approach ``p`` begins."""
-    floats = np.zeros((1, _COLUMNS))
+@compiled(borrows=True)
+def _stand(rules, p, floats, out):  # type: ignore[no-untyped-def]
+    """Write the terms of a vehicle that stands for one step where approach ``p`` begins; ``floats [1, *]``: its row."""
     floats[0, EMISSION] = rules.idle_gps[p] * rules.step_s
     floats[0, DELAY] = rules.step_s
     floats[0, TTC] = np.inf

@@ -32,8 +32,8 @@ from izoo.envs.mdp.world import FREE, FREED, LEAVERS, MEMBERS
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
 
 
-@compiled
-def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     """Give a vehicle that has come a row, and a CV a slot among the agents; return the row, -1 if all are taken.
 
     A CV that finds no slot, or whose row is not among those emitted, is left to its own driver and counted.
@@ -84,8 +84,8 @@ def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     tables.episode[_UNSLOTTED] += 1
 
 
-@compiled
-def leave(world, row):  # type: ignore[no-untyped-def]
+@compiled(borrows=True)
+def let_go(world, row):  # type: ignore[no-untyped-def]
     """Remove the vehicle of a row from the members; its row and slot stay taken until the step is concluded."""
     tables = world.tables
     kept = 0
@@ -97,6 +97,18 @@ def leave(world, row):  # type: ignore[no-untyped-def]
     tables.cursor[MEMBERS] = kept
     tables.leavers[tables.cursor[LEAVERS]] = row
     tables.cursor[LEAVERS] += 1
+
+
+@compiled
+def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+    """Do what :func:`take_in` does, for Python."""
+    return take_in(world, number, accel_mps2, counted)
+
+
+@compiled
+def leave(world, row):  # type: ignore[no-untyped-def]
+    """Do what :func:`let_go` does, for Python."""
+    let_go(world, row)
 
 
 @compiled(borrows=True)

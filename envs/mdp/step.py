@@ -6,15 +6,14 @@ environments calls :func:`settle` and :func:`conclude` for each of them, and com
 
 from __future__ import annotations
 
-import numpy as np
-
 from izoo.compiling import compiled
-from izoo.emissions.kernel import emission_rate_kernel
+from izoo.emissions.kernel import emission_rate
+from izoo.envs.mdp.frame import EPISODE_METRIC
 from izoo.envs.mdp.motion import place
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.orders import plan_commands
-from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, pay, reward_terms, team_pay
+from izoo.envs.mdp.pay import NUM_TERMS, pay, reward_terms, team_pay
 from izoo.envs.mdp.share import count_outside, share_out
 from izoo.envs.mdp.signals import read_clock
 from izoo.envs.mdp.slots import release
@@ -22,9 +21,11 @@ from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_C
 from izoo.envs.mdp.tally import account, sum_episode
 from izoo.envs.mdp.world import FREE, HELD, MEMBERS, PHASE, SUSPECTS
 
+_STEPS = EPISODE_METRIC["steps"]
 
-@compiled
-def give_orders(world):  # type: ignore[no-untyped-def]
+
+@compiled(borrows=True)
+def take_orders(world):  # type: ignore[no-untyped-def]
     """Turn the frame's actions into orders for the coming step; return how many commands and releases there are.
 
     The actions are those of the present decision: they are for those who were there when it began.
@@ -54,6 +55,12 @@ def give_orders(world):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def give_orders(world):  # type: ignore[no-untyped-def]
+    """Do what :func:`take_orders` does, for Python."""
+    return take_orders(world)
+
+
+@compiled(borrows=True)
 def settle(world, reading):  # type: ignore[no-untyped-def]
     """Write where the members are into the tables, sort them, and find their leaders.
 
@@ -67,51 +74,46 @@ def settle(world, reading):  # type: ignore[no-untyped-def]
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     lane, position, speed, signals = reading
     place(rows, lane, position, speed, signals, floats, ints, flags, road, world.rules.step_s)
-    sort_lanes(rows, floats, ints, tables.lane_start.shape[0] - 1, tables.order, tables.lane_start)
+    sort_lanes(rows, floats, ints, world.work.lane_fill, tables.order, tables.lane_start)
     find_leaders(rows, floats, ints, flags, tables.order, tables.lane_start, road)
 
 
-@compiled
+@compiled(borrows=True)
 def emit_co2(world):  # type: ignore[no-untyped-def]
     """Write each member's CO2 of the step in g; electric CVs emit nothing."""
     tables, rules = world.tables, world.rules
-    rows = tables.members[: tables.cursor[MEMBERS]]
-    changed = np.empty(rows.shape[0], np.int64)
-    n = 0
-    for r in rows:
-        if not tables.flags[r, STEADY]:
-            changed[n] = r
-            n += 1
-    inputs = np.empty((3, n), np.float32)
-    classes = np.empty(n, np.int64)
-    active = np.empty(n, np.uint8)
-    rate = np.empty(n, np.float32)
-    for j in range(n):
-        r = changed[j]
-        inputs[0, j] = tables.floats[r, SPEED]
-        inputs[1, j] = tables.floats[r, ACCEL]
-        inputs[2, j] = tables.floats[r, GRADE]
-        classes[j] = tables.ints[r, MOVES_CLASS]
-        active[j] = tables.flags[r, ELECTRIC] == 0
-    emission_rate_kernel(
-        inputs[0], inputs[1], inputs[2], classes, active, rules.temperature_c, rules.humidity_pct, world.surrogate, rate
-    )
-    for j in range(n):
-        tables.floats[changed[j], EMISSION] = rate[j] * rules.step_s
+    floats = tables.floats
+    for j in range(tables.cursor[MEMBERS]):
+        r = tables.members[j]
+        if tables.flags[r, STEADY]:
+            continue
+        floats[r, EMISSION] = 0.0
+        if not tables.flags[r, ELECTRIC]:
+            rate = emission_rate(
+                floats[r, SPEED],
+                floats[r, ACCEL],
+                floats[r, GRADE],
+                tables.ints[r, MOVES_CLASS],
+                rules.temperature_c,
+                rules.humidity_pct,
+                world.surrogate,
+            )
+            floats[r, EMISSION] = rate * rules.step_s
 
 
-@compiled
+@compiled(borrows=True)
 def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     """Count the step, pay the agents, and write the next frame.
 
-    Within a decision, rewards add up, and who has left stays marked as terminated.
+    Within a decision, rewards add up, and who has left stays marked as terminated; what the next decision is made from
+    is written at its end.
 
     Args:
         world: the :class:`~izoo.envs.mdp.world.World`, settled, with the members' CO2.
         time_s: simulated time after the step.
         measured: whether the step counts (the first frame of an episode does not).
     """
-    tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame
+    tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
     rows = tables.members[: tables.cursor[MEMBERS]]
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     if measured:
@@ -120,10 +122,8 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
     tables.cursor[PHASE] = read_clock(time_s, clock)
     begins = tables.cursor[HELD] == 0
-    fleet, shared = np.empty(NUM_TERMS), np.empty(NUM_SHARED)
-    paid = np.empty(tables.acting.shape[0])
-    reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared)
-    own = np.zeros((tables.acting.shape[0], NUM_TERMS))
+    fleet, shared, paid, own = work.fleet, work.shared, work.paid, work.own
+    reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.least)
     if rules.reward.sums:
         count_outside(world, time_s, measured)
         share_out(world, rows, tables.terms, own, fleet)
@@ -143,6 +143,7 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         paid,
         out.reward,
         out.reward_vector,
+        rules.emit_vector,
         rows.shape[0] == 0,
         begins,
     )
@@ -152,20 +153,22 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         empty = rows.shape[0] == 0
         out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, empty)
     release(tables, out.agent_terminated, out.agent_done, begins)
-    observe(
-        tables.agent_row,
-        tables,
-        world.road,
-        clock,
-        rules.features,
-        rules.columns,
-        rules.sensor_range_m,
-        out.observation,
-    )
     if measured:
         sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, tables.sums, tables.episode)
         tables.cursor[HELD] = (tables.cursor[HELD] + 1) % rules.hold_steps
-    _emit(world)
+    if tables.cursor[HELD] == 0 or tables.episode[_STEPS] >= rules.control_steps:
+        observe(
+            tables.agent_row,
+            work.shown,
+            tables,
+            world.road,
+            clock,
+            rules.features,
+            rules.columns,
+            rules.sensor_range_m,
+            out.observation,
+        )
+        _emit(world)
     _find_suspects(rows, tables)
 
 
@@ -188,7 +191,7 @@ def _find_suspects(rows, tables):  # type: ignore[no-untyped-def]
     tables.cursor[SUSPECTS] = count
 
 
-@compiled
+@compiled(borrows=True)
 def _emit(world):  # type: ignore[no-untyped-def]
     """Copy to the frame what its groups hold."""
     tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame

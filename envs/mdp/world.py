@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core import types
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import default_manager, models
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.typing.templates import AttributeTemplate
 from numba.experimental import structref
+from numba.extending import infer_getattr, lower_getattr_generic, lower_setattr_generic
 
 from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
-from izoo.envs.mdp.pay import NUM_TERMS, Numbers, reward_arrays
+from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
 from izoo.envs.mdp.units import Units, due_times, units_of
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
@@ -21,6 +26,8 @@ from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
+_DATA_WORD = 3
+"""Word of numba's block of managed memory (``MemInfo``) that holds the address of the data."""
 (MEMBERS, LEAVERS, SUSPECTS, PHASE, HELD, DUE) = range(6)
 """Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, the phase of the signal, how
 many steps of the present decision have been played, and how many vehicles were due so far."""
@@ -101,6 +108,44 @@ def grown(tables: Tables) -> Tables:
     return tables._replace(**longer)
 
 
+class Work(NamedTuple):
+    """Working memory of a step; nothing in it lasts, but for what ``shown`` says of the frame.
+
+    Attributes:
+        lane_fill: ``[L]``. own: ``[A, T]``. fleet, standing: ``[T]``. shared, least: ``[S]``. paid: ``[A]``.
+        rearmost: ``[P]``. standing_row: ``[1, *]``, a row like those of ``floats``.
+        shown: ``[A]`` uint8, whether the slot's row of the frame's observation may hold something.
+    """
+
+    lane_fill: np.ndarray
+    own: np.ndarray
+    fleet: np.ndarray
+    standing: np.ndarray
+    shared: np.ndarray
+    least: np.ndarray
+    paid: np.ndarray
+    rearmost: np.ndarray
+    standing_row: np.ndarray
+    shown: np.ndarray
+
+
+def work_space(config: EnvConfig, num_lanes: int) -> Work:
+    """Return the working memory of an episode."""
+    a = config.num_agents
+    return Work(
+        lane_fill=np.zeros(num_lanes, np.int64),
+        own=np.zeros((a, NUM_TERMS)),
+        fleet=np.zeros(NUM_TERMS),
+        standing=np.zeros(NUM_TERMS),
+        shared=np.zeros(NUM_SHARED),
+        least=np.zeros(NUM_SHARED),
+        paid=np.zeros(a),
+        rearmost=np.zeros(config.num_approaches, np.int64),
+        standing_row=np.zeros((1, len(FLOATS))),
+        shown=np.ones(a, np.uint8),
+    )
+
+
 class Demand(NamedTuple):
     """What is known of every vehicle of the episode beforehand, ``[N]`` each, and who is held up outside.
 
@@ -144,6 +189,7 @@ class Rules(NamedTuple):
 
     step_s: float
     hold_steps: int
+    control_steps: int
     temperature_c: float
     humidity_pct: float
     electric: bool
@@ -157,6 +203,7 @@ class Rules(NamedTuple):
     columns: np.ndarray
     features: np.ndarray
     num_vehicles: int
+    emit_vector: bool
     emit_vehicles: bool
     emit_signal: bool
     emit_metrics: bool
@@ -171,6 +218,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
     return Rules(
         step_s=config.step_s,
         hold_steps=config.hold_steps,
+        control_steps=config.control_steps,
         temperature_c=context.temperature_c,
         humidity_pct=context.humidity_pct,
         electric=context.engine == "electric",
@@ -184,6 +232,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
         columns=neighbour_columns(config.neighbours),
         features=observed_table(context, road, config.observed),
         num_vehicles=config.num_vehicles,
+        emit_vector="reward_vector" in config.emit,
         emit_vehicles="vehicles" in config.emit,
         emit_signal="signal" in config.emit,
         emit_metrics="metrics" in config.emit,
@@ -213,9 +262,43 @@ class Frame(NamedTuple):
     episode_metrics: np.ndarray
 
 
-@structref.register
 class WorldType(types.StructRef):  # type: ignore[misc]
     """Type of :class:`World` in compiled code."""
+
+
+default_manager.register(WorldType, models.StructRefModel)
+
+
+@infer_getattr
+class _WorldAttribute(AttributeTemplate):  # type: ignore[misc]
+    key = WorldType
+
+    def generic_resolve(self, world: Any, name: str) -> Any:  # type: ignore[override]
+        return world.field_dict.get(name)
+
+
+def parts_of(context: Any, builder: Any, world: Any, value: Any) -> Any:
+    """Return what a world consists of; numba's own way is closed to functions that do not count references."""
+    box = cgutils.create_struct_proxy(world)(context, builder, value=value)
+    words = builder.bitcast(box.meminfo, ir.IntType(8).as_pointer().as_pointer())
+    data = builder.load(builder.gep(words, [ir.Constant(ir.IntType(64), _DATA_WORD)]))
+    payload = world.get_data_type()
+    kind = context.data_model_manager[payload].get_value_type().as_pointer()
+    return cgutils.create_struct_proxy(payload)(context, builder, ref=builder.bitcast(data, kind))
+
+
+@lower_getattr_generic(WorldType)
+def _read_part(context: Any, builder: Any, world: Any, value: Any, name: str) -> Any:
+    part = getattr(parts_of(context, builder, world, value), name)
+    return impl_ret_borrowed(context, builder, world.field_dict[name], part)
+
+
+@lower_setattr_generic(WorldType)
+def _set_part(context: Any, builder: Any, signature: Any, args: Any, name: str) -> None:
+    """Set a part of a new world."""
+    world, kind = signature.args
+    context.nrt.incref(builder, kind, args[1])
+    setattr(parts_of(context, builder, world, args[0]), name, args[1])
 
 
 class World(structref.StructRefProxy):  # type: ignore[misc]
@@ -225,10 +308,10 @@ class World(structref.StructRefProxy):  # type: ignore[misc]
     """
 
 
-structref.define_proxy(World, WorldType, ["tables", "demand", "road", "clock", "rules", "surrogate", "frame"])
+structref.define_proxy(World, WorldType, ["tables", "work", "demand", "road", "clock", "rules", "surrogate", "frame"])
 
 
 @compiled
-def hold(tables, demand, road, clock, rules, surrogate, frame):  # type: ignore[no-untyped-def]
+def hold(tables, work, demand, road, clock, rules, surrogate, frame):  # type: ignore[no-untyped-def]
     """Return a :class:`World`."""
-    return World(tables, demand, road, clock, rules, surrogate, frame)
+    return World(tables, work, demand, road, clock, rules, surrogate, frame)

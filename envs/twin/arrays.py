@@ -91,7 +91,7 @@ class TwinNet(NamedTuple):
             before); -1 off the route.
         variant_first, variant_count: ``[R]`` int32; variant_links, variant_group: ``[R, 12]`` int32; variant_bits:
             ``[X]`` int64; best_length: ``[X, L]`` float64; best_offset, best_link: ``[X, L]`` int32; best_open:
-            ``[X, L]`` uint8: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
+            ``[X, L]`` uint8; best_road: ``[X, L]`` int32: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
         incoming_start: ``[L + 1]`` int32, each lane's range of incoming_links (int32), the links that lead to it.
         shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
         lane_width: ``[L]`` float64, m.
@@ -127,6 +127,7 @@ class TwinNet(NamedTuple):
     best_offset: Int2
     best_link: Int2
     best_open: Byte2
+    best_road: Int2
     incoming_start: Int1
     incoming_links: Int1
     shape_start: Int1
@@ -169,59 +170,53 @@ NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
     ACCEL,
     FREE_SPEED,
     COMMAND,
-    PLAN_SPEED,
+    BLOCKER_LENGTH,
+    LEFT_SPACE,
     LOOK_AHEAD_SPEED,
     SPEED_GAIN,
-    KEEP_RIGHT,
-    LEAD_GAP,
     SPEED_GAIN_RIGHT,
-    ADVICE_HIGH,
-    ENTRY_TIME,
-    OLD_POSITION,
-    LEFT_SPACE,
-    BLOCKER_LENGTH,
-) = range(16)
+    KEEP_RIGHT,
+) = range(11)
 """Columns of :attr:`TwinState.floats`: front bumper on its lane (m); m/s; acceleration of the last step (m/s^2); speed
 that SUMO itself would have chosen in the last step ("speed without TraCI", m/s); commanded speed (m/s), NaN for none;
-speed from planning, before right of way (m/s); lane changing's memories."""
+lane changing's memories. The first eight are a line of the processor's cache."""
 
 (
     STATUS,
     LANE,
     AHEAD,
     BEHIND,
-    SIGNALS,
-    WAITING_MS,
+    VARIANT,
     TAIL_LANES,
     FIRST_ITEM,
     ITEMS,
+    WAITING_MS,
+    HAS_TO_WAIT,
+    ADVICES,
     CHANGE_COMMAND,
     CHANGE_MODE,
     CHANGE_STATE,
+    CHANGE_UNTIL_MS,
+    SIGNALS,
+    CHANGE_TARGET,
     CHANGED_MS,
     CHANGES_STRATEGIC,
     CHANGES_COOPERATIVE,
     CHANGES_SPEED,
     CHANGES_RIGHT,
     CHANGES_COMMANDED,
-    ROUTE_STEP,
-    ADVICES,
-    VARIANT,
-    CHANGE_TARGET,
-    CHANGE_UNTIL_MS,
     JUNCTION_MS,
     CONFLICT_MS,
     WILL_PASS,
-    HAS_TO_WAIT,
     STOOD_FOR,
-) = range(28)
-"""Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; SUMO's signals;
-how long it has stood (ms); lanes behind its own that its tail is on; its items in ``item_*``; lane
-changing: commanded change of this step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, time of the
-last change, changes by reason; position of its edge in the route; speeds advised;
-row of the best lanes' tables, set when it enters an edge; index of the lane that it is commanded to, and until when;
-when it entered the junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass
-the link at the end of its lane in the last plan, the link with ``s`` that it stood before."""
+) = range(27)
+"""Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; row of the best
+lanes' tables, set when it enters an edge; lanes behind its own that its tail is on; its items in ``item_*``; how long
+it has stood (ms); 1 where something keeps it from going on; speeds advised; lane changing: commanded change of this
+step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, until when it is commanded to a lane; SUMO's
+signals; index of the lane that it is commanded to; time of the last change, changes by reason; when it entered the
+junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass the link at the end of
+its lane in the last plan, the link with ``s`` that it stood before. The first sixteen are a line of the cache."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -293,15 +288,17 @@ class TwinState(NamedTuple):
         waiting_first, waiting_last: ``[L]`` int32, per lane who waits to enter on it. waiting_next: ``[N]`` int32.
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
+        advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
+        active: ``[L, 4]`` int32, the order in which lanes are served.
+
+    The others are working memory of a step (:data:`WORKING`), which environments share: nothing in it lasts.
         link_first: ``[K]`` int32, first item of the vehicles that approach the link.
         item_floats: ``[I, 8]`` float64. item_ints: ``[I, 8]`` int64.
-        advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
-        changer: ``[L, 8]`` int32. changer_density: ``[L]`` float64: working memory of lane changing.
-        moved: ``[N]`` int32: working memory of a step.
-        changer_queue: ``[32]`` int32. changer_way: ``[32]`` float64: more of it.
+        changer: ``[L, 8]`` int32. changer_density: ``[L]`` float64. changer_queue: ``[32]`` int32. changer_way:
+            ``[32]`` float64: of lane changing.
         lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m; set when
             lanes are changed.
-        active: ``[L, 4]`` int32, the order in which lanes are served.
+        moved: ``[N]`` int32, who has left his lane.
     """
 
     clock: Long1
@@ -316,18 +313,21 @@ class TwinState(NamedTuple):
     link_letter: Byte1
     program_phase: Long1
     program_switch_ms: Long1
+    advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
+    active: Annotated[np.ndarray, "int32", 2, 4]
     link_first: Int1
     item_floats: Annotated[np.ndarray, "float64", 2, 8]
     item_ints: Annotated[np.ndarray, "int64", 2, 8]
-    advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
     changer: Annotated[np.ndarray, "int32", 2, 8]
     changer_density: Float1
     changer_queue: Int1
     changer_way: Float1
     lane_room: Float1
     moved: Int1
-    active: Annotated[np.ndarray, "int32", 2, 4]
 
+
+WORKING = TwinState._fields[TwinState._fields.index("link_first") :]
+"""Arrays of :class:`TwinState` in which nothing lasts from step to step."""
 
 NET, TRAFFIC = tables_type(TwinNet, constant=True), tables_type(TwinTraffic, constant=True)
 STATE = tables_type(TwinState)

@@ -51,6 +51,7 @@ class BestTables(NamedTuple):
         best_offset: ``[X, L]`` int32, lanes to change (positive: to the left) to the lane that leads furthest.
         best_link: ``[X, L]`` int32, the link by which it goes on; -1 where there is none, or the route ends.
         best_open: ``[X, L]`` bool: the lane at which the way ends (the route's end, or no way on) has links.
+        best_road: ``[X, L]`` int32, the lane behind the junction to which that link leads; -1 where there is none.
     """
 
     variant_first: np.ndarray
@@ -62,6 +63,7 @@ class BestTables(NamedTuple):
     best_offset: np.ndarray
     best_link: np.ndarray
     best_open: np.ndarray
+    best_road: np.ndarray
 
 
 class NetTables(NamedTuple):
@@ -113,7 +115,7 @@ def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
 
 def _no_rows(lane_count: int) -> list[np.ndarray]:
     shape = (0, lane_count)
-    return [np.zeros(shape), np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape, bool)]
+    return [np.zeros(shape, dtype) for dtype in (np.float64, np.int32, np.int32, bool, np.int32)]
 
 
 def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int]], list[tuple[bool, ...]]]:
@@ -162,7 +164,7 @@ def _has_priority(net: NetTables, link: int, program: int, phase: int) -> bool:
 
 
 def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool]) -> tuple[np.ndarray, ...]:
-    """Return length, offset, link and openness ``[L]`` for one pattern of priorities, from the end backwards."""
+    """Return the last columns of :class:`BestTables` ``[L]`` for one pattern of priorities, from the end backwards."""
     lane_count = len(net.lane_ints)
     length, offset = np.zeros(lane_count), np.zeros(lane_count, np.int32)
     link, is_open = np.full(lane_count, -1, np.int32), np.zeros(lane_count, bool)
@@ -190,7 +192,16 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
         for way, lanes in zip(ways, inside, strict=True):
             _describe_inside(net, int(net.link_ints[way, LINK_TO]), lanes, (length, offset, link, is_open))
         _point_to_best(net.lanes_of(edge), net, priority, (length, offset, link))
-    return length, offset, link, is_open
+    return length, offset, link, is_open, _roads_behind(net, link)
+
+
+def _roads_behind(net: NetTables, link: np.ndarray) -> np.ndarray:
+    """Return the next lane outside of junctions on the way on from every lane, -1 where there is none, ``[L]``."""
+    onward = np.where(link < 0, -1, net.link_ints[link, LINK_NEXT])
+    inside = net.lane_ints[:, LANE_INSIDE] == 1
+    while (between := (onward >= 0) & inside[onward]).any():
+        onward = np.where(between, onward[onward], onward)
+    return onward.astype(np.int32)
 
 
 def _inside_lanes(net: NetTables, way: int) -> list[int]:

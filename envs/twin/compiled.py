@@ -85,6 +85,10 @@ class TablesType(types.Type):
         self.owner, self.fields, self.constant = owner, fields, constant
         super().__init__(name=f"Tables({owner}: {fields}, {constant})")
 
+    def dtype_of(self, name: str) -> np.dtype:
+        """Return the type of the elements of the table ``name``."""
+        return np.dtype(next(dtype for field, dtype, *_ in self.fields if field == name))
+
     def table_type(self, name: str) -> TableType | None:
         """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
         for field, dtype, dimensions, columns in self.fields:
@@ -249,6 +253,47 @@ def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     kind, index_type, _ = sig.args
     _mark(builder, kind, builder.store(args[2], _place(context, builder, kind, args[0], index_type, args[1])))
     return context.get_dummy_value()
+
+
+LINE_BYTES = 64
+"""Of the processor's cache."""
+
+
+@intrinsic
+def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
+    """Ask for the line of the cache at ``address``, which nothing waits for."""
+    if not isinstance(address, types.Integer):
+        raise errors.NumbaTypeError("an address is an integer")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        asking = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        call = cgutils.get_or_insert_function(builder.module, asking, "llvm.prefetch.p0")
+        # To be read, kept in the second level, data.
+        builder.call(call, [builder.inttoptr(args[0], byte), number(0), number(2), number(1)])
+        return context.get_dummy_value()
+
+    return types.none(types.int64), lower
+
+
+@intrinsic
+def place_of(typing_context, table):  # type: ignore[no-untyped-def]
+    """Return the address of the first element of a table or an array."""
+    if not isinstance(table, TableType | types.Array):
+        raise errors.NumbaTypeError("only tables and arrays have a place")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        box = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=args[0])
+        return builder.ptrtoint(box.data, _WORD)
+
+    return types.int64(table), lower
+
+
+@compiled
+def fetch(address, size):  # type: ignore[no-untyped-def]
+    """Ask for ``size`` bytes from ``address`` on."""
+    for at in range(0, size, LINE_BYTES):
+        fetch_line(address + at)
 
 
 def opener(kind: TablesType) -> Any:

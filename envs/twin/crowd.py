@@ -1,12 +1,11 @@
 """The steps of many environments in compiled code: what the policy orders, the twin's driving, and the MDP.
 
-A step has two halves, since CO2 comes in between, for the vehicles of all environments at once: :func:`drive_all` takes
-the orders, drives, and says who is where; :func:`conclude_all` counts, pays, and writes the frames.
+A step has two halves where CO2 comes in between, for the vehicles of all environments at once: :func:`drive_all` takes
+the orders, drives, and says who is where; :func:`conclude_all` counts, pays, and writes the frames. With the compiled
+surrogate :func:`play_all` does all of it, one environment after the other, as many steps as a decision lasts.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from izoo.compiling import compiled
 from izoo.envs.config import KEEP_LANE
 from izoo.envs.mdp.frame import EPISODE_METRIC
 from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
-from izoo.envs.mdp.slots import enter, leave
+from izoo.envs.mdp.slots import let_go, take_in
 from izoo.envs.mdp.state import (
     ACCEL,
     DEFERRED,
@@ -22,7 +21,7 @@ from izoo.envs.mdp.state import (
     SPEED,
     YIELDING,
 )
-from izoo.envs.mdp.step import conclude, emit_co2, give_orders, settle
+from izoo.envs.mdp.step import conclude, emit_co2, settle, take_orders
 from izoo.envs.mdp.world import MEMBERS, SUSPECTS
 from izoo.envs.twin.arrays import (
     ACCEL as TWIN_ACCEL,
@@ -46,47 +45,22 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.arrays import (
     SPEED as TWIN_SPEED,
 )
-from izoo.envs.twin.compiled import Float1, Int1, Long1, opener, tables_type
-from izoo.envs.twin.emitting import WORLD_AT, count_classes
+from izoo.envs.twin.emitting import count_classes
+from izoo.envs.twin.fetching import GUESTS_AT, NET_AT, STATE_AT, TRAFFIC_AT, WORLD_AT, fetch_next
+from izoo.envs.twin.guests import open_guests
 from izoo.envs.twin.handles import world_at
 from izoo.envs.twin.stepping import step
 from izoo.envs.twin.wanting import DEFAULT_MODE, ROUTE_ONLY_MODE
 
-NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT = range(1, 5)
-"""Columns of the addresses ``[N, 5]`` of the environments, after :data:`~izoo.envs.twin.emitting.WORLD_AT`."""
 _STEPS = EPISODE_METRIC["steps"]
 
 
-class Guests(NamedTuple):
-    """Who of the twin's vehicles is in the region, and where, for the MDP.
-
-    Attributes:
-        row_of: ``[N]`` int64, row of each vehicle of the demand in the MDP's tables, -1 where it has none.
-        entry_lanes: int32, rows of the twin's lanes on which vehicles are first seen in the region.
-        lane, position, speed, signals: ``[C]``: what was last reported of the members: region lane, m, m/s, bits.
-        begun_s: ``[1]`` float64, simulated time at the first frame.
-    """
-
-    row_of: Long1
-    entry_lanes: Int1
-    lane: Long1
-    position: Float1
-    speed: Float1
-    signals: Long1
-    begun_s: Float1
-
-
-GUESTS = tables_type(Guests)
-open_guests = opener(GUESTS)
-
-
 @compiled(nogil=True)
-def drive_all(addresses, first, every, step_ms, lane_change, like, by_class):  # type: ignore[no-untyped-def]
-    """Play the first half of a step in the environments ``first``, ``first + every``, ...
+def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[no-untyped-def]
+    """Play the first half of a step in some environments.
 
     Args:
-        addresses: ``[N, 5]`` int64 (:data:`WORLD_AT` and those that follow it).
-        first, every: which environments.
+        addresses: ``[n, 7]`` int64 (:data:`~izoo.envs.twin.fetching.WORLD_AT` and those that follow it).
         step_ms: length of the step.
         lane_change: whether lane changes are commanded.
         like: any of the worlds; it gives the others' type.
@@ -94,46 +68,56 @@ def drive_all(addresses, first, every, step_ms, lane_change, like, by_class):  #
     """
     for c in range(by_class.shape[0]):
         by_class[c] = 0
-    for k in range(first, addresses.shape[0], every):
+    for k in range(addresses.shape[0]):
+        fetch_next(addresses, k, like, True)
         world = world_at(addresses[k, WORLD_AT], like)
-        net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
-        guests = open_guests(addresses[k, GUESTS_AT])
-        _pass_on_orders(world, state, lane_change)
-        step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
-        _see_off(world, state, guests)
-        _welcome(world, state, guests)
-        _read(world.tables, net, state, guests)
-        settle(world, (guests.lane, guests.position, guests.speed, guests.signals))
-        count_classes(world.tables, by_class)
+        _drive(world, addresses, k, step_ms, lane_change)
+        count_classes(world, by_class)
 
 
 @compiled(nogil=True)
-def conclude_all(addresses, first, every, like):  # type: ignore[no-untyped-def]
-    """Play the second half of a step in the environments ``first``, ``first + every``, ...; CO2 is there."""
-    for k in range(first, addresses.shape[0], every):
-        _conclude(world_at(addresses[k, WORLD_AT], like), addresses[k])
+def conclude_all(addresses, like):  # type: ignore[no-untyped-def]
+    """Play the second half of a step; CO2 is there."""
+    for k in range(addresses.shape[0]):
+        fetch_next(addresses, k, like, False)
+        _conclude(world_at(addresses[k, WORLD_AT], like), addresses, k)
 
 
 @compiled(nogil=True)
-def emit_and_conclude_all(addresses, first, every, like):  # type: ignore[no-untyped-def]
-    """The same, with CO2 from the compiled surrogate."""
-    for k in range(first, addresses.shape[0], every):
+def play_all(addresses, steps, step_ms, lane_change, like):  # type: ignore[no-untyped-def]
+    """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment."""
+    for k in range(addresses.shape[0]):
+        fetch_next(addresses, k, like, True)
         world = world_at(addresses[k, WORLD_AT], like)
-        emit_co2(world)
-        _conclude(world, addresses[k])
+        for _ in range(steps[k]):
+            _drive(world, addresses, k, step_ms, lane_change)
+            emit_co2(world)
+            _conclude(world, addresses, k)
 
 
 @compiled(nogil=True)
 def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
-    """Drive environments ``[n, 5]`` for some steps, uncommanded."""
+    """Drive the environments at ``addresses`` for some steps, uncommanded."""
     for k in range(addresses.shape[0]):
         for _ in range(steps):
             step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
 
 
-@compiled
+@compiled(borrows=True)
+def _drive(world, addresses, k, step_ms, lane_change):  # type: ignore[no-untyped-def]
+    net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
+    guests = open_guests(addresses[k, GUESTS_AT])
+    _pass_on_orders(world, state, lane_change)
+    step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+    _see_off(world, state, guests)
+    _welcome(world, state, guests)
+    _read(world.tables, net, state, guests)
+    settle(world, (guests.lane, guests.position, guests.speed, guests.signals))
+
+
+@compiled(borrows=True)
 def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
-    commands, releases = give_orders(world)
+    commands, releases = take_orders(world)
     _command(world.tables, state, commands, releases)
     if lane_change:
         frame = world.frame
@@ -163,14 +147,14 @@ def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[n
             state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE
 
 
-@compiled
+@compiled(borrows=True)
 def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
     """Take those who are no longer on the road out of the members."""
     j = _gone(world.tables, state, 0)
     while j >= 0:
         row = world.tables.members[j]
         guests.row_of[world.tables.ints[row, NUMBER]] = -1
-        leave(world, row)
+        let_go(world, row)
         j = _gone(world.tables, state, j)
 
 
@@ -183,12 +167,12 @@ def _gone(tables, state, first):  # type: ignore[no-untyped-def]
     return -1
 
 
-@compiled
+@compiled(borrows=True)
 def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
     """Give everybody who has come to the region a row."""
     v = _newcomer(state, guests)
     while v >= 0:
-        guests.row_of[v] = enter(world, v, state.floats[v, TWIN_ACCEL], True)
+        guests.row_of[v] = take_in(world, v, state.floats[v, TWIN_ACCEL], True)
         v = _newcomer(state, guests)
 
 
@@ -215,13 +199,13 @@ def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
         guests.signals[j] = state.ints[v, SIGNALS]
 
 
-@compiled
-def _conclude(world, addresses):  # type: ignore[no-untyped-def]
-    guests = open_guests(addresses[GUESTS_AT])
+@compiled(borrows=True)
+def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
+    guests = open_guests(addresses[k, GUESTS_AT])
     steps = world.tables.episode[_STEPS] + 1.0
     step_s = world.rules.step_s
     conclude(world, guests.begun_s[0] + steps * step_s, True)
-    _give_way(world.tables, open_state(addresses[STATE_AT]), step_s)
+    _give_way(world.tables, open_state(addresses[k, STATE_AT]), step_s)
 
 
 @compiled(borrows=True)

@@ -18,9 +18,8 @@ from izoo.emissions.moves import MovesSurrogate, tile_rows
 from izoo.emissions.weights import INPUTS
 from izoo.envs.mdp.state import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
 from izoo.envs.mdp.world import MEMBERS
+from izoo.envs.twin.fetching import WORLD_AT
 from izoo.envs.twin.handles import world_at
-
-WORLD_AT = 0
 
 
 class Emitter:
@@ -40,8 +39,8 @@ class Emitter:
         self._inputs = np.zeros((0, INPUTS), np.float32)
         self._tile_class = np.zeros(0, np.int64)
 
-    def emit(self, addresses: np.ndarray, first: int, every: int, like: Any) -> None:
-        """Write the CO2 of the environments ``first``, ``first + every``, ... at ``addresses`` into their tables."""
+    def emit(self, addresses: np.ndarray, like: Any) -> None:
+        """Write the CO2 of the environments at ``addresses`` into their tables."""
         count = int(self.by_class.sum())
         if count == 0:
             return
@@ -52,12 +51,12 @@ class Emitter:
         if most > len(self._tile_class):
             self._tile_class = np.zeros(2 * most, np.int64)
         tiles = lay_out(self.by_class, tile, self._place, self._tile_class)
-        gather(addresses, first, every, like, self._place, self._inputs)
+        gather(addresses, like, self._place, self._inputs)
         with torch.inference_mode():
             inputs = torch.from_numpy(self._inputs[: tiles * tile]).view(tiles, tile, INPUTS)
             rates = self._module.tiled_rates(inputs, torch.from_numpy(self._tile_class[:tiles])).view(-1).numpy()
         lay_out(self.by_class, tile, self._place, self._tile_class)
-        scatter(addresses, first, every, like, self._place, rates)
+        scatter(addresses, like, self._place, rates)
 
 
 @compiled(borrows=True, nogil=True)
@@ -85,8 +84,9 @@ def burns_anew(tables, row):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def count_classes(tables, by_class):  # type: ignore[no-untyped-def]
+def count_classes(world, by_class):  # type: ignore[no-untyped-def]
     """Add the vehicles that emit something new to ``by_class``."""
+    tables = world.tables
     for j in range(tables.cursor[MEMBERS]):
         row = tables.members[j]
         if burns_anew(tables, row):
@@ -94,21 +94,21 @@ def count_classes(tables, by_class):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def gather(addresses, first, every, like, place, inputs):  # type: ignore[no-untyped-def]
+def gather(addresses, like, place, inputs):  # type: ignore[no-untyped-def]
     """Write the inputs of all who emit something new to the next rows of their classes.
 
     Args:
-        addresses, first, every, like: as for :func:`~izoo.envs.twin.crowd.drive_all`.
+        addresses, like: as for :func:`~izoo.envs.twin.crowd.drive_all`.
         place: ``[C]`` first row of each class; counts on.
         inputs: ``[n, 5]`` float32 output.
     """
-    for k in range(first, addresses.shape[0], every):
-        world = world_at(addresses[k, WORLD_AT], like)
-        _gather(world.tables, world.rules.temperature_c, world.rules.humidity_pct, place, inputs)
+    for k in range(addresses.shape[0]):
+        _gather(world_at(addresses[k, WORLD_AT], like), place, inputs)
 
 
 @compiled(borrows=True)
-def _gather(tables, temperature_c, humidity_pct, place, inputs):  # type: ignore[no-untyped-def]
+def _gather(world, place, inputs):  # type: ignore[no-untyped-def]
+    tables, temperature_c, humidity_pct = world.tables, world.rules.temperature_c, world.rules.humidity_pct
     for j in range(tables.cursor[MEMBERS]):
         row = tables.members[j]
         if burns_anew(tables, row):
@@ -120,15 +120,15 @@ def _gather(tables, temperature_c, humidity_pct, place, inputs):  # type: ignore
 
 
 @compiled(nogil=True)
-def scatter(addresses, first, every, like, place, rates_gps):  # type: ignore[no-untyped-def]
+def scatter(addresses, like, place, rates_gps):  # type: ignore[no-untyped-def]
     """Write CO2 in g of the step, from rates in the rows that :func:`gather` filled."""
-    for k in range(first, addresses.shape[0], every):
-        world = world_at(addresses[k, WORLD_AT], like)
-        _scatter(world.tables, world.rules.step_s, place, rates_gps)
+    for k in range(addresses.shape[0]):
+        _scatter(world_at(addresses[k, WORLD_AT], like), place, rates_gps)
 
 
 @compiled(borrows=True)
-def _scatter(tables, step_s, place, rates_gps):  # type: ignore[no-untyped-def]
+def _scatter(world, place, rates_gps):  # type: ignore[no-untyped-def]
+    tables, step_s = world.tables, world.rules.step_s
     for j in range(tables.cursor[MEMBERS]):
         row = tables.members[j]
         if burns_anew(tables, row):

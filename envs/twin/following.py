@@ -68,12 +68,22 @@ def stop_speed(driver, gap, speed, wish_mps, decel, step_s):  # type: ignore[no-
 @compiled
 def free_speed(driver, seen, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step on a free road with another limit ``seen`` ahead."""
-    secure = secure_gap(driver, limit_mps, 0.0)
     if speed <= limit_mps:
-        result = idm_speed(driver, FREE_GAP_M, speed, limit_mps, wish_mps, 0.0, step_s)
-    else:
-        result = idm_speed(driver, max(seen, secure), speed, 0.0, wish_mps, 0.0, step_s)
-    return min(result, limit_mps) if seen < secure else result
+        return limited(driver, seen, free_core(driver, speed, limit_mps, wish_mps, step_s), limit_mps)
+    secure = secure_gap(driver, limit_mps, 0.0)
+    return limited(driver, seen, idm_speed(driver, max(seen, secure), speed, 0.0, wish_mps, 0.0, step_s), limit_mps)
+
+
+@compiled
+def free_core(driver, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed after one step towards a limit that is no lower than ``speed``, however far it is."""
+    return idm_speed(driver, FREE_GAP_M, speed, limit_mps, wish_mps, 0.0, step_s)
+
+
+@compiled
+def limited(driver, seen, speed, limit_mps):  # type: ignore[no-untyped-def]
+    """Return ``speed``, held to the limit where that begins so soon (m) that one would brake for it."""
+    return min(speed, limit_mps) if seen < secure_gap(driver, limit_mps, 0.0) else speed
 
 
 @compiled

@@ -11,6 +11,7 @@ from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic
 
 from izoo.compiling import compiled
+from izoo.envs.mdp.world import parts_of
 
 
 def _typed_address(typing_context, world):  # type: ignore[no-untyped-def]
@@ -34,6 +35,27 @@ def _typed_world(typing_context, address, like):  # type: ignore[no-untyped-def]
 _address: Any = intrinsic(_typed_address)
 world_at: Any = intrinsic(_typed_world)
 """``world_at(address, like)``: the :class:`~izoo.envs.mdp.world.World` at an address, of the same type as ``like``."""
+
+
+def _typed_parts(typing_context, world):  # type: ignore[no-untyped-def]
+    pair = types.UniTuple(types.int64, 2)
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = signature.args[0]
+        size = context.get_abi_sizeof(context.data_model_manager[kind.get_data_type()].get_value_type())
+        address = builder.ptrtoint(parts_of(context, builder, kind, args[0])._getpointer(), ir.IntType(64))
+        return context.make_tuple(builder, pair, [address, ir.Constant(ir.IntType(64), size)])
+
+    return pair(world), lower
+
+
+_parts: Any = intrinsic(_typed_parts)
+
+
+@compiled
+def parts_at(world):  # type: ignore[no-untyped-def]
+    """Return address and size of what a :class:`~izoo.envs.mdp.world.World` consists of: where its arrays are."""
+    return _parts(world)
 
 
 @compiled

@@ -57,8 +57,10 @@ from izoo.envs.twin.following import (
     brake_gap,
     braked_speed,
     follow_speed,
+    free_core,
     free_speed,
     least_speed,
+    limited,
     most_speed,
     safe_stop_speed,
     speed_after,
@@ -99,6 +101,8 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
     beyond = slowed_for_minor = False
     lane_limit = wish
+    # On a free road the speed depends on the limit alone, and lanes mostly have the same.
+    free_limit, freely = -1.0, 0.0
     first = state.clock[ITEM_TOTAL]
     count = 0
     leader = ints[v, AHEAD]
@@ -187,7 +191,13 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         beyond = beyond or net.link_ints[link, LINK_VIA] < 0
         lane = next_lane
         inside = net.lane_ints[lane, LANE_INSIDE] == 1
-        best = min(best, max(free_speed(driver, seen, speed, lane_limit, wish, step_s), slowest - EPS))
+        if speed > lane_limit:
+            free = free_speed(driver, seen, speed, lane_limit, wish, step_s)
+        else:
+            if lane_limit != free_limit:
+                free_limit, freely = lane_limit, free_core(driver, speed, lane_limit, wish, step_s)
+            free = limited(driver, seen, freely, lane_limit)
+        best = min(best, max(free, slowest - EPS))
         if not inside:
             seen_roads += next_length
         seen += next_length

@@ -27,6 +27,7 @@ from izoo.envs.twin.arrays import (
     NEVER_MS,
     NOT_ACTIVE,
     NOW_MS,
+    STATE,
     STEP_COUNT,
     STOOD_FOR,
     VEHICLE_FLOATS,
@@ -41,6 +42,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
 from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.desk import Desk, zeros
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.lights import begin_signals, show_signals
 from izoo.envs.twin.moving import drive
@@ -48,35 +50,47 @@ from izoo.envs.twin.order import place
 from izoo.envs.twin.planning import plan, register_approaches
 
 
-def new_state(net: TwinNet, traffic: TwinTraffic) -> TwinState:
-    """Return the state at the beginning of an episode, with nobody on the road."""
+def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> TwinState:
+    """Return the state at the beginning of an episode, with nobody on the road.
+
+    Args:
+        net, traffic: what is played.
+        desk: whose working memory is used; by default its own.
+    """
     lanes, links, programs, count = len(net.lane_ints), len(net.link_ints), len(net.program_ints), len(traffic.ints)
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
-    state = TwinState(
-        clock=np.zeros(8, np.int64),
-        floats=np.zeros((count, VEHICLE_FLOATS)),
-        ints=np.zeros((count, VEHICLE_INTS), np.int32),
-        tail_lane=np.full((count, MAX_TAIL_LANES), -1, np.int32),
-        lanes=np.zeros((lanes, 4), np.int32),
-        tails=np.full((lanes, MAX_TAIL_LANES), -1, np.int32),
-        waiting_first=np.full(lanes, -1, np.int32),
-        waiting_last=np.full(lanes, -1, np.int32),
-        waiting_next=np.full(count, -1, np.int32),
-        link_letter=np.zeros(links, np.uint8),
-        program_phase=np.full(programs, -1, np.int64),
-        program_switch_ms=np.full(programs, -1, np.int64),
-        link_first=np.full(links, -1, np.int32),
-        item_floats=np.zeros((items, 8)),
-        item_ints=np.zeros((items, 8), np.int64),
-        advice=np.zeros((count, MAX_ADVICES)),
-        changer=np.zeros((lanes, 8), np.int32),
-        changer_density=np.zeros(lanes),
-        changer_queue=np.zeros(32, np.int32),
-        changer_way=np.zeros(32),
-        lane_room=np.zeros(lanes),
-        moved=np.zeros(count, np.int32),
-        active=np.full((lanes, 4), -1, np.int32),
-    )
+    lengths = {
+        "clock": 8,
+        "lanes": (lanes, 4),
+        "tails": (lanes, MAX_TAIL_LANES),
+        "waiting_first": lanes,
+        "waiting_last": lanes,
+        "link_letter": links,
+        "program_phase": programs,
+        "program_switch_ms": programs,
+        "active": (lanes, 4),
+        # From here on rows are vehicles.
+        "floats": (count, VEHICLE_FLOATS),
+        "ints": (count, VEHICLE_INTS),
+        "tail_lane": (count, MAX_TAIL_LANES),
+        "waiting_next": count,
+        "advice": (count, MAX_ADVICES),
+    }
+    working = {
+        "link_first": links,
+        "item_floats": (items, 8),
+        "item_ints": (items, 8),
+        "changer": (lanes, 8),
+        "changer_density": lanes,
+        "changer_queue": 32,
+        "changer_way": 32,
+        "lane_room": lanes,
+        "moved": count,
+    }
+    state = TwinState(**zeros(STATE, lengths), **(desk or Desk()).spread(STATE, working))
+    for name in ("tail_lane", "tails", "waiting_first", "waiting_last", "waiting_next", "active"):
+        getattr(state, name)[:] = -1
+    state.program_phase[:] = state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS

@@ -18,8 +18,10 @@ from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
-from izoo.envs.twin.crowd import conclude_all, drive_all, emit_and_conclude_all
+from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
+from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import Emitter
+from izoo.envs.twin.fetching import PARTS_BYTES
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
@@ -52,12 +54,14 @@ class TwinBackend:
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
-        self._addresses = np.zeros((num_envs, 5), np.int64)
+        self._addresses = np.zeros((num_envs, PARTS_BYTES + 1), np.int64)
         self._left = np.zeros(num_envs, np.int64)
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
         module = MovesSurrogate(self._weights)
         self._emitters = [Emitter(module) for _ in range(self.threads)]
+        self._desks = [Desk() for _ in range(self.threads)]
+        self._preparers_desk = Desk()
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
         # Where several threads share the environments out, each does what torch does for its own share, alone.
@@ -84,7 +88,7 @@ class TwinBackend:
             return
         if known is not None:
             known[1].cancel()
-        self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play()))
+        self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play(), self._preparers_desk))
 
     def await_prepared(self) -> None:
         """Wait until the episodes that are prepared ahead are ready."""
@@ -97,7 +101,9 @@ class TwinBackend:
         with compiling_once(drive_all):
             for index, play in plays.items():
                 self._runs[index] = None
-                run = TwinRun(self.config, row_of(self.frames, index), self._weights, self._take(index, play))
+                desk = self._desks[index % self.threads]
+                prepared = self._take(index, play, desk)
+                run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
                 self._runs[index] = run
                 self._addresses[index], self._left[index] = run.addresses, self.config.control_steps
 
@@ -117,14 +123,14 @@ class TwinBackend:
         """Return the number of every environment's episode in the schedule."""
         return [self._run(index).play.number for index in range(self.num_envs)]
 
-    def _take(self, index: int, play: Play) -> Prepared:
+    def _take(self, index: int, play: Play, desk: Desk) -> Prepared:
         """Return an episode ready to be played: the one that was prepared ahead, if it is that."""
         number, future = self._ahead.pop(index, (-1, None))
         if future is not None and not future.cancel() and number == play.number:
             prepared = future.result()
             if prepared.play == play:
                 return prepared
-        return prepare(self.config, play)
+        return prepare(self.config, play, desk)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Simulate one decision of every environment."""
@@ -132,10 +138,8 @@ class TwinBackend:
             ended = int(np.flatnonzero(self.frames["done"])[0])
             steps = self._run(ended).episode.steps
             raise IzooError(f"the episode ended after {steps} steps; call reset() before the next step.")
-        self._step(None, meanwhile)
-        for _ in range(1, self.config.hold_steps):
-            # An episode that ends within a decision ends it.
-            self._step(self._left > 0)
+        # An episode that ends within a decision ends it.
+        self._play(np.minimum(self._left, self.config.hold_steps), meanwhile)
         for index in np.flatnonzero(self._left == 0).tolist():
             self._run(index).finish()
         return ()
@@ -158,33 +162,34 @@ class TwinBackend:
         self.frames["action"][:] = 0.0
         self.frames["defer"][:] = 1
         self.frames["lane_change"][:] = KEEP_LANE
-        for step in range(int(steps.max())):
-            self._step(steps > step)
+        self._play(steps)
         self.frames["defer"][:] = 0
 
-    def _step(self, chosen: np.ndarray | None, meanwhile: Callable[[], None] | None = None) -> None:
-        """Simulate one step of the environments ``chosen`` ``[N]`` bool (``None``: all), shared out among threads."""
+    def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
+        """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads."""
         like = self._run(0).episode.world
-        addresses = self._addresses if chosen is None else self._addresses[chosen]
-        every = self.threads
-        others = [self._pool.submit(self._step_share, first, addresses, like) for first in range(1, every)]
+        others = [self._pool.submit(self._play_share, first, steps, like) for first in range(1, self.threads)]
         if meanwhile is not None and others:
             meanwhile()
-        with _one_torch_thread(every > 1):
-            self._step_share(0, addresses, like)
+        with _one_torch_thread(self.threads > 1):
+            self._play_share(0, steps, like)
         for other in others:
             other.result()
-        self._left[slice(None) if chosen is None else chosen] -= 1
+        self._left -= steps
 
-    def _step_share(self, first: int, addresses: np.ndarray, like: Any) -> None:
-        """Simulate one step of the environments ``first``, ``first + threads``, ..."""
-        every, emitter = self.threads, self._emitters[first]
-        drive_all(addresses, first, every, self._step_ms, self.config.lane_change, like, emitter.by_class)
-        if self.surrogate == "torch":
-            emitter.emit(addresses, first, every, like)
-            conclude_all(addresses, first, every, like)
-        else:
-            emit_and_conclude_all(addresses, first, every, like)
+    def _play_share(self, first: int, steps: np.ndarray, like: Any) -> None:
+        """Simulate the environments ``first``, ``first + threads``, ...: always by the thread whose desk they use."""
+        addresses, steps = (np.ascontiguousarray(whole[first :: self.threads]) for whole in (self._addresses, steps))
+        if self.surrogate == "compiled":
+            play_all(addresses, steps, self._step_ms, self.config.lane_change, like)
+            return
+        emitter = self._emitters[first]
+        for step in range(int(steps.max())):
+            # From here on, those that have been played are left out.
+            chosen = addresses if steps.min() > step else addresses[steps > step]
+            drive_all(chosen, self._step_ms, self.config.lane_change, like, emitter.by_class)
+            emitter.emit(chosen, like)
+            conclude_all(chosen, like)
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]

@@ -14,11 +14,13 @@ from izoo.envs.twin.arrays import (
     STATE,
     STATUS,
     TRAFFIC,
+    WORKING,
     TwinNet,
     TwinState,
     TwinTraffic,
 )
 from izoo.envs.twin.compiled import directory
+from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.stepping import new_state, step
 
 
@@ -31,14 +33,21 @@ class TwinEpisode:
 
     Args:
         step_ms: length of a step, 50 to 1000.
+        desk: working memory of the thread that steps it; by default its own.
     """
 
-    def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500) -> None:
+    def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500, desk: Desk | None = None) -> None:
         self.net, self.traffic, self.step_ms = net, traffic, step_ms
-        self.state: TwinState = new_state(net, traffic)
+        self.state: TwinState = new_state(net, traffic, desk)
         pairs = ((net, NET), (traffic, TRAFFIC), (self.state, STATE))
         self._directories = [directory(tables, kind) for tables, kind in pairs]
         self.addresses = [words.ctypes.data for words in self._directories]
+
+    def move_to(self, desk: Desk) -> None:
+        """Use the working memory of another thread from now on."""
+        shapes = {name: getattr(self.state, name).shape for name in WORKING}
+        self.state = self.state._replace(**desk.spread(STATE, shapes))
+        self._directories[-1][:] = directory(self.state, STATE)
 
     def step(self) -> None:
         """Advance by one step."""

@@ -28,10 +28,14 @@ from izoo.envs.twin.arrays import (
     NOW_MS,
     STATUS,
     WAITING,
+    WORKING,
 )
 from izoo.envs.twin.compiled import directory
-from izoo.envs.twin.crowd import GUESTS, Guests, warm_up_all
-from izoo.envs.twin.handles import address_of
+from izoo.envs.twin.crowd import warm_up_all
+from izoo.envs.twin.desk import Desk
+from izoo.envs.twin.fetching import NET_AT, PARTS_BYTES, STATE_AT
+from izoo.envs.twin.guests import GUESTS, READING, Guests
+from izoo.envs.twin.handles import address_of, parts_at
 from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, to_ms, twin_traffic
 from izoo.errors import IzooError
@@ -50,8 +54,13 @@ class Prepared(NamedTuple):
     driving: TwinEpisode
 
 
-def prepare(config: EnvConfig, play: Play) -> Prepared:
+def prepare(config: EnvConfig, play: Play, desk: Desk) -> Prepared:
     """Read the net, draw the traffic, and drive up to the beginning of control.
+
+    Args:
+        config: the environment's settings.
+        play: what is played.
+        desk: working memory of this thread.
 
     Raises:
         IzooError: the context cannot be simulated.
@@ -64,9 +73,9 @@ def prepare(config: EnvConfig, play: Play) -> Prepared:
     except IzooError as error:
         raise IzooError(f"context {context.name}: {error}") from error
     traffic = sample_traffic(context, road, play.seed, config.horizon_s)
-    driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s))
-    addresses = np.zeros((1, 5), np.int64)
-    addresses[0, 1:4] = driving.addresses
+    driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s), desk)
+    addresses = np.zeros((1, PARTS_BYTES + 1), np.int64)
+    addresses[0, NET_AT : STATE_AT + 1] = driving.addresses
     warm_up_all(addresses, config.warmup_steps, driving.step_ms)
     return Prepared(play, road, traffic, names, driving)
 
@@ -79,17 +88,19 @@ class TwinRun:
         frame: the arrays of its frame (:func:`izoo.envs.mdp.frame.map_frames`, one row).
         weights: the emission surrogates.
         prepared: what is played.
+        desk: working memory of the thread that will step it.
 
     Attributes:
         episode: the MDP's side.
         driving: the twin's side.
-        addresses: ``[5]`` what :mod:`izoo.envs.twin.crowd` reaches both by.
+        addresses: ``[7]`` what :mod:`izoo.envs.twin.crowd` reaches both by.
     """
 
     def __init__(
-        self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights, prepared: Prepared
+        self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights, prepared: Prepared, desk: Desk
     ) -> None:
         play, road, traffic, names, driving = prepared
+        driving.move_to(desk)
         self.config, self.play, self.driving = config, play, driving
         # A row for every vehicle of the demand: compiled code cannot let tables grow. What is never used is never
         # touched, so that it takes no memory.
@@ -99,15 +110,13 @@ class TwinRun:
         self._guests = Guests(
             row_of=np.full(len(traffic), -1, np.int64),
             entry_lanes=_lanes_of(edges, names),
-            lane=np.zeros(rows, np.int64),
-            position=np.zeros(rows),
-            speed=np.zeros(rows),
-            signals=np.zeros(rows, np.int64),
             begun_s=np.zeros(1),
+            **desk.spread(GUESTS, dict.fromkeys(READING, rows)),
         )
         self._directory = directory(self._guests, GUESTS)
         self._early = np.zeros(len(traffic), np.uint8)
-        self.addresses = (address_of(self.episode.world), *driving.addresses, self._directory.ctypes.data)
+        world = self.episode.world
+        self.addresses = (address_of(world), *driving.addresses, self._directory.ctypes.data, *parts_at(world))
         self._enter_all(names, road)
 
     def _enter_all(self, names: TwinWorld, road: RoadNet) -> None:
@@ -144,7 +153,7 @@ class TwinRun:
         episode, guests, frame = self.episode, self._guests, self.episode.frame
         clock = episode.clock
         return [
-            *self.driving.state,
+            *(array for name, array in self.driving.state._asdict().items() if name not in WORKING),
             *episode.tables,
             *episode.held_up,
             *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),

@@ -35,7 +35,6 @@ from izoo.envs.twin.arrays import (
     LANE_LIMIT,
     LEFT_SPACE,
     LENGTH,
-    LINK_NEXT,
     LOOK_AHEAD_SPEED,
     MAX_ACCEL,
     MIN_GAP,
@@ -115,12 +114,10 @@ def _is_granted(net, state, v, request):  # type: ignore[no-untyped-def]
 def room_taken(net, state, variant, lane):  # type: ignore[no-untyped-def]
     """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route, inside lanes left out."""
     taken = 0.0
-    link = net.best_link[variant, lane]
-    while link >= 0:
-        lane = net.link_ints[link, LINK_NEXT]
-        if not net.lane_ints[lane, LANE_INSIDE]:
-            taken += state.lane_room[lane]
-        link = net.best_link[variant, lane]
+    lane = net.best_road[variant, lane]
+    while lane >= 0:
+        taken += state.lane_room[lane]
+        lane = net.best_road[variant, lane]
     return taken
 
 

@@ -70,7 +70,9 @@ class Host:
         if render_mode == "human" and not has_screen():
             raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
         config = checked_config(config)
-        self.config = dataclasses.replace(config, emit=("vehicles", "signal"), gui=render_mode == "human")
+        self.config = dataclasses.replace(
+            config, emit=("vehicles", "signal", "reward_vector"), gui=render_mode == "human"
+        )
         self.render_mode = render_mode
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
         self.context: Context | None = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
+from izoo.compiling import compiled, local_floats
 from izoo.emissions.weights import HIDDEN, KernelWeights, load_weights
 
 __all__ = ["KernelWeights", "emission_rate_kernel", "load_weights"]
@@ -58,44 +58,52 @@ def emission_rate_kernel(  # type: ignore[no-untyped-def]
     Raises:
         IndexError: an active vehicle's class is not in the table.
     """
-    w1, b1, w2, b2, w3, b3, floor = weights
-    temperature, humidity = np.float32(temperature_c), np.float32(humidity_pct)
-    first = np.empty(HIDDEN, np.float32)
-    second = np.empty(HIDDEN, np.float32)
     for v in range(out_gps.shape[0]):
         if not active[v]:
             out_gps[v] = 0.0
             continue
         c = moves_class[v]
-        if c < 0 or c >= floor.shape[0]:
+        if c < 0 or c >= weights.floor.shape[0]:
             raise IndexError("moves_class of an active vehicle is outside CLASSES")
-        speed, accel, grade = np.float32(speed_mps[v]), np.float32(accel_mps2[v]), np.float32(grade_pct[v])
+        motion = speed_mps[v], accel_mps2[v], grade_pct[v]
+        out_gps[v] = emission_rate(*motion, c, temperature_c, humidity_pct, weights)
+
+
+@compiled(error_model="numpy", borrows=True)
+def emission_rate(  # type: ignore[no-untyped-def]
+    speed_mps, accel_mps2, grade_pct, moves_class, temperature_c, humidity_pct, weights
+):
+    """Return the CO2 rate of one vehicle in g/s, as :func:`emission_rate_kernel` does; its class is not checked."""
+    w1, b1, w2, b2, w3, b3, floor = weights
+    temperature, humidity = np.float32(temperature_c), np.float32(humidity_pct)
+    speed, accel, grade, c = np.float32(speed_mps), np.float32(accel_mps2), np.float32(grade_pct), moves_class
+    first, second = local_floats(HIDDEN), local_floats(HIDDEN)
+    for o in range(HIDDEN):
+        x = b1[c, o] + temperature * w1[c, 0, o] + humidity * w1[c, 1, o]
+        first[o] = fast_tanh(x + speed * w1[c, 2, o] + accel * w1[c, 3, o] + grade * w1[c, 4, o])
+    for o in range(HIDDEN):
+        second[o] = b2[c, o]
+    # Eight inputs per pass: the sums then travel through memory 8 times instead of 64.
+    for i in range(0, HIDDEN, 8):
         for o in range(HIDDEN):
-            x = b1[c, o] + temperature * w1[c, 0, o] + humidity * w1[c, 1, o]
-            first[o] = fast_tanh(x + speed * w1[c, 2, o] + accel * w1[c, 3, o] + grade * w1[c, 4, o])
-        for o in range(HIDDEN):
-            second[o] = b2[c, o]
-        # Eight inputs per pass: the sums then travel through memory 8 times instead of 64.
-        for i in range(0, HIDDEN, 8):
-            for o in range(HIDDEN):
-                second[o] += (
-                    first[i] * w2[c, i, o]
-                    + first[i + 1] * w2[c, i + 1, o]
-                    + first[i + 2] * w2[c, i + 2, o]
-                    + first[i + 3] * w2[c, i + 3, o]
-                    + first[i + 4] * w2[c, i + 4, o]
-                    + first[i + 5] * w2[c, i + 5, o]
-                    + first[i + 6] * w2[c, i + 6, o]
-                    + first[i + 7] * w2[c, i + 7, o]
-                )
-        for o in range(HIDDEN):
-            second[o] = fast_tanh(second[o]) * w3[c, o]
-        # Summed pairwise in a fixed order, which vectorises without licence to reorder: with it, the last bit would
-        # depend on how the code around this was compiled.
-        width = HIDDEN // 2
-        while width > 0:
-            for o in range(width):
-                second[o] += second[o + width]
-            width //= 2
-        rate = b3[c] + second[0]
-        out_gps[v] = floor[c] if rate < floor[c] else rate
+            second[o] += (
+                first[i] * w2[c, i, o]
+                + first[i + 1] * w2[c, i + 1, o]
+                + first[i + 2] * w2[c, i + 2, o]
+                + first[i + 3] * w2[c, i + 3, o]
+                + first[i + 4] * w2[c, i + 4, o]
+                + first[i + 5] * w2[c, i + 5, o]
+                + first[i + 6] * w2[c, i + 6, o]
+                + first[i + 7] * w2[c, i + 7, o]
+            )
+    for o in range(HIDDEN):
+        second[o] = fast_tanh(second[o]) * w3[c, o]
+    # Summed pairwise in a fixed order, which vectorises without licence to reorder: with it, the last bit would
+    # depend on how the code around this was compiled.
+    width = HIDDEN // 2
+    while width > 0:
+        for o in range(width):
+            second[o] += second[o + width]
+        width //= 2
+    rate = b3[c] + second[0]
+    return floor[c] if rate < floor[c] else rate

@@ -72,7 +72,7 @@ class Scene:
         lane, position, speed, signals = (np.array(column) for column in zip(*self.reading, strict=True))
         tables = (self.floats, self.ints, self.flags)
         place(rows, lane, position.astype(float), speed.astype(float), signals, *tables, self.lanes, STEP_S)
-        sort_lanes(rows, self.floats, self.ints, len(self.road.lane_ids), self.order, self.start)
+        sort_lanes(rows, self.floats, self.ints, np.zeros(len(self.road.lane_ids), np.int64), self.order, self.start)
         find_leaders(rows, *tables, self.order, self.start, self.lanes)
 
     def look(
@@ -93,7 +93,8 @@ class Scene:
         out = np.full((len(agents), width), np.nan, np.float32)
         vehicles = Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
         columns = neighbour_columns(neighbours)
-        observe(np.array(agents, np.int64), vehicles, self.lanes, clock, features, columns, float(range_m), out)
+        slots, shown = np.array(agents, np.int64), np.ones(len(agents), np.uint8)
+        observe(slots, shown, vehicles, self.lanes, clock, features, columns, float(range_m), out)
         return out
 
     def see(self, agent: int, **options: Any) -> dict[str, float]:

@@ -38,12 +38,12 @@ def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.
     floats, terms = tables()
     fleet, shared = np.empty(6), np.empty(1)
     numbers, weights, shared_weights = reward_arrays(config)
-    reward_terms(rows, floats, numbers, terms, fleet, shared)
+    reward_terms(rows, floats, numbers, terms, fleet, shared, np.empty(1))
     reward, vector = np.full(4, np.nan, np.float32), np.full((4, 13), np.nan, np.float32)
     step = np.full(4, np.nan)
     rules = (numbers, weights, shared_weights)
     slots = np.array([4, 1, LEAVER, EMPTY])
-    pay(slots, terms[slots], fleet, shared, *rules, step, reward, vector, len(rows) == 0, True)
+    pay(slots, terms[slots], fleet, shared, *rules, step, reward, vector, True, len(rows) == 0, True)
     np.testing.assert_allclose(step, reward, rtol=1e-6)
     return reward, vector
 
@@ -225,6 +225,6 @@ def test_nothing_is_shared_with_the_team_in_an_empty_region() -> None:
     floats, terms = tables()
     fleet, shared = np.empty(6), np.empty(1)
     for rows, expected in ((ROWS, (FLEET + 2.0 * 2.5) / 15), (ROWS[:0], 0.0)):
-        reward_terms(rows, floats, numbers, terms, fleet, shared)
+        reward_terms(rows, floats, numbers, terms, fleet, shared, np.empty(1))
         found = team_pay(fleet, shared, numbers, weights, shared_weights, len(rows) == 0)
         assert found == pytest.approx(expected)

@@ -1,0 +1,100 @@
+"""Memory of the environments that come next, asked for while one is played.
+
+A step touches some sixty kilobytes, and the tables of a hundred environments do not stay in the cache. Read one after
+the other, as the step needs them, its lines come at the pace of the memory's latency; asked for ahead they are there.
+"""
+
+from __future__ import annotations
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.world import MEMBERS
+from izoo.envs.twin.arrays import (
+    NEXT_DEPARTURE,
+    ON_ROAD,
+    STATE,
+    TRAFFIC,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
+    open_state,
+    open_traffic,
+)
+from izoo.envs.twin.compiled import WORDS, fetch, place_of
+from izoo.envs.twin.guests import GUESTS
+from izoo.envs.twin.handles import world_at
+
+(WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT, PARTS_AT, PARTS_BYTES) = range(7)
+"""Columns of the addresses ``[N, 7]`` of environments: world, directories, the world's parts and their size."""
+_WORD_BYTES = 8
+_STATE_BYTES, _TRAFFIC_BYTES, _GUESTS_BYTES = (
+    len(kind.fields) * WORDS * _WORD_BYTES for kind in (STATE, TRAFFIC, GUESTS)
+)
+_STRAGGLERS = 8
+"""For so many vehicles that are where they are expected, one more is asked for."""
+
+
+@compiled
+def fetch_next(addresses, k, like, drives):  # type: ignore[no-untyped-def]
+    """Ask for what the environments after number ``k`` will need: of the next one the arrays, of that behind it where
+    they are.
+
+    Args:
+        addresses: ``[n, 7]``.
+        k: the environment that is about to be played.
+        like: any of the worlds.
+        drives: whether vehicles will be driven.
+    """
+    count = addresses.shape[0]
+    if k == 0 and count > 1:
+        _fetch_directories(addresses, 1)
+    if k + 2 < count:
+        _fetch_directories(addresses, k + 2)
+    if k + 1 < count:
+        _fetch_world(world_at(addresses[k + 1, WORLD_AT], like))
+        if drives:
+            _fetch_driving(addresses, k + 1)
+
+
+@compiled(borrows=True)
+def _fetch_directories(addresses, k):  # type: ignore[no-untyped-def]
+    fetch(addresses[k, PARTS_AT], addresses[k, PARTS_BYTES])
+    fetch(addresses[k, STATE_AT], _STATE_BYTES)
+    fetch(addresses[k, TRAFFIC_AT], _TRAFFIC_BYTES)
+    fetch(addresses[k, GUESTS_AT], _GUESTS_BYTES)
+
+
+@compiled(borrows=True)
+def _fetch_driving(addresses, k):  # type: ignore[no-untyped-def]
+    """Ask for lanes, signals, and the vehicles on the road: mostly those who departed last."""
+    state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
+    # These lie in one piece, see new_state.
+    fetch(place_of(state.clock), place_of(state.floats) - place_of(state.clock))
+    on_road = state.clock[ON_ROAD] + state.clock[ON_ROAD] // _STRAGGLERS
+    first = max(0, state.clock[NEXT_DEPARTURE] - on_road)
+    count = state.clock[NEXT_DEPARTURE] - first
+    for place, row_bytes in (
+        (place_of(state.floats), _WORD_BYTES * VEHICLE_FLOATS),
+        (place_of(state.ints), _WORD_BYTES // 2 * VEHICLE_INTS),
+        (place_of(traffic.floats), _WORD_BYTES * traffic.floats.shape[1]),
+        (place_of(traffic.ints), _WORD_BYTES * traffic.ints.shape[1]),
+    ):
+        fetch(place + first * row_bytes, count * row_bytes)
+
+
+@compiled(borrows=True)
+def _fetch_world(world):  # type: ignore[no-untyped-def]
+    """Ask for the tables' rows that are taken, mostly the first ones, and for what there is of every agent slot."""
+    tables, frame = world.tables, world.frame
+    rows = tables.cursor[MEMBERS] + tables.cursor[MEMBERS] // _STRAGGLERS
+    rows = min(rows, tables.flags.shape[0])
+    for table in (tables.floats, tables.terms):
+        fetch(place_of(table), rows * table.strides[0])
+    fetch(place_of(tables.ints), rows * tables.ints.strides[0])
+    fetch(place_of(tables.flags), rows * tables.flags.strides[0])
+    for numbers in (tables.members, tables.order):
+        fetch(place_of(numbers), rows * _WORD_BYTES)
+    for numbers in (tables.agent_row, tables.acting, tables.lane_start, frame.agent_vehicle):
+        fetch(place_of(numbers), numbers.size * _WORD_BYTES)
+    for values in (frame.action, frame.reward):
+        fetch(place_of(values), values.size * _WORD_BYTES // 2)
+    for marks in (frame.defer, frame.mask, frame.agent_terminated, frame.agent_done):
+        fetch(place_of(marks), marks.size)
