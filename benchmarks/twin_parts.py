@@ -11,10 +11,10 @@ from typing import Any
 from izoo.benchmarks.stopwatch import seconds_per_step
 from izoo.metrics.definitions import EPISODE_METRICS
 
-PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP"}
+PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP", "play": "all three"}
 """Parts of a step and their headings: orders, driving and where vehicles are then; the surrogate, with what it needs
-and returns; accounting, rewards and observations. The compiled surrogate is part of the last."""
-_CALLS = {"drive_all": "drive", "conclude_all": "conclude", "emit_and_conclude_all": "conclude"}
+and returns; accounting, rewards and observations. With the compiled surrogate one call does all three."""
+_CALLS = {"drive_all": "drive", "conclude_all": "conclude", "play_all": "play"}
 
 
 @contextlib.contextmanager
@@ -78,17 +78,17 @@ def measure(
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
 
-        with clocked(env.backend) as seconds:
+        with clocked(env.backend) if threads == 1 else contextlib.nullcontext({}) as seconds:
             for _ in range(settle):
                 step()
-            seconds.update(dict.fromkeys(PARTS, 0.0))
+            seconds.update(dict.fromkeys(seconds, 0.0))
             before = float(counted.mean())
             whole = seconds_per_step(step, steps, 0)
         return {
             "environments": float(num_envs),
             "vehicles": (float(counted.mean()) - before) / steps,
             "whole_us": 1e6 * whole / num_envs,
-            **{f"{part}_us": 1e6 * spent / (steps * num_envs) for part, spent in seconds.items() if threads == 1},
+            **{f"{part}_us": 1e6 * spent / (steps * num_envs) for part, spent in seconds.items() if spent > 0.0},
             "kilobytes": _kilobytes(env.backend),
         }
 
@@ -112,6 +112,9 @@ def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
 
 
 def _kilobytes(backend: Any) -> float:
-    """Return what the tables of the first environment take: driving, demand, and the MDP."""
+    """Return what the tables of the first environment take: driving, demand, and the MDP; working memory is shared."""
+    from izoo.envs.twin.arrays import WORKING
+
     run = backend._runs[0]
-    return sum(array.nbytes for array in (*run.driving.state, *run.driving.traffic, *run.episode.tables)) / 1e3
+    state = (array for name, array in run.driving.state._asdict().items() if name not in WORKING)
+    return sum(array.nbytes for array in (*state, *run.driving.traffic, *run.episode.tables)) / 1e3

@@ -229,14 +229,35 @@ def test_same_whatever_was_played_before(make: Make, expected: dict[int, str]) -
     assert by_episode(frames) == {number: expected[number] for number in (0, 2)}
 
 
+def test_working_memory_keeps_nothing(make: Make, expected: dict[int, str]) -> None:
+    """Environments of a thread share it, so whatever stands there when a step begins must not matter."""
+    env = make(1, schedule())
+
+    def spoil(state: TensorDictBase) -> TensorDictBase:
+        blocks = [block for desk in env.backend._desks for block in desk._blocks.values()]
+        assert sum(len(block) for block in blocks) > 100_000
+        for block in blocks:
+            block[:] = 255  # -1, and not a number
+        return steer(state)
+
+    assert by_episode(play(env, env.config.control_steps, spoil)) == {0: expected[0]}
+
+
 def test_golden(expected: dict[int, str]) -> None:
     """A change here changes what a seed means on the twin: say so in the release notes."""
     assert expected[0] == GOLDEN
 
 
-def test_both_surrogates_agree(make: Make) -> None:
-    parts = [play(make(3, surrogate=name), 60)["next", "vehicles", "emission_g"] for name in ("torch", "compiled")]
-    assert torch.allclose(*parts, rtol=1e-4, atol=1e-5) and parts[0].sum() > 1.0
+@pytest.mark.parametrize("hold_s", [None, 2.0])
+def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
+    """With one of them all environments take a step together, with the other each plays its decision to the end."""
+    config = short(hold_s=hold_s, emit=EMIT_GROUPS)
+    parts = [play(make(3, surrogate=name, config=config), 60)["next"] for name in ("torch", "compiled")]
+    for key in (("vehicles", "emission_g"), ("agents", "reward"), ("metrics", "approach", "emission_g")):
+        assert torch.allclose(parts[0][key], parts[1][key], rtol=1e-4, atol=1e-4), key
+    for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
+        assert torch.equal(parts[0][key], parts[1][key]), key
+    assert parts[0]["done"].any() and parts[0]["vehicles", "emission_g"].sum() > 1.0
 
 
 # -- what is counted ---------------------------------------------------------------------------------------------------
