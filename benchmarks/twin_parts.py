@@ -78,7 +78,10 @@ def measure(
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
 
-        with clocked(env.backend) if threads == 1 else contextlib.nullcontext({}) as seconds:
+        clocks: contextlib.AbstractContextManager[dict[str, float]] = contextlib.nullcontext({})
+        if threads == 1:
+            clocks = clocked(env.backend)
+        with clocks as seconds:
             for _ in range(settle):
                 step()
             seconds.update(dict.fromkeys(seconds, 0.0))

@@ -20,8 +20,8 @@ from typing import Any
 import filelock
 import numba
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
 from izoo.files import cache_root
@@ -103,6 +103,10 @@ def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float],
     lines = [f"    line[{k}] = value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)]
     exec("\n".join([f"def write({arguments}, line):", *lines, "    return"]), names)
     return compiled(names["write"], borrows=True, cache=False)
+
+
+intrinsic: Any = extending.intrinsic
+"""Numba's decorator. Its callers leave out the first parameter, which type checkers do not know."""
 
 
 @intrinsic

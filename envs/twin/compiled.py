@@ -25,7 +25,6 @@ from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global
 from numba.extending import (
     infer_getattr,
-    intrinsic,
     lower_builtin,
     lower_getattr,
     lower_getattr_generic,
@@ -34,6 +33,7 @@ from numba.extending import (
 )
 
 from izoo import compiling
+from izoo.compiling import intrinsic
 from izoo.errors import IzooError
 
 compiled = functools.partial(compiling.compiled, nogil=True, error_model="numpy", _nrt=False)

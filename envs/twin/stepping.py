@@ -42,7 +42,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
 from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.desk import Desk, zeros
+from izoo.envs.twin.desk import Desk, Shapes, zeros
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.lights import begin_signals, show_signals
 from izoo.envs.twin.moving import drive
@@ -59,7 +59,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
     """
     lanes, links, programs, count = len(net.lane_ints), len(net.link_ints), len(net.program_ints), len(traffic.ints)
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
-    lengths = {
+    lengths: Shapes = {
         "clock": 8,
         "lanes": (lanes, 4),
         "tails": (lanes, MAX_TAIL_LANES),
@@ -76,7 +76,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "waiting_next": count,
         "advice": (count, MAX_ADVICES),
     }
-    working = {
+    working: Shapes = {
         "link_first": links,
         "item_floats": (items, 8),
         "item_ints": (items, 8),
