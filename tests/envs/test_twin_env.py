@@ -252,7 +252,9 @@ def test_golden(expected: dict[int, str]) -> None:
 def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
     """With one of them all environments take a step together, with the other each plays its decision to the end."""
     config = short(hold_s=hold_s, emit=EMIT_GROUPS)
-    parts = [play(make(3, surrogate=name, config=config), config.decisions + 5)["next"] for name in ("torch", "compiled")]
+    parts = [
+        play(make(3, surrogate=name, config=config), config.decisions + 5)["next"] for name in ("torch", "compiled")
+    ]
     for key in (("vehicles", "emission_g"), ("agents", "reward"), ("metrics", "approach", "emission_g")):
         assert torch.allclose(parts[0][key], parts[1][key], rtol=1e-4, atol=1e-4), key
     for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
