@@ -142,7 +142,7 @@ def print_tables(rows: Sequence[Row]) -> None:
             title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
         )
         table.add_column("variant", no_wrap=True)
-        for heading in ("env steps/s", "to bare", "CV steps/s", "vehicles", "CVs"):
+        for heading in ("env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"):
             table.add_column(heading, justify="right")
         for row in group:
             rates = f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"

@@ -385,7 +385,9 @@ class OnTwinWithResets:
 @contextlib.contextmanager
 def _simulation(plan: Plan, context: Context, worker: int) -> Iterator[Any]:
     """A simulator of this process, after its warm-up."""
-    with contextlib.closing(EcoDrivingEnv(context, config=plan.env(emit=()))) as env:
+    with contextlib.closing(
+        EcoDrivingEnv(context, config=plan.env(emit=()), worker=worker, num_workers=plan.workers)
+    ) as env:
         env.reset(context=context, seed=episode_seed(0, worker))
         yield env.backend
 
