@@ -322,11 +322,6 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
         ints[v, CONFLICT_MS] = now_ms
     if not inside_after:
         ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
-    # Who passes no longer approaches: vehicles that drive later in this step need not wait for it.
-    first = ints[v, FIRST_ITEM]
-    for item in range(first, first + ints[v, ITEMS]):
-        if state.item_ints[item, ITEM_LINK] == link:
-            state.item_ints[item, ITEM_VEHICLE] = -1
 
 
 @compiled
@@ -382,7 +377,7 @@ def _blocks(net, traffic, state, item, foe_link):  # type: ignore[no-untyped-def
     lingers = net.link_ints[link, LINK_ENTRY] != link and is_lingering(net, state, link)
     while foe >= 0:
         w = state.item_ints[foe, ITEM_VEHICLE]
-        no_foe = w < 0 or w == v or (lingers and state.floats[w, SPEED] <= STANDING_MPS)
+        no_foe = w == v or (lingers and state.floats[w, SPEED] <= STANDING_MPS)
         if not no_foe and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging):
             return True
         foe = state.item_ints[foe, ITEM_NEXT]

@@ -126,7 +126,6 @@ def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
         lane = state.active[lane, ACTIVE_NEXT]
     register_approaches(state)
     count = 0
-    # In the order of the net: who passes a link in this step is no longer waited for by those who drive later.
     for lane in range(state.lanes.shape[0]):
         v = state.lanes[lane, LANE_FRONT]
         while v >= 0:

@@ -23,6 +23,7 @@ CHANGING = [
     (30.0, "GGgsrrGGgsrr"),
 ]
 ALL_AT_ONCE = [(1000.0, "GGgGGgGGgGGg")]
+ONE_RIGHT_ON_RED = [(1000.0, "GGGrrrrrrsrr")]
 
 MEETINGS: list[tuple[list[tuple[float, str]], list[tuple[float, str]], str, tuple[float, float]]] = [
     (PERMISSIVE, [(0.0, "AB")], "CA", (-4.0, 6.0)),
@@ -47,7 +48,7 @@ MEETINGS: list[tuple[list[tuple[float, str]], list[tuple[float, str]], str, tupl
 @pytest.fixture(scope="module")
 def nets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("crossroads")
-    plans = {str(plan): plan for plan in (PERMISSIVE, RIGHT_ON_RED, CHANGING, ALL_AT_ONCE)}
+    plans = {str(plan): plan for plan in (PERMISSIVE, RIGHT_ON_RED, CHANGING, ALL_AT_ONCE, ONE_RIGHT_ON_RED)}
     return {key: build_crossroads(folder / str(k), plan) for k, (key, plan) in enumerate(plans.items())}
 
 
@@ -81,6 +82,13 @@ def test_drivers_of_all_kinds_turn_as_in_sumo(nets: dict[str, Path], driver: dic
             case = meet(nets[str(plan)], [(0.0, other)], way, depart_s, **driver)
             departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
             assert departure is None, f"{way} at {depart_s} s, {driver}: {departure}"
+
+
+@pytest.mark.parametrize("second_s", [5.0, 5.2, 5.4])
+def test_who_enters_the_junction_is_waited_for_to_the_end_of_the_step(nets: dict[str, Path], second_s: float) -> None:
+    case = meet(nets[str(ONE_RIGHT_ON_RED)], [(0.0, "AC"), (second_s, "AC")], "DC", 0.5)
+    departure = first_departure(case, play_sumo(case, 110), play_twin(case, 110))
+    assert departure is None, str(departure)
 
 
 def test_a_left_turn_waits_for_every_oncoming_vehicle(nets: dict[str, Path]) -> None:
