@@ -130,7 +130,8 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
     return dataclasses.replace(composed, contexts=plan.train, run_dir=str(run_dir))
 
 
-def evaluation_env(config: GeneralizationConfig) -> EnvConfig:
-    """Return the environment of the evaluation: that of the training runs, without what is one entry's alone."""
-    words = [f"env.horizon_s={config.horizon_s}", *(o for o in config.train_options if o.startswith("env."))]
-    return compose_config("train", TrainConfig, words).env
+def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> EnvConfig:
+    """Return the environment of an entry's evaluation: that of the benchmark's training runs, and what is its own."""
+    own = entry.options if entry is not None else ()
+    said = [option for option in (*config.train_options, *own) if option.startswith("env.")]
+    return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env
