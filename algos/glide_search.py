@@ -1,8 +1,8 @@
 """CMA-ES over the settings of ``glide``: how a rule should drive, found by what whole teams are paid.
 
-The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then. How
-slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers differ
-between roads of one lane and of several, where others overtake. So each of the two has numbers of its own, and a
+The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then.
+How slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers
+differ between roads of one lane and of several, where others overtake. So each of the two has numbers of its own, and a
 search of its own, told by the contexts of its kind.
 """
 
@@ -61,7 +61,7 @@ SETTINGS = (
     Searched("moving_fill", 0.15),
     Searched("margin_s", 0.0, 2.0, ratio=False),
     Searched("late_s", 2.0),
-    Searched("floor_mps", 6.0),
+    Searched("floor_mps", 8.0),
     Searched("near_m", 15.0),
     Searched("headway_gap_s", 1.5),
     Searched("response_s", 2.0),

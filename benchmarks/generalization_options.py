@@ -17,8 +17,8 @@ RECIPE_PREFIX = "recipe:"
 SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
 """Weights of the reward that a trade-off sweeps over (:class:`izoo.envs.config.RewardConfig`)."""
 RESIDUAL_SUFFIX, UNTRAINED_SUFFIX, FLOOR_INFIX = "_residual", "_untrained", "glide_floor"
-NOT_OF_AN_ENTRY = ("contexts", "evaluation")
-"""Groups of options that a recipe's entry leaves out: the protocol says them."""
+NOT_OF_AN_ENTRY = ("contexts", "evaluation", "validation")
+"""Groups of options that a recipe's entry leaves out: the benchmark sets them."""
 REFERENCES = ("uncommanded", "constant_2.0")
 """Entries that stand beside whatever is trained, as does every algorithm before its first update: so that nobody takes
 vehicle parameters or an initialisation for what was learned."""

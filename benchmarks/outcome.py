@@ -150,7 +150,7 @@ def _place(place: str | None) -> str | None:
 
 
 def write_submissions(folder: Path, results: Results, plan: Plan, envs: Mapping[str, EnvConfig]) -> list[Path]:
-    """Write ``leaderboard/<entry>.json`` for every entry; ``envs`` are what they were evaluated in. Returns the files."""
+    """Write ``leaderboard/<entry>.json`` for every entry, evaluated in its own of ``envs``; returns the files."""
     options, written = results.settings, []
     names = ("protocol", "scale", "form", "weather", "test_set", "horizon_s")
     places = {name: _place(options[name]) for name in ("train", "test")}

@@ -1,4 +1,4 @@
-"""The search over glide's settings: the rule at its start, the two kinds of roads, who tells whom, and what is refused."""
+"""The search over glide's settings: its start, the two kinds of roads, who tells whom, and what is refused."""
 
 from __future__ import annotations
 
@@ -135,6 +135,6 @@ def test_blocks_of_environments_belong_to_one_rule_each() -> None:
 def test_what_does_not_suit_it_is_refused() -> None:
     with pytest.raises(IzooError, match="action=direct"):
         make_algorithm(GlideSearchConfig(), AdviseAction(), ENV)
-    with pytest.raises(IzooError, match="add follower to env.neighbours"):
+    with pytest.raises(IzooError, match=r"add follower to env\.neighbours"):
         make_algorithm(GlideSearchConfig(), DirectAction(), EnvConfig(neighbours=("leader",)))
     assert len(GATE_START) == make().policy.mean.shape[1] - len(SETTINGS)
