@@ -51,6 +51,7 @@ class LinearPolicies(TensorDictModuleBase):
     mean: Tensor
     candidates: Tensor
     quiet_band = 0.0
+    kinds = 1
 
     def __init__(self, features: int, low: float, high: float, population: int, band: float | None) -> None:
         super().__init__()
@@ -67,19 +68,34 @@ class LinearPolicies(TensorDictModuleBase):
             IzooError: while exploring, the environments cannot be shared out evenly.
         """
         seen, mask = tensordict.get(base.OBSERVATION).clamp(-MOST, MOST), tensordict.get(base.MASK)
-        if self.training and base.explores():
-            count, envs = len(self.candidates), mask.shape[0] if mask.ndim > 1 else 1
-            if mask.ndim < 2 or envs % count:
-                raise IzooError(
-                    f"{count} policies cannot share {envs} environments evenly; give a multiple of {count}."
-                )
-            weights = self.candidates.repeat_interleave(envs // count, dim=0)
-            raw = torch.matmul(seen, weights[:, :-1, None]).squeeze(-1) + weights[:, -1:]
-        else:
-            raw = seen @ self.mean[:-1] + self.mean[-1]
+        weights = own_numbers(self, mask)
+        raw = torch.matmul(seen, weights[:, :-1, None]).squeeze(-1) + weights[:, -1:]
+        raw = raw.view(mask.shape)
         raw = raw + FULL if self.band is None else raw.sign() * (raw.abs() - self.band).clamp_min(0.0)
         action = self.middle + self.half * torch.tanh(raw)
         return tensordict.set(base.ACTION, torch.where(mask, action, 0.0).unsqueeze(-1))
+
+    def kind_of(self, batch: TensorDictBase) -> Tensor:
+        """Return zeros ``[N]``: all contexts are of one kind."""
+        return torch.zeros(batch.shape[0], dtype=torch.int64)
+
+
+def own_numbers(policies: Any, mask: Tensor) -> Tensor:
+    """Return whose numbers act in each environment, ``[N, ...]``: the candidates' while exploring, or the mean's.
+
+    Args:
+        policies: a module with ``candidates`` ``[P, ...]`` and ``mean`` ``[...]``.
+        mask: ``[N, A]`` or ``[A]``; the environments are shared out among the candidates in equal blocks, in order.
+
+    Raises:
+        IzooError: they cannot be shared out evenly.
+    """
+    if not (policies.training and base.explores()):
+        return policies.mean.unsqueeze(0)
+    count, envs = len(policies.candidates), mask.shape[0] if mask.ndim > 1 else 1
+    if mask.ndim < 2 or envs % count:
+        raise IzooError(f"{count} policies cannot share {envs} environments evenly; give a multiple of {count}.")
+    return policies.candidates.repeat_interleave(envs // count, dim=0)
 
 
 class CMAES:
@@ -102,34 +118,45 @@ class CMAES:
         device: torch.device | str = "cpu",
         rest: Rest | None = None,
     ) -> None:
-        self.config = config
         band = None if rest is None else config.initial_spread
-        self.policy = LinearPolicies(features, low, high, config.population, band).to(device)
+        self._start(config, LinearPolicies(features, low, high, config.population, band).to(device))
+
+    def _start(self, config: Any, policy: Any) -> None:
+        """Begin to search the numbers of a module like :class:`LinearPolicies`."""
+        self.config, self.policy = config, policy
         self.seed = int(torch.randint(2**31 - 1, ()))
         self.returns: list[np.ndarray] = []
         self._begin()
 
     def _begin(self) -> None:
-        generator = np.random.default_rng(self.seed)
-        options = {
-            "popsize": self.config.population,
-            "randn": lambda *shape: generator.standard_normal(shape),
-            "seed": math.nan,  # the library's own would be numpy's global one
-            "verbose": -9,
-        }
-        weights = self.policy.mean.numel()
-        self.strategy = cma.CMAEvolutionStrategy(np.zeros(weights), self.config.initial_spread, options)
-        self._ask()
+        width = self.policy.mean.shape[-1]
+        self.strategies = []
+        for kind in range(self.policy.kinds):
+            generator = np.random.default_rng([self.seed, kind] if kind else self.seed)
+            options = {
+                "popsize": self.config.population,
+                "randn": lambda *shape, generator=generator: generator.standard_normal(shape),
+                "seed": math.nan,  # the library's own would be numpy's global one
+                "verbose": -9,
+            }
+            self.strategies.append(cma.CMAEvolutionStrategy(np.zeros(width), self.config.initial_spread, options))
+        self._asked = [strategy.ask() for strategy in self.strategies]
+        self._show()
 
-    def _ask(self) -> None:
-        self._asked = self.strategy.ask()
-        self.policy.candidates.copy_(torch.from_numpy(np.array(self._asked)))
-        self.policy.mean.copy_(torch.from_numpy(np.array(self.strategy.mean)))
+    def _show(self) -> None:
+        asked = np.stack([np.array(each) for each in self._asked], axis=1)
+        means = np.stack([strategy.mean for strategy in self.strategies])
+        self.policy.candidates.copy_(torch.from_numpy(asked).view_as(self.policy.candidates))
+        self.policy.mean.copy_(torch.from_numpy(means).view_as(self.policy.mean))
 
     def _tell(self, returns: np.ndarray) -> None:
+        """Take what each kind's candidates were paid, ``[kinds, population]``; NaN where no context was of its kind."""
         self.returns.append(returns)
-        self.strategy.tell(self._asked, list(-returns))
-        self._ask()
+        for kind, (strategy, paid) in enumerate(zip(self.strategies, returns, strict=True)):
+            if not np.isnan(paid).any():
+                strategy.tell(self._asked[kind], list(-paid))
+                self._asked[kind] = strategy.ask()
+        self._show()
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a generation: whole episodes ``[N, T]`` with the team's rewards, environments in blocks.
@@ -147,25 +174,31 @@ class CMAES:
         # counts is the difference to how the generation fares in the same context.
         returns = reward.double().sum(1).view(population, -1)
         relative = (returns - returns.mean(0)) / returns.mean(0).abs().clamp_min(1e-9)
-        fitness = relative.mean(1).cpu().numpy()
+        kinds = self.policy.kind_of(batch).view(population, -1)[0]
+        fitness = np.full((self.policy.kinds, population), np.nan)
+        for kind in range(self.policy.kinds):
+            if (kinds == kind).any():
+                fitness[kind] = relative[:, kinds == kind].mean(1).cpu().numpy()
         self._tell(fitness)
+        told = fitness[~np.isnan(fitness).any(1)]
         return {
-            "return_spread": float(fitness.std()),
-            "return_best": float(fitness.max()),
-            "search_spread": float(self.strategy.sigma),
+            "return_spread": float(told.std(1).mean()) if len(told) else 0.0,
+            "return_best": float(told.max(1).mean()) if len(told) else 0.0,
+            "search_spread": float(np.mean([strategy.sigma for strategy in self.strategies])),
             "weights_norm": float(self.policy.mean.norm()),
         }
 
     def state_dict(self) -> dict[str, Any]:
         """Return the seed and what each generation was told: the search is played again from these."""
-        told = np.array(self.returns).reshape(-1, self.config.population)
+        told = np.array(self.returns).reshape(-1, self.policy.kinds, self.config.population)
         return {"policy": self.policy.state_dict(), "seed": self.seed, "returns": torch.from_numpy(told)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned."""
         returns = state["returns"].numpy()
-        if returns.ndim != 2 or (len(returns) and returns.shape[1] != self.config.population):
-            raise ValueError(f"generations of {list(returns.shape)[1:]} policies, not {self.config.population}")
+        wanted = (self.policy.kinds, self.config.population)
+        if returns.ndim != 3 or returns.shape[1:] != wanted:
+            raise ValueError(f"generations of {list(returns.shape)[1:]} policies, not {list(wanted)}")
         self.seed, self.returns = int(state["seed"]), []
         self._begin()
         for told in returns:

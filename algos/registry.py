@@ -9,7 +9,7 @@ import functools
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from izoo.errors import unknown_choice
 
@@ -34,6 +34,8 @@ class AlgoConfig:
 
     name: str
     frames_per_batch: int
+    needs_env: ClassVar[bool] = False
+    """Whether the algorithm is also told the settings of the environment, ``env=``."""
 
     @property
     def candidates(self) -> int:
@@ -76,6 +78,7 @@ ALGORITHMS = {
     "td3": Home("izoo.algos.td3:TD3", "izoo.algos.ddpg_config:TD3Config"),
     "mappo": Home("izoo.algos.mappo:MAPPO", "izoo.algos.ppo_config:MAPPOConfig", ("paper",)),
     "cmaes": Home("izoo.algos.cmaes:CMAES", "izoo.algos.cmaes_config:CMAESConfig"),
+    "glide_search": Home("izoo.algos.glide_search:GlideSearch", "izoo.algos.glide_search_config:GlideSearchConfig"),
     "gcrl": Home("izoo.algos.gcrl:GCRL", "izoo.algos.ppo_config:GCRLConfig", ("paper",)),
 }
 
@@ -104,7 +107,8 @@ def make_algorithm(
     """Build the algorithm of the options ``algo`` and ``action`` for what ``env`` lets it observe, on ``device``."""
     from izoo.envs.mdp.frame import observation_names
 
-    build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device)
+    told = {"env": env} if algo.needs_env else {}
+    build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device, **told)
     return action.algorithm(build, algo, len(observation_names(env)), env)
 
 

@@ -223,7 +223,7 @@ class Glide(ScriptedDriver):
         approaching = observation[..., self.columns["location_approaching"]] > 0.5
         free_s = distance / limit
         arrival_s = self.passing_time(observation, distance, free_s)
-        advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.full_like(limit, s.floor_mps))
+        advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.zeros_like(limit) + s.floor_mps)
         leads = approaching & ~(leader & (gap < s.headway_gap_s * speed))
         early = (arrival_s - free_s >= s.late_s) & (advised < limit) & (distance >= s.near_m)
         pays = self.gliding_pays(observation)

@@ -72,7 +72,7 @@ class Campaign:
         self.config, self.folder = config, folder
         self.entries = config.entries()
         self.plan: Plan = make_plan(config)
-        self.env = evaluation_env(config)
+        self.envs = {entry.name: evaluation_env(config, entry) for entry in self.entries}
         # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
         self.runs: dict[tuple[str, int], TrainConfig] = {
             (entry.name, seed): train_config(
@@ -93,7 +93,7 @@ class Campaign:
             for entry in self.entries:
                 if entry.kind == "trained":
                     jobs.append(Job("train", entry, seed))
-                if entry.seeded:
+                if entry.seeded and seed in self.config.seeds_of(entry):
                     jobs.append(Job("evaluate", entry, seed))
         return jobs
 
@@ -144,7 +144,7 @@ class Campaign:
             print("\nSumming up.", flush=True)
             aggregates = sum_up(self.folder, self.results)
             if submit:
-                write_submissions(self.folder, self.results, self.plan, self.env)
+                write_submissions(self.folder, self.results, self.plan, self.envs)
             self._set_aggregates(aggregates)  # last: with them the benchmark counts as ended
         return self.results
 
@@ -169,14 +169,15 @@ class Campaign:
             raise KeyboardInterrupt
 
     def _evaluate(self, job: Job) -> None:
-        policy = contestant(self.config, self.plan, self.env, job.entry, job.seed, self._run_dir(job.entry, job.seed))
+        env, run_dir = self.envs[job.entry.name], self._run_dir(job.entry, job.seed)
+        policy = contestant(self.config, self.plan, env, job.entry, job.seed, run_dir)
         for folder, contexts in self._tests(job):
             print(f"Evaluating in {len(contexts)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
             evaluate_policy(
                 policy,
                 contexts,
                 self.plan.seeds,
-                self.env,
+                env,
                 num_workers=self.config.num_workers or 0,
                 out_dir=folder,
                 name=job.entry.name,
@@ -259,7 +260,7 @@ class Campaign:
     def _index(self) -> Results:
         records = []
         for entry in self.entries:
-            seeds = range(self.config.seeds or 0) if entry.seeded else range(1)
+            seeds = self.config.seeds_of(entry)
             made = [
                 RunRecord(
                     seed=seed,
@@ -289,9 +290,9 @@ class Campaign:
     def _work(self, job: Job) -> float:
         """Environment steps of what is left of a job."""
         if job.kind == "train":
-            return max(self.config.total_frames - self._run_record(job).frames, 0)
+            return max(self.runs[job.entry.name, job.seed].total_frames - self._run_record(job).frames, 0)
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
-        return float(episodes * self.env.control_steps)
+        return float(episodes * self.envs[job.entry.name].decisions)
 
 
 def _place(entry: Entry, seed: int) -> str:

@@ -22,7 +22,7 @@ from izoo.training import runs
 
 MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles")
 """Options that change no number, so that a benchmark may go on with others."""
-MAY_GROW = ("algos", "seeds", "floors_mps", *SWEPT)
+MAY_GROW = ("algos", "seeds", "untrained_seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
 NOT_THE_RUN = (*runs.CHANGEABLE, "run_dir")
 """Options of a training run in which a run that is there may differ from the one that is wanted."""

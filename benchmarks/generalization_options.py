@@ -8,13 +8,17 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from izoo.algos.registry import DRIVER_NAMES, choices
+from izoo.conf.recipes import recipe_words
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
 
 T = TypeVar("T", bound="GeneralizationConfig")
+RECIPE_PREFIX = "recipe:"
 SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
 """Weights of the reward that a trade-off sweeps over (:class:`izoo.envs.config.RewardConfig`)."""
 RESIDUAL_SUFFIX, UNTRAINED_SUFFIX, FLOOR_INFIX = "_residual", "_untrained", "glide_floor"
+NOT_OF_AN_ENTRY = ("contexts", "evaluation", "validation")
+"""Groups of options that a recipe's entry leaves out: the benchmark sets them."""
 REFERENCES = ("uncommanded", "constant_2.0")
 """Entries that stand beside whatever is trained, as does every algorithm before its first update: so that nobody takes
 vehicle parameters or an initialisation for what was learned."""
@@ -102,8 +106,9 @@ class GeneralizationConfig:
         scale: ``smoke`` (minutes), ``small`` (hours) or ``paper`` (the published scale); sets what is null below.
         algos: what is compared: presets of ``algo`` (``ppo``, ``ddpg``, ``mappo``, ``gcrl``, ``ppo_paper``, ...), with
             ``_residual`` appended for ``action=residual``; scripted drivers (``glide``, ``uncommanded``, ...;
-            ``glide_floor3`` is glide that never slows below 3 m/s); or ``module:function``. Beside trained ones always
-            stand ``uncommanded``, ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
+            ``glide_floor3`` is glide that never slows below 3 m/s); ``recipe:NAME``, a recipe of ``izoo.train`` with
+            its own length and environment, on the contexts of the protocol; or ``module:function``. Beside trained
+            ones always stand ``uncommanded``, ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
         train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
             ``salt_lake_city``. Not for systematicity.
         test: where to test, for productivity; null: ``atlanta``.
@@ -112,6 +117,7 @@ class GeneralizationConfig:
         weather: ``published`` or ``county``; null: published where the city has it.
         test_set: of systematicity: ``grid``, the 128 published contexts, or ``sample``, 128 drawn ones.
         seeds: training seeds per algorithm, 0 to ``seeds - 1``; null: the scale's.
+        untrained_seeds: of how many of these the algorithm before its first update is tested as well; null: all.
         episodes: training episodes per run; null: the scale's.
         frames: environment steps per run, instead of ``episodes``.
         horizon_s: length of an episode, in training and in evaluation; null: the scale's.
@@ -144,6 +150,7 @@ class GeneralizationConfig:
     weather: Literal["published", "county"] | None = None
     test_set: Literal["grid", "sample"] = "grid"
     seeds: int | None = None
+    untrained_seeds: int | None = None
     episodes: int | None = None
     frames: int | None = None
     horizon_s: float | None = None
@@ -163,6 +170,7 @@ class GeneralizationConfig:
         check_types("", self)
         ranges: dict[str, tuple[float, float]] = {
             "seeds": (1, 1000),
+            "untrained_seeds": (1, 1000),
             "episodes": (1, 10**8),
             "frames": (1, 10**12),
             "horizon_s": (30, 86400),
@@ -227,6 +235,14 @@ class GeneralizationConfig:
             return self.frames
         return (self.episodes or 0) * self.train_episode().control_steps
 
+    def seeds_of(self, entry: Entry) -> range:
+        """Return the training seeds of an entry, one for what needs none; of resolved options."""
+        if not entry.seeded:
+            return range(1)
+        seeds = self.seeds or 0
+        least = entry.kind == "scripted" and self.untrained_seeds is not None
+        return range(min(seeds, self.untrained_seeds or 0) if least else seeds)
+
     def train_episode(self) -> EnvConfig:
         """Return an environment with the length and warm-up of a training episode; of resolved options."""
         env = EnvConfig(horizon_s=self.train_horizon_s or self.horizon_s or 0.0)
@@ -236,9 +252,10 @@ class GeneralizationConfig:
         """Return what :attr:`algos` names and what stands beside it, policies without training first."""
         named = [parse_entry(name) for name in self.algos]
         trained = [entry.name for entry in named if entry.kind == "trained"]
-        beside = [*REFERENCES, *(f"{name}{UNTRAINED_SUFFIX}" for name in trained)] if trained else []
+        untrained = [f"{name}{UNTRAINED_SUFFIX}" for name in self.algos if parse_entry(name).kind == "trained"]
+        beside = [*REFERENCES, *untrained] if trained else []
         there = {entry.name for entry in named}
-        named += [parse_entry(name) for name in beside if name not in there]
+        named += [entry for entry in map(parse_entry, beside) if entry.name not in there]
         return sorted(named, key=lambda entry: entry.kind)
 
 
@@ -253,6 +270,8 @@ def parse_entry(name: str) -> Entry:
     Raises:
         IzooError: neither an algorithm nor a driver.
     """
+    if name.startswith(RECIPE_PREFIX):
+        return _recipe_entry(name.removeprefix(RECIPE_PREFIX))
     if ":" in name:
         return Entry(name.rpartition(":")[2], "scripted", policy=name)
     if name in DRIVER_NAMES and name != "human":
@@ -271,6 +290,17 @@ def parse_entry(name: str) -> Entry:
             "entry of algos", name, [*presets, *residual, *drivers, f"{FLOOR_INFIX}NUMBER", "module:function"]
         )
     return Entry(name, "trained", algo=preset, action=action)
+
+
+def _recipe_entry(name: str) -> Entry:
+    """Return the entry that trains as a recipe says, but for its contexts."""
+    untrained = name.endswith(UNTRAINED_SUFFIX)
+    words = recipe_words(name.removesuffix(UNTRAINED_SUFFIX))
+    said = dict(word.split("=", 1) for word in words)
+    own = (word for word in words if word.partition("=")[0].partition(".")[0] not in NOT_OF_AN_ENTRY)
+    options = tuple(word for word in own if word.partition("=")[0] not in ("algo", "action"))
+    kind: Literal["trained", "scripted"] = "scripted" if untrained else "trained"
+    return Entry(name, kind, algo=said["algo"], action=said.get("action", "direct"), options=options)
 
 
 def _floor(name: str) -> float:

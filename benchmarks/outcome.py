@@ -128,10 +128,18 @@ def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
     return [table]
 
 
+OF_AN_ENTRY = ("reward", "observed", "neighbours", "hold_s", "num_agents", "num_vehicles")
+"""Settings of an environment that belong to the policy, not to the task."""
+
+
 def other_environment(env: EnvConfig) -> str:
-    """Return in what an evaluation's environment differs from that of the protocols, or nothing."""
+    """Return in what an evaluation's environment differs from that of the protocols, or nothing.
+
+    What an entry looks at of what there is to see, how long its decisions last, and what it was paid, are its own.
+    """
     mine, theirs = (settings(config)["env"] for config in (env, EnvConfig(horizon_s=env.horizon_s)))
-    return differences({**theirs, "reward": None}, {**mine, "reward": None})
+    own = dict.fromkeys(OF_AN_ENTRY)
+    return differences({**theirs, **own}, {**mine, **own})
 
 
 def _place(place: str | None) -> str | None:
@@ -141,21 +149,26 @@ def _place(place: str | None) -> str | None:
     return f"{place_name(place)}/" if is_folder(place) else place_name(place)
 
 
-def write_submissions(folder: Path, results: Results, plan: Plan, env: EnvConfig) -> list[Path]:
-    """Write ``leaderboard/<entry>.json`` for every entry, evaluated in ``env``; returns the files."""
+def write_submissions(folder: Path, results: Results, plan: Plan, envs: Mapping[str, EnvConfig]) -> list[Path]:
+    """Write ``leaderboard/<entry>.json`` for every entry, evaluated in its own of ``envs``; returns the files."""
     options, written = results.settings, []
     names = ("protocol", "scale", "form", "weather", "test_set", "horizon_s")
     places = {name: _place(options[name]) for name in ("train", "test")}
     protocol = {name: options[name] for name in names}
     protocol.update(title=results.title, test_count=plan.test_count, **places)
-    if changed := other_environment(env):
-        protocol["env"] = changed
     for entry in results.entries:
+        changed = other_environment(envs[entry.name])
+        played_in = {"env": changed} if changed else {}
         policy = {name: getattr(entry, name) for name in ("name", "kind", "algo", "action")}
         policy["frames"] = max(run.frames for run in entry.runs)
         played = simulator_of_run(folder, entry.done[0])
         content = make_submission(
-            policy, protocol, results.versions, range(len(plan.seeds)), entry_rows(folder, entry), played
+            policy,
+            {**protocol, **played_in},
+            results.versions,
+            range(len(plan.seeds)),
+            entry_rows(folder, entry),
+            played,
         )
         written.append(folder / LEADERBOARD_FOLDER / f"{entry.name}.json")
         write_submission(written[-1], content)

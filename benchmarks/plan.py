@@ -27,6 +27,8 @@ from izoo.evaluation.selection import EpisodeSeeds
 EVALUATION_SEED = 241015221
 """Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
 
+LENGTH = ("env.horizon_s=", "env.warmup_s=")
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -112,12 +114,13 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         IzooError: ``train_options`` holds something that this algorithm does not have.
     """
     workers = config.train_workers or 1
+    on_twin = "simulator=twin" in (*config.train_options, *entry.options)
     words = [
         f"algo={entry.algo}",
         f"action={entry.action}",
         f"seed={seed}",
         f"num_workers={workers}",
-        f"collector={'single' if workers == 1 else 'parallel'}",
+        *([] if on_twin else [f"collector={'single' if workers == 1 else 'parallel'}"]),
         f"total_frames={config.total_frames}",
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
@@ -130,7 +133,11 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
     return dataclasses.replace(composed, contexts=plan.train, run_dir=str(run_dir))
 
 
-def evaluation_env(config: GeneralizationConfig) -> EnvConfig:
-    """Return the environment of the evaluation: that of the training runs, without what is one entry's alone."""
-    words = [f"env.horizon_s={config.horizon_s}", *(o for o in config.train_options if o.startswith("env."))]
-    return compose_config("train", TrainConfig, words).env
+def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> EnvConfig:
+    """Return the environment of an entry's evaluation: that of the benchmark's training runs, and what is its own.
+
+    Only the length of its training episodes is no matter of the evaluation.
+    """
+    own = [o for o in (entry.options if entry is not None else ()) if not o.startswith(LENGTH)]
+    said = [option for option in (*config.train_options, *own) if option.startswith("env.")]
+    return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env

@@ -14,7 +14,7 @@ import torch
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
 TESTED = {
     *("ppo_by_hand", "stock_torchrl", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city"),
-    "offline_data",
+    *("offline_data", "adoption"),
 }
 
 
@@ -129,3 +129,22 @@ def test_offline_data() -> None:
 
     losses = offline_data.main(frames=600, updates=20, horizon_s=75.0)
     assert len(losses) == 20 and np.isfinite(losses).all()
+
+
+def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from izoo.contexts.procedural import procedural_context
+    from izoo.docs.examples import adoption
+    from izoo.envs import EnvConfig
+
+    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
+    context = procedural_context(lane_count=1, inflow_vph_per_lane=400.0)
+    env = EnvConfig(horizon_s=125.0, hold_s=2.0)
+    rows = adoption.measure([context], env, ["uncommanded", "glide"], tmp_path, seeds=2)
+    found = {(row["policy"], row["vehicle"], round(row["adoption"], 2)): row["benefit"]["value"] for row in rows}
+    assert len(found) == 12
+    human = [value for (name, vehicle, _), value in found.items() if name == "uncommanded" and vehicle == "human"]
+    assert human == [0.0, 0.0, 0.0], "with human parameters, uncommanded CVs are human driving"
+    assert any(value != 0.0 for (name, vehicle, _), value in found.items() if name == "glide" and vehicle == "human")
+    assert {"over_uncommanded" in row for row in rows if row["policy"] == "glide"} == {True}
+    adoption.draw(rows, tmp_path / "adoption.png")
+    assert (tmp_path / "adoption.png").stat().st_size > 10_000

@@ -53,6 +53,23 @@ def _merge(options: argparse.Namespace) -> None:
     print(f"Leaderboard: {options.out}", flush=True)
 
 
+def _draw_arguments(parser: argparse.ArgumentParser) -> None:
+    _validate_arguments(parser)
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file")
+
+
+def _draw(options: argparse.Namespace) -> None:
+    checked = _checked(options.files)
+    from izoo.reporting import submissions
+    from izoo.reporting.standing import draw_standing
+
+    try:
+        draw_standing(submissions.merge(checked), options.out)
+    except OSError as error:
+        raise IzooError(f"cannot write {options.out}: {os_reason(error)}; choose another file with --out.") from error
+    print(f"Picture: {options.out}", flush=True)
+
+
 def _checked(files: Sequence[Path]) -> list[Any]:
     print(f"izoo {__version__} leaderboard", flush=True)
     paths = _submissions(files)
@@ -114,9 +131,10 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
 
 LEADERBOARD = SubcommandCommand(
     "leaderboard",
-    "Check and merge leaderboard files.",
+    "Check, merge and draw leaderboard files.",
     (
         Subcommand("validate", "say what is wrong with each file", _validate_arguments, _validate),
         Subcommand("merge", "rank the files, by protocol", _merge_arguments, _merge),
+        Subcommand("draw", "draw what they saved, by protocol", _draw_arguments, _draw),
     ),
 )

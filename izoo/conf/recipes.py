@@ -48,6 +48,35 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
             "validation.contexts=6",
         ),
     ),
+    "city": (
+        "all roads of Salt Lake City, on the twin; the settings of glide are searched by what whole teams are paid",
+        (
+            "contexts=city",
+            "contexts.city=salt_lake_city",
+            "contexts.split=train",
+            "contexts.weather=published",
+            "simulator=twin",
+            "twin.surrogate=compiled",
+            "twin.compare_every=0",
+            "twin.stagger=false",
+            "action=direct",
+            "env.hold_s=2",
+            "env.num_agents=32",
+            "env.num_vehicles=192",
+            "env.reward=fuel_team",
+            "env.reward.delay=-0.2",
+            "env.horizon_s=500",
+            "env.neighbours=[leader,follower]",
+            "env.observed=[green_s,red_s,lane_count,speed_limit_mps]",
+            "num_envs=384",
+            "algo=glide_search",
+            "total_frames=639000",
+            "validation.every_batches=4",
+            "validation.contexts=16",
+            "validation.simulator=twin",
+            "evaluation.contexts=16",
+        ),
+    ),
     "from_scratch": (
         "the same approaches; linear policies are searched by what whole teams are paid",
         (
@@ -68,6 +97,17 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
 _CHOICES = ("algo", "action", "contexts")
 
 
+def recipe_words(name: str) -> tuple[str, ...]:
+    """Return the words of a recipe.
+
+    Raises:
+        IzooError: there is no such recipe.
+    """
+    if name not in RECIPES:
+        raise unknown_choice(RECIPE[:-1], name, RECIPES)
+    return RECIPES[name][1]
+
+
 def with_recipe(words: Sequence[str]) -> list[str]:
     """Return ``words`` with those of the recipe that they name before them, but for what they say themselves.
 
@@ -78,14 +118,12 @@ def with_recipe(words: Sequence[str]) -> list[str]:
     others = [word for word in words if word not in named]
     if not named:
         return others
-    name = named[-1].removeprefix(RECIPE).strip("'\"")
-    if name not in RECIPES:
-        raise unknown_choice(RECIPE[:-1], name, RECIPES)
+    words = recipe_words(named[-1].removeprefix(RECIPE).strip("'\""))
     said = {word.partition("=")[0] for word in others}
     replaced = [group for group in _CHOICES if group in said]
     kept = [
         word
-        for word in RECIPES[name][1]
+        for word in words
         if word.partition("=")[0] not in said and word.partition("=")[0].partition(".")[0] not in replaced
     ]
     return [*kept, *others]

@@ -113,7 +113,7 @@ def test_it_goes_on_exactly_where_it_stopped() -> None:
         assert torch.equal(one.policy.candidates, other.policy.candidates)
         one.update(generation(one), 0.0)
         other.update(generation(other), 0.0)
-    with pytest.raises(ValueError, match="not 4"):
+    with pytest.raises(ValueError, match=r"not \[1, 4\]"):
         make(population=4).load_state_dict(one.state_dict())
 
 
@@ -157,16 +157,24 @@ def test_what_does_not_suit_it_is_refused_before_anything_is_written(
 
 
 @pytest.mark.slow
-def test_a_run_can_be_stopped_and_resumed_exactly(tmp_path: Path) -> None:
-    words = ["algo=cmaes", "algo.population=4", "num_envs=4", "simulator=twin", "twin.threads=1", "action=advise"]
+@pytest.mark.parametrize("algo", ["algo=cmaes action=advise", "algo=glide_search action=direct"])
+def test_a_run_can_be_stopped_and_resumed_exactly(algo: str, tmp_path: Path) -> None:
+    words = [*algo.split(), "algo.population=4", "num_envs=4", "simulator=twin", "twin.threads=1"]
     words += ["twin.surrogate=compiled", "twin.compare_every=0", "env.reward=fuel_team", "env.hold_s=2"]
-    words += ["env.horizon_s=75", "contexts=pcg_easy", "validation.every_batches=0", "evaluation.contexts=0"]
+    words += [
+        "env.horizon_s=150",
+        "contexts=pcg_easy",
+        "contexts.inflow_vph_per_lane=600",
+        "validation.every_batches=0",
+        "evaluation.contexts=0",
+    ]
     words += ["checkpoint.every_batches=1"]
     whole, half = tmp_path / "whole", tmp_path / "half"
-    decisions = EnvConfig(horizon_s=75.0, hold_s=2.0).decisions * 4
+    decisions = EnvConfig(horizon_s=150.0, hold_s=2.0).decisions * 4
     assert train.main([*words, f"total_frames={4 * decisions}", f"run_dir={whole}"]) == 0
     assert train.main([*words, f"total_frames={2 * decisions}", f"run_dir={half}"]) == 0
     assert train.main([f"resume={half}", f"total_frames={4 * decisions}"]) == 0
     one, other = (runs.load_algorithm(path)[0].state_dict() for path in (whole, half))
-    assert torch.equal(one["returns"], other["returns"]) and len(one["returns"]) == 4
+    assert len(one["returns"]) == 4 and one["returns"].nan_to_num().std() > 0.0
+    torch.testing.assert_close(one["returns"], other["returns"], rtol=0.0, atol=0.0, equal_nan=True)
     assert torch.equal(one["policy"]["candidates"], other["policy"]["candidates"])

@@ -16,6 +16,7 @@ from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
 from izoo.evaluation.provenance import versions
+from izoo.reporting.standing import published_for, standing
 from izoo.reporting.submissions import (
     check,
     content_hash,
@@ -122,6 +123,8 @@ def test_what_is_missing_or_of_other_versions_is_marked() -> None:
 
 def test_another_environment_is_marked() -> None:
     assert other_environment(EnvConfig(horizon_s=300.0, reward=RewardConfig(eta=0.5), watchdog_s=5.0)) == ""
+    own = EnvConfig(hold_s=2.0, neighbours=("leader",), observed=("green_s",), num_agents=32)
+    assert other_environment(own) == "", "what a policy looks at, and how often it decides, are its own"
     changed = other_environment(EnvConfig(step_s=1.0, warmup_s=100.0))
     assert changed == "step_s 0.5 -> 1.0, warmup_s 25.0 -> 100.0"
     content = submission()
@@ -213,3 +216,25 @@ def test_names_and_titles_are_shown_as_they_are(tmp_path: Path, capsys: pytest.C
     shown = capsys.readouterr()
     assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
     assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out
+
+
+def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    entries = [submission(), submission(name="glide", kind="scripted"), submission(name="$odd_untrained$")]
+    for content in entries:
+        content["protocol"] = {**PROTOCOL, "title": "a -> a", "train": "salt_lake_city"}
+    checked = [check(sealed(content), f"{k}.json", VERSIONS) for k, content in enumerate(entries)]
+    left, right = standing(merge(checked)).axes
+    assert [label.get_text() for label in left.get_yticklabels()] == ["ppo", "$odd untrained$", "glide"]
+    dots = [line for line in right.lines if line.get_marker() == "o"]
+    rows = pd.concat([run_rows(table(k), "ppo", k) for k in range(4)], ignore_index=True)
+    wanted = 100 * aggregate(rows)["all"]["exact"]["ratio_of_sums"]["value"]
+    assert [float(dot.get_xdata()[0]) for dot in dots] == pytest.approx([wanted] * 3)
+    published = [line for line in right.lines if line.get_marker() == "D"]
+    assert [(line.get_xdata()[0], line.get_ydata()[0]) for line in published] == [(pytest.approx(-9.59), 0)]
+    assert [each.algorithm for each in published_for(entries[0]["protocol"])] == ["DDPG", "PPO"]
+    assert published_for({**PROTOCOL, "protocol": "systematicity"}) == []
+    write_submission(tmp_path / "ppo.json", entries[0])
+    assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "all.png")]) == 0
+    assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
+    assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "no" / "all.png")]) == 2
+    assert "choose another file with --out" in capsys.readouterr().err

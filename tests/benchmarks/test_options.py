@@ -172,3 +172,32 @@ def test_time_left_follows_from_what_was_measured() -> None:
     assert clock.left(jobs) == pytest.approx(150.0)
     clock.add(("train", "gcrl"), 10.0, 10.0)
     assert clock.left(jobs) == pytest.approx(600.0)
+
+
+def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    config = GeneralizationConfig(
+        algos=("recipe:from_scratch", "ppo"),
+        frames=1000,
+        train_options=("simulator=twin",),
+        untrained_seeds=1,
+        scale="small",
+    ).resolved()
+    entries = {entry.name: entry for entry in config.entries()}
+    recipe = entries["from_scratch"]
+    run = train_config(config, make_plan(config), recipe, 2, tmp_path)
+    assert (run.algo.name, run.action.name, run.simulator, run.seed) == ("cmaes", "advise", "twin", 2)
+    assert run.total_frames == 1_990_000, "a recipe brings its length"
+    assert run.contexts.name == "city", "the protocol says where to train"
+    assert run.evaluation.contexts == 0
+    assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=evaluation_env(config).emit)
+    assert evaluation_env(config, recipe).hold_s == 2.0
+    assert evaluation_env(config, entries["ppo"]).hold_s is None
+    untrained = entries["from_scratch_untrained"]
+    assert (untrained.kind, untrained.algo, untrained.options) == ("scripted", "cmaes", recipe.options)
+    assert [len(config.seeds_of(entries[name])) for name in ("from_scratch", "ppo_untrained", "uncommanded")] == [
+        4,
+        1,
+        1,
+    ]
+    with pytest.raises(IzooError, match="from_scratch"):
+        parse_entry("recipe:from_scrach")

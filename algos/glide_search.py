@@ -1,0 +1,210 @@
+"""CMA-ES over the settings of ``glide``: how a rule should drive, found by what whole teams are paid.
+
+The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then.
+How slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers
+differ between roads of one lane and of several, where others overtake. So each of the two has numbers of its own, and a
+search of its own, told by the contexts of its kind.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from izoo.algos import base
+from izoo.algos.cmaes import CMAES, own_numbers
+from izoo.algos.glide_search_config import GlideSearchConfig
+from izoo.algos.scripted import DEFER, Glide
+from izoo.contexts.features import feature
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M
+from izoo.errors import IzooError
+
+KINDS = ("one lane", "several lanes")
+"""Kinds of roads with numbers of their own."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A setting of glide that is searched.
+
+    Attributes:
+        name: of :class:`~izoo.algos.scripted.GlideConfig`.
+        start: where the search begins.
+        unit: what 1 stands for: of the setting, or, with ``ratio``, of its logarithm.
+        ratio: the setting is ``start`` times a factor, and so stays above 0.
+    """
+
+    name: str
+    start: float
+    unit: float = 0.35
+    ratio: bool = True
+
+    def value(self, number: Tensor) -> Tensor:
+        """Return the setting that a number of the search stands for."""
+        if self.ratio:
+            return self.start * torch.exp(self.unit * number.clamp(-6.0, 6.0))
+        return self.start + self.unit * number
+
+
+SETTINGS = (
+    Searched("start_lag_s", 2.0),
+    Searched("headway_s", 2.2),
+    Searched("spacing_m", 7.5),
+    Searched("moving_fill", 0.15),
+    Searched("margin_s", 0.0, 2.0, ratio=False),
+    Searched("late_s", 2.0),
+    Searched("floor_mps", 8.0),
+    Searched("near_m", 15.0),
+    Searched("headway_gap_s", 1.5),
+    Searched("response_s", 2.0),
+    Searched("brake_mps2", 1.0),
+    Searched("push_mps2", 1.0),
+    Searched("stop_decel_mps2", 0.6),
+)
+"""Glide's settings, at first those of glide but for the lowest speed: creeping burns more than standing."""
+OTHERS = {"standing_gap_m": 3.0, "queue_speed_mps": 2.0}
+GATE = ("always", "green share", "seconds to lose", "distance", "follower", "more lanes")
+"""What decides whether holding back pays: a CV glides where the sum of these, times their weights, is above 0."""
+GATE_START = (1.0, 0.5, 0.0, 0.0, 0.0, 0.0)
+FOLLOWER_M = 60.0
+
+
+class SearchedGlide(Glide):
+    """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
+
+    Args:
+        config: settings of the environment; the follower must be observed besides what glide needs.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        if "follower_present" not in self.columns:
+            raise IzooError("algo=glide_search also looks at the follower; add follower to env.neighbours.")
+        self.shortest_response_s = config.decision_s
+
+    def drive_with(self, numbers: Tensor, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return accelerations in m/s^2 and who is left alone, ``[N, A]`` each.
+
+        Args:
+            numbers: ``[N or 1, kinds, n]``.
+            observation: ``[N, A, F]``.
+        """
+        several = self.lanes(observation) > 1.5
+        one, more = numbers[:, :1], numbers[:, 1:]
+        chosen = torch.where(several.unsqueeze(-1), more, one)
+        values = {setting.name: setting.value(chosen[..., k]) for k, setting in enumerate(SETTINGS)}
+        values["response_s"] = values["response_s"].clamp_min(self.shortest_response_s)
+        values["floor_mps"] = values["floor_mps"].clamp_min(0.1)
+        self.settings: Any = SimpleNamespace(**values, **OTHERS)
+        self.response_s: Any = values["response_s"]
+        self._weights = chosen[..., len(SETTINGS) :]
+        accel, defer = self.drive(observation, torch.ones_like(several))
+        return accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2), defer
+
+    def lanes(self, observation: Tensor) -> Tensor:
+        """Return how many lanes each CV's approach has."""
+        return self._column(observation, "context_lane_count", feature("lane_count").scale)
+
+    def gliding_pays(self, observation: Tensor) -> Tensor:
+        """Return where the gate is open, ``[N, A]``."""
+        green = self._column(observation, "context_green_s", feature("green_s").scale)
+        red = self._column(observation, "context_red_s", feature("red_s").scale)
+        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
+        distance = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M)
+        free_s = distance / limit
+        lost_s = (self.passing_time(observation, distance, free_s) - free_s).clamp(0.0, 60.0)
+        follower = self._column(observation, "follower_distance", DISTANCE_SCALE_M) < FOLLOWER_M
+        features = (
+            torch.ones_like(distance),
+            4.0 * (green / (green + red).clamp_min(1.0) - 0.3),
+            lost_s / 10.0 - 1.0,
+            distance / 150.0 - 1.0,
+            follower.float() - 0.5,
+            (self.lanes(observation) - 2.5) / 1.5,
+        )
+        weights = self._weights + self._weights.new_tensor(GATE_START)
+        return (torch.stack(features, -1) * weights).sum(-1) > 0.0
+
+
+class GlidePolicies(TensorDictModuleBase):
+    """A population of searched rules while exploring in training mode, and their mean otherwise.
+
+    Args:
+        config: settings of the environment.
+        population: how many.
+    """
+
+    mean: Tensor
+    candidates: Tensor
+    quiet_band = 0.0
+    kinds = len(KINDS)
+
+    def __init__(self, config: EnvConfig, population: int) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION, DEFER]
+        self.rule = SearchedGlide(config)
+        width = len(SETTINGS) + len(GATE)
+        self.register_buffer("mean", torch.zeros(self.kinds, width))
+        self.register_buffer("candidates", torch.zeros(population, self.kinds, width))
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions ``[*B, A, 1]``, 0 in empty slots, and ``defer`` ``[*B, A]``.
+
+        Raises:
+            IzooError: while exploring, the environments cannot be shared out evenly.
+        """
+        seen, mask = tensordict.get(base.OBSERVATION), tensordict.get(base.MASK)
+        numbers = own_numbers(self, mask)
+        rows = seen if seen.ndim > 2 else seen.unsqueeze(0)
+        accel, defer = self.rule.drive_with(numbers, rows)
+        accel = torch.where(mask, accel.view(mask.shape), 0.0)
+        return tensordict.set(base.ACTION, accel.unsqueeze(-1)).set(DEFER, defer.view(mask.shape) | ~mask)
+
+    def kind_of(self, batch: TensorDictBase) -> Tensor:
+        """Return of which of :data:`KINDS` each context of a batch ``[N, T]`` is, ``[N]``; -1 where no CV came."""
+        mask = batch.get(base.MASK)
+        lanes = torch.where(mask, self.rule.lanes(batch.get(base.OBSERVATION)), 0.0).flatten(1).amax(1)
+        return torch.where(lanes > 0.5, (lanes > 1.5).long(), -1)
+
+
+class GlideSearch(CMAES):
+    """CMA-ES over the settings of glide; see :class:`izoo.algos.cmaes.CMAES`.
+
+    Args:
+        config: hyper-parameters.
+        features, low, high: not needed: the rule reads columns by name, and commands accelerations.
+        device: where the numbers live.
+        rest: that an action of 0 is doing nothing, which is not the case here.
+        env: settings of the environment.
+
+    Raises:
+        IzooError: an action mode was chosen that makes commands of something else.
+    """
+
+    config: GlideSearchConfig
+
+    def __init__(
+        self,
+        config: GlideSearchConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Any = None,
+        *,
+        env: EnvConfig,
+    ) -> None:
+        if rest is not None or not math.isclose(low, ACTION_LOW_MPS2):
+            raise IzooError(
+                "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
+            )
+        self._start(config, GlidePolicies(env, config.population).to(device))

@@ -1,0 +1,98 @@
+"""How much do controlled vehicles save, few of them or all? Several policies against the share of CVs, in one figure.
+
+``python -m izoo.docs.examples.adoption DATASET OUT [POLICY ...]`` evaluates, in SUMO, on the test split of a folder of
+the published dataset. It may be stopped at any time; the same command goes on.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from izoo import zoo
+from izoo.conf.folders import DatasetContexts
+from izoo.contexts.context import Context
+from izoo.envs import EnvConfig
+from izoo.evaluation import evaluate_policy
+from izoo.evaluation.across import aggregate, run_rows
+from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
+from izoo.files import write_json
+
+ADOPTIONS = (0.1, 1 / 3, 1.0)
+VEHICLES = {"paper": "CVs with the paper's parameters", "human": "CVs with the parameters of human-driven vehicles"}
+FIGURES = {"benefit": "exact", "region": "region_exact", "over_uncommanded": "over_uncommanded"}
+
+
+def measure(
+    contexts: Sequence[Context], env: EnvConfig, policies: Sequence[str], out: Path, seeds: int = 3
+) -> list[dict[str, Any]]:
+    """Evaluate policies at every adoption with both kinds of vehicles; return a row per combination.
+
+    Args:
+        contexts: whatever their adoption is.
+        env: what the policies observe, and how long decisions last.
+        policies: names that ``izoo.evaluate`` knows.
+        out: folder of the evaluations.
+        seeds: paired episodes per context.
+    """
+    rows = []
+    for vehicle in VEHICLES:
+        for adoption in ADOPTIONS:
+            here = [context.replace(adoption=adoption, cv_vehicle=vehicle) for context in contexts]
+            folder = out / f"{vehicle}-{adoption:.2f}"
+            for policy in policies:
+                name = policy.removeprefix(zoo.PREFIX)
+                table = evaluate_policy(
+                    policy, here, EpisodeSeeds(EVALUATION_STREAM, seeds), env, num_workers=0, out_dir=folder
+                )
+                found = aggregate(run_rows(table, name, 0))
+                estimates = {
+                    label: found["all"][part]["mean"] for label, part in FIGURES.items() if part in found["all"]
+                }
+                rows.append({"policy": name, "adoption": adoption, "vehicle": vehicle, "n": found["n"], **estimates})
+    return rows
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw benefit over human driving against adoption, a panel per kind of vehicle."""
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, len(VEHICLES), figsize=(9.5, 3.8), sharey=True, layout="constrained")
+    for panel, (vehicle, title) in zip(axes, VEHICLES.items(), strict=True):
+        names = list(dict.fromkeys(row["policy"] for row in rows))
+        for number, name in enumerate(names):
+            mine = [row for row in rows if row["policy"] == name and row["vehicle"] == vehicle]
+            x = np.arange(len(mine)) + 0.12 * (number - (len(names) - 1) / 2)
+            y = [100 * row["benefit"]["value"] for row in mine]
+            panel.plot(x, y, "o-", label=name.replace("_", " "), markersize=4)
+            for place, row in zip(x, mine, strict=True):
+                if row["benefit"]["low"] is not None:
+                    ends = [100 * row["benefit"]["low"], 100 * row["benefit"]["high"]]
+                    panel.plot([place, place], ends, color=panel.lines[-1].get_color(), linewidth=1)
+            panel.set_xticks(range(len(mine)), [f"{100 * row['adoption']:.0f} %" for row in mine])
+        panel.axhline(0.0, color="grey", linewidth=0.8)
+        panel.set(title=title, xlabel="share of CVs")
+    axes[0].set_ylabel("benefit over human driving (%)\nexact gate, mean over approaches")
+    axes[0].legend(fontsize=8)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def main(dataset: str, out: str, *policies: str, limit: int | None = 10) -> None:
+    """Evaluate on ``limit`` approaches drawn from the test split, and write ``adoption.json`` and ``adoption.png``."""
+    names = policies or ("uncommanded", "glide", "zoo:city_search")
+    contexts = choose_contexts(DatasetContexts(path=dataset, split="test").build(), limit, 0)
+    folder = Path(out)
+    rows = measure(contexts, zoo.load("city_search").env, names, folder)
+    write_json(folder / "adoption.json", {"rows": rows})
+    draw(rows, folder / "adoption.png")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

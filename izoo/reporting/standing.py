@@ -1,0 +1,131 @@
+"""One picture of leaderboard files: what each entry saved, by protocol, beside the published figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from izoo.console import plain
+from izoo.files import replacing
+from izoo.reporting.drawing import PALETTE, QUIET
+from izoo.reporting.published import PUBLISHED, Published
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+UNTRAINED = "_untrained"
+PANELS = (
+    ("over_uncommanded", "mean", "CO2 saved over uncommanded vehicles (%)"),
+    ("exact", "ratio_of_sums", "benefit over human driving, ratio of sums (%):\nthe paper's form"),
+)
+"""Part and name of :data:`izoo.evaluation.aggregates.FIGURES`, and what the axis says."""
+REGION = ("region_over_uncommanded", "mean")
+"""Drawn hollow beside the first panel's."""
+
+
+def draw_standing(merged: Mapping[str, Any], path: Path) -> None:
+    """Write :func:`standing` as PNG."""
+    with replacing(path) as partial:
+        standing(merged).savefig(partial, dpi=150, format="png")
+
+
+def standing(merged: Mapping[str, Any]) -> Figure:
+    """Draw a leaderboard (:func:`izoo.reporting.submissions.merge`), a row of panels per protocol.
+
+    Args:
+        merged: the leaderboard; entries without rank are drawn too.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Drawing
+
+    groups = merged["groups"]
+    lines = [_in_order([*group["ranked"], *group["marked"]]) for group in groups]
+    heights = [len(each) + 1.5 for each in lines]
+    figure = Drawing(figsize=(10.0, 0.33 * sum(heights) + 1.3 * len(groups)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(groups), 2, height_ratios=heights, squeeze=False, sharey="row")
+    for row, group, entries in zip(axes, groups, lines, strict=True):
+        for panel, (part, name, label) in enumerate(PANELS):
+            _panel(row[panel], entries, part, name, hollow=panel == 0)
+            row[panel].set_xlabel(label)
+        row[0].set_title(_title(group["protocol"], entries), loc="left", fontsize=10, parse_math=False)
+        _published(row[1], group["protocol"], entries)
+    return figure
+
+
+def published_for(protocol: Mapping[str, Any]) -> list[Published]:
+    """Return the published results that have a ratio of sums for this protocol."""
+    if protocol["protocol"] == "systematicity":
+        return []
+    train, test = (str(protocol[role] or protocol["train"]).replace("_", " ").title() for role in ("train", "test"))
+    wanted = train if train == test else f"{train} -> {test}"
+    return [each for each in PUBLISHED if each.protocol == wanted and each.benefit is not None]
+
+
+def _in_order(lines: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Trained entries first, then what was not trained; each by what it saved over human driving."""
+
+    def key(line: Mapping[str, Any]) -> tuple[bool, bool, float]:
+        name = line["policy"]["name"]
+        value = line["aggregates"]["all"]["exact"]["mean"]["value"]
+        return line["policy"]["kind"] != "trained", name.endswith(UNTRAINED), -(value or 0.0)
+
+    return sorted(lines, key=key)
+
+
+def _panel(axes: Axes, lines: Sequence[Mapping[str, Any]], part: str, name: str, hollow: bool) -> None:
+    axes.axvline(0.0, color=QUIET, linewidth=0.8)
+    for place, line in enumerate(lines):
+        trained = line["policy"]["kind"] == "trained"
+        colour = PALETTE[0] if trained else QUIET
+        shift = 0.14 if hollow else 0.0
+        _estimate(axes, line, part, name, place - shift, colour, filled=True)
+        if hollow:
+            _estimate(axes, line, *REGION, place + shift, colour, filled=False)
+    axes.set_yticks(range(len(lines)), [_label(line) for line in lines], parse_math=False)
+    axes.set_ylim(len(lines) - 0.4, -0.6)
+    axes.grid(axis="x", linewidth=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    if hollow:
+        for inside, said in ((PALETTE[0], "to the stop line"), ("white", "whole region")):
+            axes.plot([], [], "o", color=PALETTE[0], markerfacecolor=inside, label=said)
+        axes.legend(fontsize=7, loc="best", framealpha=0.8)
+
+
+def _estimate(
+    axes: Axes, line: Mapping[str, Any], part: str, name: str, place: float, colour: str, filled: bool
+) -> None:
+    found = line["aggregates"]["all"].get(part, {}).get(name)
+    if found is None or found["value"] is None:
+        return
+    value = 100.0 * found["value"]
+    if found["low"] is not None:
+        axes.plot([100.0 * found["low"], 100.0 * found["high"]], [place, place], color=colour, linewidth=1.4)
+    axes.plot([value], [place], "o", color=colour, markerfacecolor=colour if filled else "white", markersize=4.5)
+
+
+def _published(axes: Axes, protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> None:
+    """Mark what the paper's algorithms reached, in the rows of their namesakes."""
+    said: str | None = "published (other emission networks,\nall approaches, best of 4 seeds)"
+    for each in published_for(protocol):
+        assert each.benefit is not None
+        mine = (each.algorithm.lower(), f"{each.algorithm.lower()}_paper")
+        places = [place for place, line in enumerate(lines) if line["policy"]["name"] in mine]
+        if places:
+            axes.plot([100.0 * each.benefit] * len(places), places, "D", color=PALETTE[1], markersize=5, label=said)
+            axes.legend(fontsize=7, loc="best", framealpha=0.8)
+            said = None
+
+
+def _label(line: Mapping[str, Any]) -> str:
+    return plain(str(line["policy"]["name"])).replace("_", " ")
+
+
+def _title(protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> str:
+    n = [line["n"] for line in lines]
+    approaches = sorted({each["approaches"] for each in n})
+    seeds = max((each["train_seeds"] for each in n), default=1)
+    name = str(protocol["protocol"]).replace("_", " ")
+    return f"{name}: {plain(protocol['title']).replace('_', ' ')}; {approaches[-1]} approaches, {seeds} training seeds"
