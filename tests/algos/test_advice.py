@@ -33,8 +33,8 @@ ENV = EnvConfig()
 NAMES = observation_names(ENV)
 SCALES = {"speed": SPEED_SCALE_MPS, "distance": DISTANCE_SCALE_M}
 
-ONE_POLICY = sorted(set(ALGORITHMS) - {"cmaes"})
-"""Algorithms that explore by the actions of one policy; the other compares several."""
+ONE_POLICY = sorted(set(ALGORITHMS) - {"cmaes", "glide_search"})
+"""Algorithms that explore by the actions of one policy; the others compare several."""
 
 
 def observe(**values: float) -> torch.Tensor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import inspect
 import io
 import os
 import re
@@ -85,8 +86,7 @@ def _check_izoo(module_name: str, words: list[str]) -> None:
             compose.compose_config(command.name, command.config_class(), options)
         return
     if module_name.startswith("izoo.docs.examples."):
-        if not callable(module.main) or words:
-            raise ValueError("an example is run by its main(), without arguments; tests/test_examples.py runs it")
+        inspect.signature(module.main).bind(*words)  # tests/test_examples.py runs it
         return
     if not hasattr(module, "main"):
         module = importlib.import_module(f"{module_name}.__main__")
