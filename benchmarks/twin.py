@@ -29,6 +29,14 @@ SIMULATORS = ("sumo", "twin")
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
+    try:
+        return _compare(config)
+    except KeyboardInterrupt:
+        print("Stopped; the same command goes on from here.", file=sys.stderr, flush=True)
+        raise
+
+
+def _compare(config: LadderConfig) -> Path:
     from rich.console import Console
 
     from izoo.benchmarks import ladder

@@ -256,8 +256,10 @@ def inform_follower(  # type: ignore[no-untyped-def]
         # Slow enough that later ones can help, still fast enough to pass.
         passing = max(braked if other > speed else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
-        add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
+        if other <= speed:
+            # It takes its time to pass.
+            way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
+            add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
 
 
 @compiled

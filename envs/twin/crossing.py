@@ -1,4 +1,4 @@
-"""Right of way: vehicles inside the junction, gaps between those that approach it, and keeping it clear.
+"""Right of way: gaps between vehicles that approach a junction or wait inside, red lights, and stops.
 
 The rules were found by probing SUMO with two and three vehicles that meet (see the tests); ``sumo --link-output`` and
 ``getJunctionFoes`` print what they are fed with.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from izoo.envs.twin.arrays import (
-    BEHIND,
     CONFLICT_MS,
     DECEL,
     FIRST_ITEM,
@@ -26,12 +25,7 @@ from izoo.envs.twin.arrays import (
     ITEMS,
     JUNCTION_MS,
     LANE,
-    LANE_FRONT,
     LANE_INSIDE,
-    LANE_LENGTH,
-    LANE_LIMIT,
-    LANE_TAILS,
-    LENGTH,
     LINK_CONT,
     LINK_ENTRY,
     LINK_FIRST_RESPONSE,
@@ -40,7 +34,6 @@ from izoo.envs.twin.arrays import (
     LINK_PROGRAM,
     LINK_RESPONSES,
     LINK_TO,
-    MIN_GAP,
     NEVER_MS,
     NOW_MS,
     SPEED,
@@ -49,25 +42,7 @@ from izoo.envs.twin.arrays import (
     WILL_PASS,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.conflicts import (
-    CONFLICT_BEHIND,
-    CONFLICT_FOE_BEHIND,
-    CONFLICT_FOE_SIZE,
-    CONFLICT_FOE_WAITS,
-    CONFLICT_FOE_YIELDS,
-    CONFLICT_KIND,
-    CONFLICT_LANE,
-    CONFLICT_RADIUS,
-    CONFLICT_SIZE,
-    CONFLICT_YIELDS,
-    CROSSING,
-    MERGING,
-    NOWHERE,
-    PARTING,
-)
-from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.lights import is_major
-from izoo.envs.twin.order import back_on
 
 RED, STOP = ord("r"), ord("s")
 STANDING_MPS = 0.1
@@ -83,191 +58,6 @@ VISIBILITY_M = 4.5
 
 
 @compiled
-def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
-    """Return the plan's speeds and its request, lowered by vehicles on ways in conflict.
-
-    Args:
-        link: the next link of vehicle ``v``; it has conflicts if it begins inside the junction.
-        distance_m: from the front to that link, that is to the end of a way.
-        best, passing: speed (m/s) for the coming step, and at the link.
-        request: whether the vehicle asks to pass the link.
-        floor: speed (m/s) with which it can stop before the link that it comes to before, 0 where there is none.
-    """
-    first = net.conflict_first[link]
-    for row in range(first, first + net.conflict_count[link]):
-        lane = net.conflict_ints[row, CONFLICT_LANE]
-        if state.lanes[lane, LANE_FRONT] < 0 and state.lanes[lane, LANE_TAILS] == 0:
-            continue
-        w = state.lanes[lane, LANE_FRONT]
-        while w >= 0:
-            best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
-            )
-            w = state.ints[w, BEHIND]
-        for k in range(state.lanes[lane, LANE_TAILS]):
-            w = state.tails[lane, k]
-            best, passing, request = _heed(
-                net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s
-            )
-    return best, passing, request
-
-
-@compiled
-def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
-    """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
-    if w == v:
-        return best, passing, request
-    kind = net.conflict_ints[row, CONFLICT_KIND]
-    size = foe_size = 0.0
-    if kind == CROSSING:
-        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
-    if kind != MERGING and to_conflict + size < 0.0:
-        return best, passing, request
-    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
-    nowhere = foe_behind == NOWHERE
-    if nowhere and not outside:
-        return best, passing, request
-    lane = net.conflict_ints[row, CONFLICT_LANE]
-    in_front = state.ints[w, LANE] == lane
-    before_wait = kind == CROSSING and (nowhere or net.conflict_ints[row, CONFLICT_FOE_WAITS] == 1)
-    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    swing = _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
-    past = back_left + foe_size + swing < 0.0 and not nowhere
-    entered = back_left < traffic.floats[w, LENGTH]
-    in_the_way = (to_conflict > 0.0 and not past and entered) or (
-        kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
-    )
-    if kind != MERGING and past:
-        return best, passing, request
-    if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
-        return best, passing, request
-    if not (outside or in_the_way or _goes_first(net, state, v, w, link, row)):
-        return best, passing, request
-    driver = traffic.floats[v]
-    speed = state.floats[v, SPEED]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
-    to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
-    gap = to_conflict - driver[MIN_GAP] - back_left
-    if kind == CROSSING:
-        if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
-            # Before the waiting point, that is where the conflict is taken to begin.
-            gap += to_way - to_conflict
-            to_conflict = to_way
-        gap -= foe_size
-    if gap >= 0.0 and not before_wait:
-        safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
-    else:
-        safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
-    if before_wait:
-        if not in_front and to_conflict >= 0.0:
-            # It has passed the waiting point but for its tail: up to the conflict, and not behind it.
-            stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
-            safe = max(safe, stop)
-    elif kind == CROSSING and to_conflict >= 0.0:
-        stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
-        leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
-        final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
-        in_time = speed + (final - speed) / leave_s * step_s
-        safe = max(safe, min(in_time, stop))
-    # It may always drive up to the link before and stop there.
-    best = max(min(best, safe), floor)
-    passing = min(passing, safe)
-    if best < STANDING_MPS and state.floats[w, SPEED] < STANDING_MPS:
-        request = False
-    return best, passing, request
-
-
-@compiled
-def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # type: ignore[no-untyped-def]
-    """Return who inside the junction would hold ``v`` up most if it went on by ``link``, or -1, and the gap (m).
-
-    Args:
-        distance_m: from the front of ``v``, whatever its lane, to ``link``.
-    """
-    driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
-    found, found_gap, least = -1, 0.0, math.inf
-    first = net.conflict_first[link]
-    for row in range(first, first + net.conflict_count[link]):
-        lane = net.conflict_ints[row, CONFLICT_LANE]
-        front, tails = state.lanes[lane, LANE_FRONT], state.lanes[lane, LANE_TAILS]
-        k = 0
-        while front >= 0 or k < tails:
-            if front >= 0:
-                w = front
-                front = state.ints[w, BEHIND]
-            else:
-                w = state.tails[lane, k]
-                k += 1
-            counts, gap = _conflict_gap(net, traffic, state, v, w, link, row, distance_m)
-            if not counts:
-                continue
-            if gap >= 0.0:
-                safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
-            else:
-                to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
-                safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
-            if safe < least:
-                found, found_gap, least = w, gap, safe
-    return found, found_gap
-
-
-@compiled
-def _conflict_gap(net, traffic, state, v, w, link, row, distance_m):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``v`` heeds ``w`` on the way of conflict ``row``, and the gap (m, less minGap)."""
-    if w == v:
-        return False, 0.0
-    kind = net.conflict_ints[row, CONFLICT_KIND]
-    size = foe_size = 0.0
-    if kind == CROSSING:
-        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
-    if kind != MERGING and to_conflict + size < 0.0:
-        return False, 0.0
-    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
-    nowhere = foe_behind == NOWHERE
-    if nowhere and not outside:
-        return False, 0.0
-    lane = net.conflict_ints[row, CONFLICT_LANE]
-    in_front = state.ints[w, LANE] == lane
-    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    swing = _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
-    past = back_left + foe_size + swing < 0.0 and not nowhere
-    entered = back_left < traffic.floats[w, LENGTH]
-    in_the_way = (to_conflict > 0.0 and not past and entered) or (
-        kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
-    )
-    if kind != MERGING and past:
-        return False, 0.0
-    if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
-        return False, 0.0
-    if not (outside or in_the_way or _goes_first(net, state, v, w, link, row)):
-        return False, 0.0
-    gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
-    if kind == CROSSING:
-        if nowhere or net.conflict_ints[row, CONFLICT_FOE_WAITS] == 1:
-            return True, -1.0
-        gap -= foe_size
-    return True, gap
-
-
-@compiled
-def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
-    """Return how far (m) the body of vehicle ``v``, with a metre at both ends, reaches inside a turn: the sagitta.
-
-    It is infinite where the body is longer than the turn is wide: nobody is ever past such a vehicle.
-    """
-    if radius == 0.0:
-        return 0.0
-    half = 0.5 * (traffic.floats[v, LENGTH] + 2.0)
-    rest = radius * radius - half * half
-    return radius - math.sqrt(rest) if rest >= 0.0 else math.inf
-
-
-@compiled
 def is_lingering(net, state, link):  # type: ignore[no-untyped-def]
     """Whether those on the way before ``link`` came into the junction by a signal that is red now."""
     return state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED
@@ -278,35 +68,6 @@ def is_protected(net, state, link):  # type: ignore[no-untyped-def]
     """Whether ``link`` is a waiting point behind a signal that gives priority now: nobody need wait there."""
     entry = net.link_ints[link, LINK_ENTRY]
     return entry != link and net.link_ints[entry, LINK_PROGRAM] >= 0 and is_major(state.link_letter[entry])
-
-
-@compiled
-def _goes_first(net, state, v, w, link, row):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
-    own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
-    if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
-        foe = state.ints[w, JUNCTION_MS]
-    if net.conflict_ints[row, CONFLICT_YIELDS] and state.ints[v, CONFLICT_MS] == NEVER_MS:
-        # At a waiting point one goes after everybody, but leaves before those whose signal has changed to green.
-        lingers = net.conflict_ints[row, CONFLICT_FOE_YIELDS] and is_lingering(net, state, link)
-        own = own if lingers else NEVER_MS
-    if own != foe:
-        return own > foe
-    if state.floats[v, SPEED] != state.floats[w, SPEED]:
-        return state.floats[v, SPEED] < state.floats[w, SPEED]
-    return _named_before(v, w)
-
-
-@compiled
-def _named_before(v, w):  # type: ignore[no-untyped-def]
-    """Return whether the decimal name of ``v`` sorts before that of ``w``."""
-    one, other = v, w
-    while one >= 10 * max(other, 1) or (one >= 10 and other < 10):
-        one //= 10
-    while other >= 10 * max(one, 1) or (other >= 10 and one < 10):
-        other //= 10
-    # Now both have the same number of digits, or one begins the other.
-    return one < other or (one == other and v < w)
 
 
 @compiled

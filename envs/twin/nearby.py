@@ -36,8 +36,8 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import leader_in_conflict
 from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.inside import leader_in_conflict
 from izoo.envs.twin.lights import LOWER_CASE
 from izoo.envs.twin.order import back_on, last_on, tail_on
 

@@ -50,7 +50,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import is_protected, limit_by_foes
+from izoo.envs.twin.crossing import is_protected
 from izoo.envs.twin.following import (
     EPS,
     arrival_time_s,
@@ -66,6 +66,7 @@ from izoo.envs.twin.following import (
     speed_after,
     stop_speed,
 )
+from izoo.envs.twin.inside import limit_by_foes
 from izoo.envs.twin.lights import is_major, stops_all
 from izoo.envs.twin.order import back_on, last_on, tail_on
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from izoo.benchmarks import ladder, twin
 from izoo.benchmarks.ladder_options import LadderConfig
@@ -113,6 +118,43 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert twin.main(words) == 0  # nothing is left to be played
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")} == first
     assert "Benefit over human driving" in capsys.readouterr().out
+
+
+def test_tables_fit_a_terminal_of_80_columns() -> None:
+    rows = [episode("uncommanded", "A", 1, 10, 1000.0, lanes=lanes) | {"context": f"c{lanes}"} for lanes in (1, 2)]
+    table = pd.DataFrame(rows)
+    rungs = ladder.rungs(ladder.approaches(table, table))
+    gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-0.1], "twin": [-0.2], "difference": [-0.1]})
+    for shown in ladder.tables(pd.DataFrame(), rungs, gained):
+        out = io.StringIO()
+        Console(file=out, width=80).print(shown)
+        assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
+        assert all(str(column.header) in out.getvalue() for column in shown.columns)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_command_in_good_order(tmp_path: Path) -> None:
+    words = [
+        "contexts=pcg",
+        "num_contexts=2",
+        "num_workers=1",
+        f"out={tmp_path / 'out'}",
+        f"cache={tmp_path / 'cache'}",
+    ]
+    with subprocess.Popen(
+        [sys.executable, "-m", "izoo.benchmarks.twin", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler) and None,
+    ) as child:
+        assert child.stdout is not None
+        while not child.stdout.readline().startswith("sumo:"):
+            assert child.poll() is None
+        child.send_signal(signal.SIGINT)
+        _, errors = child.communicate(timeout=120)
+    assert child.returncode == 130, errors
+    assert "the same command goes on" in errors and "Traceback" not in errors
 
 
 def test_policies_that_one_side_has_not_played_yet_have_no_gain() -> None:

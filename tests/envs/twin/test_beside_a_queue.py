@@ -18,7 +18,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_crossroads(tmp_path_factory.mktemp("queue"), RED_FOR_A, lanes=2, length_m=160.0)
 
 
-@pytest.mark.parametrize(("queue", "first_s"), [(20, 72.3), (26, 70.0), (30, 70.0), (30, 72.3)])
+@pytest.mark.parametrize(("queue", "first_s"), [(20, 72.3), (26, 70.0), (26, 72.3), (30, 70.0), (30, 72.3)])
 def test_passing_a_queue(net: Path, queue: int, first_s: float) -> None:
     """Who must come over to a queue that stands goes past, a step in two, those who have stood for five seconds."""
     vehicles = [{"depart": 2.2 * k, "way": "AD", "lane": 0, "max_accel": 2.0} for k in range(queue)]
