@@ -69,7 +69,7 @@ def measure(
     config = replace(config, horizon_s=config.warmup_s + (steps + settle + 2) * config.step_s)
     with contextlib.closing(TwinEnv(num_envs, context, config=config, threads=threads, surrogate=surrogate)) as env:
         state = env.reset()
-        env.backend.await_prepared()
+        env.backend.forget_ahead()  # nothing shall run beside what is timed
         action = torch.full((num_envs, config.num_agents, 1), ACTION_HIGH_MPS2)
         counted = env.frames["episode_metrics"][:, EPISODE_METRICS.index("vehicle_steps")]
 

@@ -90,9 +90,11 @@ class TwinBackend:
             known[1].cancel()
         self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play(), self._preparers_desk))
 
-    def await_prepared(self) -> None:
-        """Wait until the episodes that are prepared ahead are ready."""
-        wait([future for _, future in self._ahead.values()])
+    def forget_ahead(self) -> None:
+        """Prepare nothing ahead of what is expected so far: those episodes are prepared when their turn comes."""
+        waiting = [future for _, future in self._ahead.values() if not future.cancel()]
+        self._ahead.clear()
+        wait(waiting)
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, and write their first frames."""
