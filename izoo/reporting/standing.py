@@ -124,8 +124,8 @@ def _label(line: Mapping[str, Any]) -> str:
 
 
 def _title(protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> str:
-    n = [line["n"] for line in lines]
-    approaches = sorted({each["approaches"] for each in n})
-    seeds = max((each["train_seeds"] for each in n), default=1)
+    approaches = max((line["n"]["approaches"] for line in lines), default=0)
+    seeds = sorted({line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"} or {0})
+    many = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
     name = str(protocol["protocol"]).replace("_", " ")
-    return f"{name}: {plain(protocol['title']).replace('_', ' ')}; {approaches[-1]} approaches, {seeds} training seeds"
+    return f"{name}: {plain(protocol['title']).replace('_', ' ')}; {approaches} approaches, training seeds: {many}"
