@@ -235,7 +235,7 @@ def test_working_memory_keeps_nothing(make: Make, expected: dict[int, str]) -> N
 
     def spoil(state: TensorDictBase) -> TensorDictBase:
         blocks = [block for desk in env.backend._desks for block in desk._blocks.values()]
-        assert sum(len(block) for block in blocks) > 50_000
+        assert sum(len(block) for block in blocks) > 10_000
         for block in blocks:
             block[:] = 255  # -1, and not a number
         return steer(state)
@@ -259,7 +259,7 @@ def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
         assert torch.allclose(parts[0][key], parts[1][key], rtol=1e-4, atol=1e-4), key
     for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
         assert torch.equal(parts[0][key], parts[1][key]), key
-    assert parts[0]["done"].any() and parts[0]["vehicles", "emission_g"].sum() > 1.0
+    assert bool(parts[0]["done"].any()) == (hold_s is not None) and parts[0]["vehicles", "emission_g"].sum() > 1.0
 
 
 # -- what is counted ---------------------------------------------------------------------------------------------------
