@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,17 +29,10 @@ SIMULATORS = ("sumo", "twin")
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
-    try:
-        return _compare(config)
-    except KeyboardInterrupt:
-        print("Stopped; the same command goes on from here.", file=sys.stderr, flush=True)
-        raise
-
-
-def _compare(config: LadderConfig) -> Path:
     from rich.console import Console
 
     from izoo.benchmarks import ladder
+    from izoo.console import counted
     from izoo.evaluation.runner import evaluate_policy
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
@@ -78,7 +71,8 @@ def _compare(config: LadderConfig) -> Path:
             "same_order": ladder.same_order(gained),
         },
     )
-    ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {len(contexts)} contexts, {len(seeds)} seeds")
+    shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
+    ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
     for shown in ladder.tables(ladder.exactness(exact), rungs, gained):
         Console().print(shown)
     print(f"Results: {out}", flush=True)
@@ -166,6 +160,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.ladder_options:LadderConfig",
     work="izoo.benchmarks.twin:run",
+    stopped=GOES_ON,
 )
 main = COMMAND.main
 
