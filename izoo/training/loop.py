@@ -270,10 +270,10 @@ class Session:
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
         self._batches = batches
         if config.simulator == "twin":
-            levels = self.levels
-            self._paired = Paired(
-                config, *((self._schedule(),) if levels is None else (self.draws, None, levels.level))
-            )
+            if self.levels is None:
+                self._paired = Paired(config, self._schedule())
+            else:
+                self._paired = Paired(config, self.draws, level=self.levels.level)
         try:
             self._load(batches)
             latest: dict[str, float] = {}
