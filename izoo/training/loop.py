@@ -18,15 +18,14 @@ from tensordict import TensorDictBase
 from izoo.algos.base import MASK
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
-from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
-from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
 from izoo.training.environments import NUMBERS
 from izoo.training.episodes import episode_stats
+from izoo.training.last_comparison import compare
 from izoo.training.learner import Learner, is_finite, learner_device
 from izoo.training.levels import Levels
 from izoo.training.paired import Paired
@@ -36,8 +35,6 @@ from izoo.training.validation import Validator
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or has become read-only."""
 MAX_LEARNER_THREADS = 8
-MOST_LOOKED_UP = 20_000
-"""Of runs with more episodes it is not said that the contexts of their last comparison are unseen."""
 PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""
 
@@ -252,7 +249,7 @@ class Session:
         if interrupt.requested:
             self._say_where_it_stopped()
             raise KeyboardInterrupt
-        found = self._evaluate()
+        found = self._compare()
         print(f"Run folder: {self.run_dir}", flush=True)
         if found:
             print(found, flush=True)
@@ -429,37 +426,9 @@ class Session:
             plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
             self._plotted_s = self.seconds
 
-    def _evaluate(self) -> str:
-        """Compare briefly with human driving, in episodes as long as those of training; keep that in the run folder.
-
-        Returns:
-            In words what was found; empty where nothing is compared.
-        """
-        options = self.config.evaluation
-        if options.contexts == 0 or self.batches == 0:
+    def _compare(self) -> str:
+        """Return in words how the policy compares with human driving; empty where it is not to be compared."""
+        if self.config.evaluation.contexts == 0 or self.batches == 0:
             return ""
-        from izoo.evaluation import evaluate_policy, print_summary, summarise
-        from izoo.evaluation.words import in_words
-
-        contexts = choose_contexts(self.source, options.contexts, self.config.seed)
-        seeds = EpisodeSeeds(self.config.seed + EVALUATION_STREAM, options.seeds)
-        print(f"Comparing with human driving: {describe(contexts, seeds, self.config.env)}.", flush=True)
-        table = evaluate_policy(
-            self.learner.policy,
-            contexts,
-            seeds,
-            self.config.env,
-            num_workers=self.config.num_workers,
-            out_dir=self.run_dir,
-        )
-        summary = summarise(table)
-        print_summary(summary)
-        return in_words(summary, self._unseen(contexts))
-
-    def _unseen(self, contexts: Sequence[Context]) -> bool:
-        """Return whether none of these contexts has been trained on; of very long runs that is not looked up."""
         played = self.first_episode + self.episodes + num_envs(self.config)
-        if hasattr(self.source, "__len__") or played > MOST_LOOKED_UP:
-            return False
-        seen = {self.draws(number)[0].content_hash for number in range(played)}
-        return seen.isdisjoint(context.content_hash for context in contexts)
+        return compare(self.config, self.learner.policy, self.run_dir, self.source, self.draws, played)
