@@ -85,13 +85,13 @@ def _panel(axes: Axes, lines: Sequence[Mapping[str, Any]], part: str, name: str,
         if hollow:
             _estimate(axes, line, *REGION, place + shift, colour, filled=False)
     axes.set_yticks(range(len(lines)), [_label(line) for line in lines], parse_math=False)
-    axes.set_ylim(len(lines) - 0.4, -0.6)
+    axes.set_ylim(len(lines) + 0.9, -0.6)  # with room for a legend below
     axes.grid(axis="x", linewidth=0.3)
     axes.spines[["top", "right"]].set_visible(False)
     if hollow:
         for inside, said in ((PALETTE[0], "to the stop line"), ("white", "whole region")):
             axes.plot([], [], "o", color=PALETTE[0], markerfacecolor=inside, label=said)
-        axes.legend(fontsize=7, loc="best", framealpha=0.8)
+        axes.legend(fontsize=7, loc="lower right")
 
 
 def _estimate(
@@ -115,7 +115,7 @@ def _published(axes: Axes, protocol: Mapping[str, Any], lines: Sequence[Mapping[
         places = [place for place, line in enumerate(lines) if line["policy"]["name"] in mine]
         if places:
             axes.plot([100.0 * each.benefit] * len(places), places, "D", color=PALETTE[1], markersize=5, label=said)
-            axes.legend(fontsize=7, loc="best", framealpha=0.8)
+            axes.legend(fontsize=7, loc="lower right")
             said = None
 
 
