@@ -141,9 +141,9 @@ def print_tables(rows: Sequence[Row]) -> None:
         table = Table(
             title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
         )
-        table.add_column("variant", no_wrap=True)
+        table.add_column("variant")
         for heading in ("env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"):
-            table.add_column(heading, justify="right")
+            table.add_column(heading, justify="right", no_wrap=True)
         for row in group:
             rates = f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"
             table.add_row(row.variant, *rates, f"{row.vehicles:.0f}", f"{row.agents:.0f}")
