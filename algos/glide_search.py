@@ -8,6 +8,7 @@ search of its own, told by the contexts of its kind.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -84,6 +85,8 @@ class SearchedGlide(Glide):
         config: settings of the environment; the follower must be observed besides what glide needs.
     """
 
+    gate: Tensor
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
         if "follower_present" not in self.columns:
@@ -103,10 +106,10 @@ class SearchedGlide(Glide):
         values = {setting.name: setting.value(chosen[..., k]) for k, setting in enumerate(SETTINGS)}
         values["response_s"] = values["response_s"].clamp_min(self.shortest_response_s)
         values["floor_mps"] = values["floor_mps"].clamp_min(0.1)
-        self.settings: Any = SimpleNamespace(**values, **OTHERS)
-        self.response_s: Any = values["response_s"]
-        self._weights = chosen[..., len(SETTINGS) :]
-        accel, defer = self.drive(observation, torch.ones_like(several))
+        rule: Any = copy.copy(self)  # the rule itself stays as it is, and so does its fingerprint
+        rule.settings, rule.response_s = SimpleNamespace(**values, **OTHERS), values["response_s"]
+        rule.gate = chosen[..., len(SETTINGS) :] + chosen.new_tensor(GATE_START)
+        accel, defer = rule.drive(observation, torch.ones_like(several))
         return accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2), defer
 
     def lanes(self, observation: Tensor) -> Tensor:
@@ -130,8 +133,7 @@ class SearchedGlide(Glide):
             follower.float() - 0.5,
             (self.lanes(observation) - 2.5) / 1.5,
         )
-        weights = self._weights + self._weights.new_tensor(GATE_START)
-        return (torch.stack(features, -1) * weights).sum(-1) > 0.0
+        return (torch.stack(features, -1) * self.gate).sum(-1) > 0.0
 
 
 class GlidePolicies(TensorDictModuleBase):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from izoo.algos.registry import AlgoConfig
-from izoo.errors import check_range, check_types
+from izoo.algos.cmaes_config import CMAESConfig
 
 
 @dataclass(frozen=True)
-class GlideSearchConfig(AlgoConfig):
+class GlideSearchConfig(CMAESConfig):
     """Hyper-parameters of CMA-ES over the settings of glide, one set for roads of one lane and one for several.
 
     Attributes:
@@ -20,18 +19,6 @@ class GlideSearchConfig(AlgoConfig):
         initial_spread: standard deviation of the first generation's numbers (ours 0.5: settings differ by a sixth).
     """
 
-    name: Literal["glide_search"] = "glide_search"
-    population: int = 16
+    name: Literal["glide_search"] = "glide_search"  # type: ignore[assignment]
     initial_spread: float = 0.5
-    frames_per_batch = 1  # no option: a batch is an episode of each environment, however long those are
     needs_env: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_types("algo", self)
-        check_range("algo.population", self.population, 4, 4096)
-        check_range("algo.initial_spread", self.initial_spread, 1e-6, 100.0)
-
-    @property
-    def candidates(self) -> int:
-        """How many policies are compared in each batch."""
-        return self.population

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from izoo.benchmarks.ablation_options import REFERENCE, ROWS, SETTING, START, AblationConfig
-from izoo.commands.option_command import OptionCommand
+from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -294,6 +294,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.ablation_options:AblationConfig",
     work="izoo.benchmarks.ablation:run",
+    stopped=GOES_ON,
 )
 main = COMMAND.main
 

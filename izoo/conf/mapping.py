@@ -47,17 +47,18 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
-def with_given(base: T, chosen: T, given: Iterable[str], group: str) -> T:
+def with_given(base: T, chosen: T, given: Iterable[str], group: str = "") -> T:
     """Return the options ``base`` with those of ``chosen`` that were written on the command line.
 
     Args:
         base, chosen: the same dataclass.
         given: paths of the options that were written.
-        group: the path of this group of options, as ``env``.
+        group: what this group of options is called, as ``env``; empty: they are all options.
     """
-    merged = base
-    for path in sorted(name.split(".") for name in given if name.startswith(f"{group}.")):
-        merged = _with_option(merged, chosen, path[1:])
+    merged, prefix = base, f"{group}." if group else ""
+    # A group comes before its options.
+    for path in sorted(name.removeprefix(prefix).split(".") for name in given if name.startswith(prefix)):
+        merged = _with_option(merged, chosen, path)
     return merged
 
 

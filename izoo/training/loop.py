@@ -8,7 +8,7 @@ import errno
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.algos.base import MASK
+from izoo.conf.mapping import with_given
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
@@ -129,10 +130,7 @@ def _resumed(
     where = Path(config.resume or "")
     path = None if _has_only_begun(where) else checkpoint.find(where)
     stored = runs.read_config(run_dir)
-    changed = dataclasses.replace(stored, run_dir=str(run_dir))
-    for word in sorted(given - {"resume"}):  # a group comes before its options
-        changed = _taken_over(changed, config, word.split("."))
-    config = changed
+    config = with_given(dataclasses.replace(stored, run_dir=str(run_dir)), config, given - {"resume"})
     state = None if path is None else checkpoint.load(path)
     if state is not None and path is not None:
         runs.check_state(state, stored, path)
@@ -144,14 +142,6 @@ def _resumed(
             )
     runs.write_config(run_dir, config)
     return config, state, path or run_dir
-
-
-def _taken_over(into: Any, source: Any, path: Sequence[str]) -> Any:
-    """Return options ``into`` with the one at ``path`` as it is in ``source``; the others of its group stay."""
-    if not path:
-        return source
-    inner = _taken_over(getattr(into, path[0]), getattr(source, path[0]), path[1:])
-    return dataclasses.replace(into, **{path[0]: inner})
 
 
 class Session:

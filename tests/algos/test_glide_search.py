@@ -20,6 +20,7 @@ from izoo.algos.scripted import DEFER, Glide, GlideConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
+from izoo.evaluation.policies import fingerprint
 
 ENV = EnvConfig(hold_s=2.0)
 NAMES = observation_names(ENV)
@@ -68,6 +69,14 @@ def generation(algorithm: GlideSearch, lanes: float, goal: int = 0) -> TensorDic
     done[:, -1] = True
     frames = torch.stack([seen(population, lanes)] * STEPS, dim=1)
     return frames.set("next", TensorDict({TEAM_REWARD: reward, "done": done}, [population, STEPS]))
+
+
+def test_acting_leaves_the_policy_as_it_is() -> None:
+    """Its fingerprint says whether an evaluation is of this policy."""
+    algorithm = make()
+    before = fingerprint(algorithm.policy.eval())
+    act(algorithm, seen(2, SEVERAL))
+    assert fingerprint(algorithm.policy) == before
 
 
 @pytest.mark.parametrize("lanes", [ONE, SEVERAL])
