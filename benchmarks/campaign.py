@@ -6,14 +6,14 @@ import contextlib
 import dataclasses
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
 
-from izoo.benchmarks.claim import check_run, check_settings
+from izoo.benchmarks.claim import check_run, check_settings, check_source, check_taken
 from izoo.benchmarks.contestants import contestant
 from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
@@ -21,14 +21,14 @@ from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
-from izoo.console import duration
+from izoo.console import counted, duration
 from izoo.contexts.context import Context
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.provenance import versions
 from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
-from izoo.files import claimed
+from izoo.files import claimed, replacing_folder
 from izoo.reporting.results import (
     EVALUATION_FOLDER,
     HUMAN_VEHICLES_FOLDER,
@@ -53,6 +53,11 @@ class Job:
     entry: Entry
     seed: int
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """The entry's name and the training seed."""
+        return self.entry.name, self.seed
+
     def __str__(self) -> str:
         return f"{self.kind} {self.entry.name}" + (f", seed {self.seed}" if self.entry.seeded else "")
 
@@ -76,13 +81,14 @@ class Campaign:
         # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
         self.runs: dict[tuple[str, int], TrainConfig] = {
             (entry.name, seed): train_config(
-                config, self.plan, entry, seed, folder / TRAIN_FOLDER / _place(entry, seed)
+                config, self.plan, entry, seed, folder / TRAIN_FOLDER / _place(entry.name, seed)
             )
             for entry in self.entries
             if entry.kind == "trained"
             for seed in range(config.seeds or 0)
         }
         self.versions = versions()
+        self.elsewhere = self._trained_elsewhere()
         self.pace = Pace()
         self.results = self._index()
 
@@ -120,6 +126,7 @@ class Campaign:
             KeyboardInterrupt: Ctrl-C; what was begun goes on at the next start.
         """
         jobs = self.jobs()
+        self._take_over(jobs)
         for job in jobs:
             self._refresh(job)
         todo = [job for job in jobs if not self._is_done(job)]
@@ -154,22 +161,52 @@ class Campaign:
 
     def _train(self, job: Job) -> None:
         """Begin a run or go on with it."""
-        wanted = self.runs[job.entry.name, job.seed]
-        run_dir = self._run_dir(job.entry, job.seed)
+        wanted = self.runs[job.key]
+        run_dir = self._run_dir(job)
         if _frames(run_dir) == 0:
-            shutil.rmtree(run_dir, ignore_errors=True)  # it ended before its first checkpoint
-            # An evaluation of weights that are gone must not pass for one of those that are trained now.
-            for folder, _ in self._tests(job):
-                shutil.rmtree(folder, ignore_errors=True)
+            self._clear(job)
             train(wanted)
         else:
             resumed = dataclasses.replace(wanted, resume=str(run_dir))
             train(resumed, frozenset({"resume", "total_frames", "num_workers", "collector"}))
-        if not self._is_trained(job):
+        if not self._is_trained(job.key, run_dir):
             raise KeyboardInterrupt
 
+    def _clear(self, job: Job) -> None:
+        """Remove a run that ended before its first checkpoint, and evaluations of weights that are gone.
+
+        These must not pass for evaluations of the weights that come.
+        """
+        for folder in (self._run_dir(job), *(folder for folder, _ in self._tests(job))):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _trained_elsewhere(self) -> dict[tuple[str, int], Path]:
+        """Return the finished runs of ``trained_in``, by entry and training seed; they are those that are wanted."""
+        if self.config.trained_in is None:
+            return {}
+        source = Path(self.config.trained_in)
+        check_source(source, self.versions)
+        places = {key: source / TRAIN_FOLDER / _place(*key) for key in self.runs}
+        found = {key: there for key, there in places.items() if self._is_trained(key, there)}
+        for key, there in found.items():
+            check_taken(there, self.runs[key])
+        return found
+
+    def _take_over(self, jobs: Sequence[Job]) -> None:
+        """Copy the runs of ``trained_in`` that have not begun here."""
+        begin = [job for job in jobs if job.kind == "train" and _frames(self._run_dir(job)) == 0]
+        taken = [job for job in begin if job.key in self.elsewhere]
+        for job in taken:
+            self._clear(job)
+            with replacing_folder(self._run_dir(job)) as partial:
+                shutil.copytree(self.elsewhere[job.key], partial, dirs_exist_ok=True)
+        if self.config.trained_in is not None:
+            missing = [f"{job.entry.name} seed {job.seed}" for job in begin if job not in taken]
+            still = f"; still to be trained: {', '.join(missing)}" if missing else ""
+            print(f"{counted(len(taken), 'training run')} taken over from {self.config.trained_in}{still}.", flush=True)
+
     def _evaluate(self, job: Job) -> None:
-        env, run_dir = self.envs[job.entry.name], self._run_dir(job.entry, job.seed)
+        env, run_dir = self.envs[job.entry.name], self._run_dir(job)
         policy = contestant(self.config, self.plan, env, job.entry, job.seed, run_dir)
         for folder, contexts in self._tests(job):
             print(f"Evaluating in {len(contexts)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
@@ -186,7 +223,7 @@ class Campaign:
 
     def _tests(self, job: Job) -> list[tuple[Path, list[Context]]]:
         """Return the folders of a job's evaluations and the contexts that each of them plays."""
-        place, test = _place(job.entry, job.seed), self.plan.test
+        place, test = _place(*job.key), self.plan.test
         tests = [(self._evaluation_dir(job), test)]
         if self.config.human_vehicles:
             tests.append(
@@ -203,25 +240,24 @@ class Campaign:
         status = "waiting" if job.entry.kind == "trained" else "trained"
         frames, seconds = 0, 0.0
         if job.entry.kind == "trained":
-            wanted = self.runs[job.entry.name, job.seed]
-            run_dir = self._run_dir(job.entry, job.seed)
+            wanted = self.runs[job.key]
+            run_dir = self._run_dir(job)
             frames = _frames(run_dir)
             if frames > 0:
                 check_run(run_dir, wanted)
                 seconds = _seconds(run_dir)
                 self.pace.add(self._pace_key(Job("train", job.entry, job.seed)), frames, seconds)
-                status = "trained" if self._is_trained(job) else "training"
+                status = "trained" if self._is_trained(job.key, run_dir) else "training"
         if status == "trained" and self._is_evaluated(job):
             status = "done"
         self._record(
             job, "waiting" if status == "trained" and job.entry.kind == "scripted" else status, frames, seconds
         )
 
-    def _is_trained(self, job: Job) -> bool:
+    def _is_trained(self, key: tuple[str, int], run_dir: Path) -> bool:
         """Whether a run has all its frames and, where validation chooses the weights, no validation is owed."""
-        run_dir = self._run_dir(job.entry, job.seed)
         owed = self.config.select == "best" and bool(checkpoint.candidates(run_dir))
-        return _frames(run_dir) >= self.runs[job.entry.name, job.seed].total_frames and not owed
+        return _frames(run_dir) >= self.runs[key].total_frames and not owed
 
     def _is_evaluated(self, job: Job) -> bool:
         """Whether the evaluations of a run hold every episode of the plan."""
@@ -236,11 +272,11 @@ class Campaign:
         names = {HUMAN, UNCOMMANDED, entry}
         return all((n, c.content_hash, s) in there for n in names for c in contexts for s in self.plan.seeds.of(c))
 
-    def _run_dir(self, entry: Entry, seed: int) -> Path:
-        return self.folder / TRAIN_FOLDER / _place(entry, seed)
+    def _run_dir(self, job: Job) -> Path:
+        return self.folder / TRAIN_FOLDER / _place(*job.key)
 
     def _evaluation_dir(self, job: Job) -> Path:
-        return self.folder / EVALUATION_FOLDER / _place(job.entry, job.seed)
+        return self.folder / EVALUATION_FOLDER / _place(*job.key)
 
     def _run_record(self, job: Job) -> RunRecord:
         return next(run for run in self.results.entry(job.entry.name).runs if run.seed == job.seed)
@@ -265,8 +301,8 @@ class Campaign:
                 RunRecord(
                     seed=seed,
                     status="waiting",
-                    evaluation=f"{EVALUATION_FOLDER}/{_place(entry, seed)}",
-                    run=f"{TRAIN_FOLDER}/{_place(entry, seed)}" if entry.kind == "trained" else None,
+                    evaluation=f"{EVALUATION_FOLDER}/{_place(entry.name, seed)}",
+                    run=f"{TRAIN_FOLDER}/{_place(entry.name, seed)}" if entry.kind == "trained" else None,
                 )
                 for seed in seeds
             ]
@@ -290,13 +326,14 @@ class Campaign:
     def _work(self, job: Job) -> float:
         """Environment steps of what is left of a job."""
         if job.kind == "train":
-            return max(self.runs[job.entry.name, job.seed].total_frames - self._run_record(job).frames, 0)
+            return max(self.runs[job.key].total_frames - self._run_record(job).frames, 0)
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
         return float(episodes * self.envs[job.entry.name].decisions)
 
 
-def _place(entry: Entry, seed: int) -> str:
-    return f"{entry.name}/seed{seed}"
+def _place(name: str, seed: int) -> str:
+    """Return the folder of a training seed of an entry, relative to that of all."""
+    return f"{name}/seed{seed}"
 
 
 def _frames(run_dir: Path) -> int:

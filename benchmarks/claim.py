@@ -20,12 +20,14 @@ from izoo.files import read_text, write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
 
-MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles")
+MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles", "trained_in")
 """Options that change no number, so that a benchmark may go on with others."""
 MAY_GROW = ("algos", "seeds", "untrained_seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
 NOT_THE_RUN = (*runs.CHANGEABLE, "run_dir")
 """Options of a training run in which a run that is there may differ from the one that is wanted."""
+NOT_THE_NUMBERS = ("run_dir", "resume")
+"""The same for a run that is taken over whole."""
 
 
 def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, str]) -> None:
@@ -37,7 +39,7 @@ def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, s
     Raises:
         IzooError: it holds something else, or a benchmark with other settings, which the message names.
     """
-    wanted = {**_kept(options, MAY_DIFFER), "versions": {**now, "drivers": code_digest(drivers=True)}}
+    wanted = {**_kept(options, MAY_DIFFER), "versions": _with_drivers(now)}
     path = folder / SETTINGS_FILE
     if path.exists():
         stored = _read_settings(path)
@@ -61,6 +63,31 @@ def check_run(run_dir: Path, wanted: TrainConfig) -> None:
         )
 
 
+def check_source(folder: Path, now: Mapping[str, str]) -> None:
+    """Raise :class:`IzooError` unless the runs of another results folder were trained by the versions ``now``."""
+    path = folder / SETTINGS_FILE
+    if not path.is_file():
+        raise IzooError(f"trained_in: {folder} has no {SETTINGS_FILE}; give a folder that a benchmark wrote.")
+    differing = differences(_read_settings(path, "trained_in").get("versions", {}), _with_drivers(now))
+    if differing:
+        raise IzooError(f"trained_in: {folder} was made by other versions ({differing}); leave it out to train again.")
+
+
+def check_taken(there: Path, wanted: TrainConfig) -> None:
+    """Raise :class:`IzooError` where a training run of another results folder is not the very one that is wanted.
+
+    Here those options count as well that may change when a run is resumed.
+    """
+    stored, mine = (_kept(to_mapping(config), NOT_THE_NUMBERS) for config in (runs.read_config(there), wanted))
+    differing = differences(stored, mine)
+    if differing:
+        raise IzooError(f"trained_in: {there} has other options ({differing}); leave it out to train again.")
+
+
+def _with_drivers(now: Mapping[str, str]) -> dict[str, str]:
+    return {**now, "drivers": code_digest(drivers=True)}
+
+
 def _kept(values: Mapping[str, Any], without: tuple[str, ...]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name not in without}
 
@@ -72,11 +99,11 @@ def _grew(name: str, old: Any, new: Any) -> bool:
     return isinstance(old, int) and isinstance(new, int) and old <= new
 
 
-def _read_settings(path: Path) -> dict[str, Any]:
+def _read_settings(path: Path, option: str = "out") -> dict[str, Any]:
     try:
         stored = runs.plain_yaml(read_text(path, runs.MOST_CONFIG_BYTES))
     except (OSError, YAMLError, ValueError) as error:
-        raise IzooError(f"{path} is damaged: {str(error).splitlines()[0]}; choose another out.") from error
+        raise IzooError(f"{path} is damaged: {str(error).splitlines()[0]}; choose another {option}.") from error
     if not isinstance(stored, dict):
-        raise IzooError(f"{path} is damaged: it is no mapping; choose another out.")
+        raise IzooError(f"{path} is damaged: it is no mapping; choose another {option}.")
     return json.loads(json.dumps(stored))

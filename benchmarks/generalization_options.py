@@ -136,6 +136,9 @@ class GeneralizationConfig:
         train_workers: environments that a run trains on, each in a process of its own; 1 trains in this process;
             null: the scale's.
         num_workers: processes that evaluate, each with one simulator; 0: this one; null: the scale's.
+        trained_in: another results folder, whose finished training runs are taken over instead of trained again: those
+            of a benchmark of the same versions and training options, such as ``in_distribution`` before
+            ``productivity``.
         out: the results folder; an interrupted benchmark goes on there. null: a folder named after protocol and scale
             in ``results`` of the current folder.
         cache: folder of the cached human episodes; null: the user's cache folder.
@@ -163,6 +166,7 @@ class GeneralizationConfig:
     train_options: tuple[str, ...] = ()
     train_workers: int | None = None
     num_workers: int | None = None
+    trained_in: str | None = None
     out: str | None = None
     cache: str | None = None
 
@@ -193,9 +197,9 @@ class GeneralizationConfig:
             raise IzooError(
                 f"algos is {list(self.algos)}; give one or more names, each once (of module:function, function counts)."
             )
-        for name in ("train", "test", "out", "cache"):
+        for name in ("train", "test", "trained_in", "out", "cache"):
             value = getattr(self, name)
-            if value is not None and (name in ("out", "cache") or is_folder(value)):
+            if value is not None and (name not in ("train", "test") or is_folder(value)):
                 object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
 
     def _check_train_options(self) -> None:

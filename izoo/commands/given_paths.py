@@ -58,7 +58,9 @@ def check_collect(config: CollectConfig) -> None:
 
 
 def check_benchmark(config: Any) -> None:
-    """Refuse places for training and testing that are neither a folder nor a city."""
+    """Refuse places that are neither a folder nor a city, and a missing folder of trained policies."""
+    if config.trained_in is not None:
+        check_folder(Path(config.trained_in), "trained_in takes the results folder of another benchmark")
     for name in ("train", "test"):
         place = getattr(config, name)
         if place is not None and not Path(place).is_dir():

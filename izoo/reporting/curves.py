@@ -10,6 +10,7 @@ import pandas as pd
 
 from izoo.reporting.drawing import PALETTE, QUIET, Figure, axis, escaped
 from izoo.reporting.material import Curve
+from izoo.training.plots import band
 
 CURVES = {
     "co2_saved_over_uncommanded": "training: CO2 saved over uncommanded CVs (share)",
@@ -20,7 +21,7 @@ CURVES = {
     "stopped_time_s_per_vehicle": "stopped time per vehicle (s)",
 }
 """Columns of ``metrics.csv`` that are drawn."""
-CURVE_POINTS, BAND_POINTS = 400, 100
+CURVE_POINTS = 400
 BAND_CAPTION = "The band reaches from the lowest to the highest training seed, the thick line is their mean."
 TRADED = ("emission_g_per_vehicle", "travel_time_s_per_vehicle")
 """Columns of ``tradeoffs.csv`` that the Pareto plot shows."""
@@ -121,14 +122,10 @@ def _smoothed(table: Any, column: str, window: int) -> tuple[np.ndarray, np.ndar
 
 def _band(family: str, lines: Sequence[tuple[np.ndarray, np.ndarray]], colour: str) -> list[dict[str, Any]]:
     """Return what lies between the lowest and the highest of several lines, and their mean, where all of them are."""
-    if any(len(x) == 0 for x, _ in lines):
+    between = band(lines)
+    if between is None:
         return []
-    begin, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
-    if end <= begin:
-        return []
-    x = np.linspace(begin, end, BAND_POINTS)
-    values = np.stack([np.interp(x, own, y) for own, y in lines])
-    low, high = values.min(0), values.max(0)
+    x, low, middle, high = between
     area = {
         "x": [*x.tolist(), *x[::-1].tolist()],
         "y": _short(np.concatenate([low, high[::-1]])),
@@ -140,7 +137,7 @@ def _band(family: str, lines: Sequence[tuple[np.ndarray, np.ndarray]], colour: s
         "hoverinfo": "skip",
     }
     text = f"{escaped(family)}, mean of {len(lines)} seeds<br>%{{x:.0f}}: %{{y:.4g}}<extra></extra>"
-    mean = {"x": x.tolist(), "y": _short(values.mean(0)), "mode": "lines", "line": {"color": colour, "width": 2.6}}
+    mean = {"x": x.tolist(), "y": _short(middle), "mode": "lines", "line": {"color": colour, "width": 2.6}}
     return [_trace(family, {**part, "showlegend": False}) for part in (area, {**mean, "hovertemplate": text})]
 
 

@@ -7,6 +7,7 @@ from itertools import cycle
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -34,7 +35,7 @@ VALIDATION_PANELS = (
     (("throughput_kept", "approaches that kept their throughput"),),
 )
 SMOOTHING_POINTS = 20
-LINE_STYLES = ("-", "--", ":", "-.")
+BAND_POINTS = 100
 
 
 def learning_curve(table: MetricsTable, path: Path, title: str, validation: MetricsTable | None = None) -> None:
@@ -70,16 +71,21 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
 
 
 def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title: str) -> None:
-    """Draw return and emission of several runs against environment steps, and save the picture as PNG.
+    """Save what :func:`draw_compared` draws as PNG."""
+    _save(draw_compared(runs, title), path)
+
+
+def draw_compared(runs: Mapping[str, Sequence[MetricsTable]], title: str) -> Figure:
+    """Draw return and emission of several runs against environment steps.
 
     Where all have been compared with the same episodes without the policy, what they saved stands beside.
 
     Lines are running means over a fifth of a run's batches, at most 20, without the first of them, which would be means
-    of fewer; runs of one choice share a colour, and their first, second, ... share a line style across choices.
+    of fewer. Of several runs of one choice the mean is drawn, and a band from the lowest to the highest, as far as all
+    of them have come.
 
     Args:
         runs: metrics of the runs of every choice, such as the training seeds of an algorithm.
-        path: of the picture.
         title: of the picture.
     """
     compared = all(table.series(PAIRED_PANELS[0][0][0])[1] for tables in runs.values() for table in tables)
@@ -89,15 +95,44 @@ def compare_curves(runs: Mapping[str, Sequence[MetricsTable]], path: Path, title
     figure.suptitle(title)
     for axes, (name, label) in zip(figure.subplots(1, len(panels)), panels, strict=True):
         for (choice, tables), colour in zip(runs.items(), cycle(matplotlib.color_sequences["tab10"]), strict=False):
-            for number, table in enumerate(tables):
-                frames, values = table.series(name)
-                begin = _width(values) - 1
-                legend = choice if number == 0 else None
-                line = {"color": colour, "linestyle": LINE_STYLES[number % len(LINE_STYLES)], "label": legend}
-                axes.plot(frames[begin:], _running_mean(values)[begin:], linewidth=1.6, **line)
+            lines = [_smooth_line(table, name) for table in tables if table.series(name)[1]]
+            between = band(lines)
+            if between is None:
+                for number, (frames, values) in enumerate(lines):
+                    axes.plot(frames, values, color=colour, linewidth=1.6, label=None if number else choice)
+            else:
+                frames, low, mean, high = between
+                axes.fill_between(frames, low, high, color=colour, alpha=0.18, linewidth=0)
+                axes.plot(frames, mean, color=colour, linewidth=1.8, label=f"{choice}, {len(lines)} runs")
         _label(axes, label)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside right center", frameon=False)
-    _save(figure, path)
+    return figure
+
+
+def band(lines: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...] | None:
+    """Return steps, and at each the lowest, the mean and the highest of several lines, where all of them are.
+
+    Args:
+        lines: steps, ascending, and values of each.
+
+    Returns:
+        Four arrays ``[100]``, or ``None`` for a single line, or lines that have no steps in common.
+    """
+    if len(lines) < 2 or any(len(x) == 0 for x, _ in lines):
+        return None
+    begin, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    if end <= begin:
+        return None
+    x = np.linspace(begin, end, BAND_POINTS)
+    values = np.stack([np.interp(x, own, y) for own, y in lines])
+    return x, values.min(0), values.mean(0), values.max(0)
+
+
+def _smooth_line(table: MetricsTable, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and running mean of a column, from the first mean of a full width on."""
+    frames, values = table.series(name)
+    begin = _width(values) - 1
+    return np.array(frames[begin:], float), np.array(_running_mean(values)[begin:], float)
 
 
 def _save(figure: Figure, path: Path) -> None:

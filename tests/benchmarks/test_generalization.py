@@ -212,6 +212,53 @@ def stop(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
+def elsewhere(source: Path, *more: str) -> list[str]:
+    """Words of a benchmark that is tested elsewhere with the policies of ``source``."""
+    kept = [word for word in WORDS if word.partition("=")[0] not in {other.partition("=")[0] for other in more}]
+    return [*kept, "test_set=sample", f"trained_in={source}", *more]
+
+
+def test_policies_of_another_benchmark_are_tested_without_training_them_again(
+    copy: Path, done: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    other = tmp_path / "other"
+    with monkeypatch.context() as patched:
+        patched.setattr(campaign, "train", stop)
+        assert generalization.main([*elsewhere(copy), f"out={other}", f"cache={done[1]}"]) == 0
+    assert f"1 training run taken over from {copy}.\n" in capsys.readouterr().out
+    results = read_results(other)
+    assert results.complete and results.title == "systematicity (sample)"
+    assert results.entry("ppo").runs[0].frames == 750
+    shutil.rmtree(copy)  # the folder stands alone
+    assert generalization.main([*elsewhere(done[0]), f"out={other}", f"cache={done[1]}"]) == 0
+    assert "0 training runs taken over" in capsys.readouterr().out
+
+
+def test_a_run_that_is_not_finished_there_is_trained_here(
+    copy: Path, done: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    checkpoint.listed(copy / "train/ppo/seed0")[-1].unlink()
+    monkeypatch.setattr(campaign, "train", stop)
+    assert generalization.main([*elsewhere(copy), f"out={tmp_path / 'other'}", f"cache={done[1]}"]) == 130
+    assert "still to be trained: ppo seed 0.\n" in capsys.readouterr().out
+
+
+def test_what_was_trained_otherwise_is_not_taken_over(
+    copy: Path, done: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [f"out={tmp_path / 'other'}", f"cache={done[1]}"]
+    assert generalization.main([*elsewhere(copy, 'train_options=["algo.epochs=2"]'), *out]) == 2
+    assert "algo.epochs 1 -> 2" in capsys.readouterr().err
+    assert generalization.main([*elsewhere(tmp_path), *out]) == 2
+    assert "settings.yaml" in capsys.readouterr().err
+    settings = (copy / "settings.yaml").read_text()
+    (copy / "settings.yaml").write_text(settings.replace("drivers: ", "drivers: 0"))
+    assert generalization.main([*elsewhere(copy), *out]) == 2
+    assert "versions" in capsys.readouterr().err
+    assert generalization.main([*elsewhere(tmp_path / "none"), *out]) == 2
+    assert "none" in capsys.readouterr().err
+
+
 def test_aggregates_and_leaderboard_files_never_lag_behind_the_runs(
     copy: Path, done: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

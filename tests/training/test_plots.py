@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from izoo.training.paired import KEPT, SAVED
-from izoo.training.plots import PAIRED_PANELS, PANELS, VALIDATION_PANELS, draw_learning_curve
+from izoo.training.plots import PAIRED_PANELS, PANELS, VALIDATION_PANELS, draw_compared, draw_learning_curve
 from izoo.training.records import MetricsTable
 
 
@@ -51,3 +51,22 @@ def test_validations_have_their_intervals(tmp_path: Path) -> None:
     figure = draw_learning_curve(metrics, "run", validated)
     lines = [segment for axes in figure.axes for part in axes.collections for segment in part.get_segments()]
     assert [segment.tolist() for segment in lines] == [[[1000.0, 2.0], [1000.0, 15.0]]]
+
+
+def test_several_runs_of_a_choice_are_a_band_and_their_mean(tmp_path: Path) -> None:
+    """Constant returns -1, -2 and -6; the third run has come half as far, and a fourth has not begun."""
+    tables = []
+    for number, (value, batches) in enumerate([(-1.0, 40), (-2.0, 40), (-6.0, 20), (0.0, 0)]):
+        made = MetricsTable(tmp_path / f"{number}.csv")
+        for k in range(1, batches + 1):
+            made.append({"frames": 100 * k, "return": value, "emission_g_per_vehicle": 80.0})
+        tables.append(made)
+    figure = draw_compared({"ppo": tables, "ddpg": tables[:1]}, "training")
+    panel = figure.axes[0]
+    (area,) = panel.collections
+    corners = area.get_paths()[0].vertices
+    assert (corners[:, 1].min(), corners[:, 1].max()) == (-6.0, -1.0)
+    mean, single = panel.lines
+    assert mean.get_ydata() == pytest.approx([-3.0] * 100) and single.get_ydata() == pytest.approx([-1.0] * 33)
+    assert mean.get_xdata()[-1] == corners[:, 0].max() == 2000.0, "as far as all of them have come"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo, 3 runs", "ddpg"]
