@@ -131,6 +131,18 @@ def test_offline_data() -> None:
     assert len(losses) == 20 and np.isfinite(losses).all()
 
 
+def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from izoo.docs.examples import adoption
+
+    assert adoption.command([str(tmp_path / "nowhere"), str(tmp_path / "out")]) == 2
+    assert "nowhere does not exist" in capsys.readouterr().err
+    assert adoption.command([str(tmp_path), str(tmp_path / "out"), "glide", "nonsense"]) == 2
+    assert "unknown policy 'nonsense'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from izoo.contexts.procedural import procedural_context
     from izoo.docs.examples import adoption

@@ -55,10 +55,12 @@ def _merge(options: argparse.Namespace) -> None:
 
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
     _validate_arguments(parser)
-    parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file")
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG")
 
 
 def _draw(options: argparse.Namespace) -> None:
+    if options.out.suffix.lower() != ".png":
+        raise IzooError(f"--out is {options.out}, but the picture is a PNG; give a name that ends so, such as all.png.")
     checked = _checked(options.files)
     from izoo.reporting import submissions
     from izoo.reporting.standing import draw_standing

@@ -238,3 +238,5 @@ def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys
     assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
     assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "no" / "all.png")]) == 2
     assert "choose another file with --out" in capsys.readouterr().err
+    assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "all.pdf")]) == 2
+    assert "is a PNG" in capsys.readouterr().err and not (tmp_path / "all.pdf").exists()

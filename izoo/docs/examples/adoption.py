@@ -6,6 +6,7 @@ the published dataset. It may be stopped at any time; the same command goes on.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,10 +17,12 @@ import numpy as np
 
 from izoo import zoo
 from izoo.conf.folders import DatasetContexts
+from izoo.console import exit_code
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.across import aggregate, run_rows
+from izoo.evaluation.policies import as_candidate
 from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
 from izoo.files import write_json
 
@@ -84,15 +87,32 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main(dataset: str, out: str, *policies: str, limit: int | None = 10) -> None:
+def main(dataset: str, out: str, policies: Sequence[str], limit: int = 10) -> None:
     """Evaluate on ``limit`` approaches drawn from the test split, and write ``adoption.json`` and ``adoption.png``."""
-    names = policies or ("uncommanded", "glide")
+    env, folder = EnvConfig(hold_s=2.0), Path(out)
+    for policy in policies:
+        as_candidate(policy, env)  # a name that means nothing is refused before anything is played
     contexts = choose_contexts(DatasetContexts(path=dataset, split="test").build(), limit, 0)
-    folder = Path(out)
-    rows = measure(contexts, EnvConfig(hold_s=2.0), names, folder)
+    rows = measure(contexts, env, policies, folder)
     write_json(folder / "adoption.json", {"rows": rows})
     draw(rows, folder / "adoption.png")
+    print(f"{folder / 'adoption.png'}")
+
+
+def command(words: Sequence[str]) -> int:
+    """Run the example as a command and return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m izoo.docs.examples.adoption", description=__doc__)
+    parser.add_argument("dataset", help="folder of the published dataset")
+    parser.add_argument("out", help="folder of the results")
+    parser.add_argument("policies", nargs="*", metavar="POLICY", help="as policy= of izoo.evaluate")
+    given = parser.parse_args(words)
+
+    def work() -> int:
+        main(given.dataset, given.out, given.policies or ("uncommanded", "glide"))
+        return 0
+
+    return exit_code("adoption", work, "the same command goes on where it stopped")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(command(sys.argv[1:]))
