@@ -84,7 +84,7 @@ def _panel(axes: Axes, lines: Sequence[Mapping[str, Any]], part: str, name: str,
         _estimate(axes, line, part, name, place - shift, colour, filled=True)
         if hollow:
             _estimate(axes, line, *REGION, place + shift, colour, filled=False)
-    axes.set_yticks(range(len(lines)), [_label(line) for line in lines], parse_math=False)
+    axes.set_yticks(range(len(lines)), labels(lines), parse_math=False)
     axes.set_ylim(len(lines) + 0.9, -0.6)  # with room for a legend below
     axes.grid(axis="x", linewidth=0.3)
     axes.spines[["top", "right"]].set_visible(False)
@@ -119,8 +119,14 @@ def _published(axes: Axes, protocol: Mapping[str, Any], lines: Sequence[Mapping[
             said = None
 
 
-def _label(line: Mapping[str, Any]) -> str:
-    return plain(str(line["policy"]["name"])).replace("_", " ")
+def labels(lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what each entry is called; those that share a name are told apart by how long they were trained."""
+    policies = [line["policy"] for line in lines]
+    names = [plain(str(policy["name"])).replace("_", " ") for policy in policies]
+    return [
+        f"{name}, {policy['frames']:,} decisions" if names.count(name) > 1 and policy["kind"] == "trained" else name
+        for name, policy in zip(names, policies, strict=True)
+    ]
 
 
 def _title(protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> str:

@@ -16,7 +16,7 @@ from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
 from izoo.evaluation.provenance import versions
-from izoo.reporting.standing import published_for, standing
+from izoo.reporting.standing import labels, published_for, standing
 from izoo.reporting.submissions import (
     check,
     content_hash,
@@ -225,6 +225,8 @@ def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys
     checked = [check(sealed(content), f"{k}.json", VERSIONS) for k, content in enumerate(entries)]
     left, right = standing(merge(checked)).axes
     assert [label.get_text() for label in left.get_yticklabels()] == ["ppo", "$odd untrained$", "glide"]
+    longer = [{"policy": {**content["policy"], "frames": 244_000}} for content in entries[:2]]
+    assert labels([*entries, *longer])[-2:] == ["ppo, 244,000 decisions", "glide"]
     dots = [line for line in right.lines if line.get_marker() == "o"]
     rows = pd.concat([run_rows(table(k), "ppo", k) for k in range(4)], ignore_index=True)
     wanted = 100 * aggregate(rows)["all"]["exact"]["ratio_of_sums"]["value"]
