@@ -401,6 +401,35 @@ def test_branches_begin_alike_and_go_their_own_ways(make: Make) -> None:
         branches.close()
 
 
+def test_branches_are_brought_back_to_their_environments(make: Make) -> None:
+    """Over and over, also after the ends of their own episodes; what they play next is of their own."""
+    env = make(2, schedule())
+    env.reset()
+    branches = env.branch(2)
+    try:
+        numbers = branches.state_dict()["next_episodes"]
+        assert len(numbers) == 4 and min(numbers) >= 2
+        for _ in range(2):
+            play(env, 15, start=env.present())
+            play(branches, env.config.control_steps + 5, start=branches.present())
+            played = branches.state_dict()["next_episodes"]
+            env.branch_into(branches)
+            assert branches.state_dict()["next_episodes"] == played != numbers
+            here, there = env.present(), branches.present()
+            assert all(same(there[copy], here[copy // 2]) for copy in range(4))
+            theirs, ours = (play(each, 20, start=each.present())["next", "agents"] for each in (branches, env))
+            assert ours["mask"].any() and all(same(theirs[copy], ours[copy // 2]) for copy in range(4))
+        with pytest.raises(IzooError, match="3 environments are no copies of 2"):
+            env.branch_into(make(3, schedule()))
+    finally:
+        branches.close()
+
+
+def test_nothing_to_branch_before_the_first_reset(make: Make) -> None:
+    with pytest.raises(IzooError, match=r"branch\(\) came before reset"):
+        make().branch(2)
+
+
 def test_states_of_others_are_refused(make: Make) -> None:
     env = make(2, schedule())
     with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
