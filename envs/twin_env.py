@@ -55,6 +55,7 @@ class TwinEnv(EcoDrivingBase):
         backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
         super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, 0, num_envs)
         self.num_envs = num_envs
+        backend.played = self.reader.take
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         frame = super()._reset(tensordict, **options)

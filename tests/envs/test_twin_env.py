@@ -243,6 +243,35 @@ def test_working_memory_keeps_nothing(make: Make, expected: dict[int, str]) -> N
     assert by_episode(play(env, env.config.control_steps, spoil)) == {0: expected[0]}
 
 
+def test_each_thread_copies_the_observations_of_its_environments(make: Make) -> None:
+    """What is read is what was written, stays as it is, and is read anew where a step has failed in between."""
+    env = make(5, schedule(), threads=2)
+    state = env.reset()
+    copy, taken = env.backend.played, []
+    env.backend.played = lambda rows: (taken.append(rows), copy(rows))
+    kept = []
+    for _ in range(30):
+        taken.clear()
+        steer(state)
+        following, state = env.step_and_maybe_reset(state)
+        assert sorted((rows.start, rows.stop) for rows in taken) == [(0, 2), (2, 5)]
+        seen = following["next", "agents", "observation"]
+        assert torch.equal(seen, torch.from_numpy(env.frames["observation"]))
+        kept.append((seen, seen.clone()))
+    assert all(torch.equal(one, other) for one, other in kept) and not torch.equal(kept[0][0], kept[-1][0])
+
+    def fail_in_one(rows: slice) -> None:
+        copy(rows)
+        env.frames["observation"][rows] += 1.0  # written after it was copied
+        if rows.start == 0:
+            raise RuntimeError("on purpose")
+
+    env.backend.played = fail_in_one
+    with pytest.raises(RuntimeError, match="on purpose"):
+        env.step_lean(steer(state))
+    assert torch.equal(env.present()["agents", "observation"], torch.from_numpy(env.frames["observation"]))
+
+
 def test_golden(expected: dict[int, str]) -> None:
     """A change here changes what a seed means on the twin: say so in the release notes."""
     assert expected[0] == GOLDEN
