@@ -175,11 +175,7 @@ class Planner:
         import torch
 
         count = tried.shape[1]
-        state = self.world.state_dict()
-        for name in ("episodes", "packed"):
-            state[name] = [value for value in state[name] for _ in range(count)]
-        state["next_episodes"] = self.branches.state_dict()["next_episodes"]
-        self.branches.load_state_dict(state)
+        self.world.branch_into(self.branches)
         advice = self.advice.repeat_interleave(count, 0)
         advice[torch.arange(len(advice)), slot.repeat_interleave(count)] = tried.reshape(-1)
         now, worth = self.branches.present(), torch.zeros(len(advice))

@@ -173,7 +173,7 @@ class EcoDrivingBase(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)
-        return self.reader.read()[0]
+        return self.reader.read(stepped=True)[0]
 
     def _frame(self) -> TensorDict:
         return self.reader.read()[1]
@@ -190,7 +190,7 @@ class EcoDrivingBase(EnvBase):
         The same as TorchRL's own, but lean (:meth:`step_lean`).
         """
         self._simulate(tensordict)
-        following, state = self.reader.read()
+        following, state = self.reader.read(stepped=True)
         _set(tensordict, "next", following)
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun

@@ -20,6 +20,8 @@ COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change"
 """What can be commanded: the key of each array of a frame that the parent writes."""
 _AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent_vehicle"}
 """Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``."""
+_OBSERVATION = list(_AGENT_LEAVES).index("observation")
+"""Number of the observations among the leaves: by far the largest."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
 
@@ -58,6 +60,7 @@ class FrameReader:
         self.action_shape = torch.Size((*self.agents_batch, 1))
         self._action = self.tensors["action"].unsqueeze(-1)
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
+        self._taken: list[slice] = []
 
     def _check_action(self, tensordict: TensorDictBase) -> None:
         """Check the action keys.
@@ -111,22 +114,38 @@ class FrameReader:
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
+        self._taken = []
         if self._prepared is None:
             blanks = [np.empty_like(source) for source in self._sources]
             self._prepared = blanks, *self._assemble([torch.from_numpy(blank) for blank in blanks])
 
-    def read(self) -> tuple[TensorDict, TensorDict]:
+    def take(self, rows: slice) -> None:
+        """Copy the observations of some environments for the next :meth:`read`, which has been prepared.
+
+        Threads that have written them do so side by side, each for its own environments.
+        """
+        taken, prepared = self._taken, self._prepared
+        if prepared is not None:
+            np.copyto(prepared[0][_OBSERVATION][rows], self._sources[_OBSERVATION][rows])
+            taken.append(rows)
+
+    def read(self, stepped: bool = False) -> tuple[TensorDict, TensorDict]:
         """Return what a step leads to, with the reward, and the same without it: the state to act on next.
 
         Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
+
+        Args:
+            stepped: a step has just ended, and no frame changed since: what :meth:`take` copied is not copied again.
         """
         if self._prepared is None:
             following, state = self._assemble([torch.from_numpy(source.copy()) for source in self._sources])
         else:
             blanks, following, state = self._prepared
             self._prepared = None
-            for blank, source in zip(blanks, self._sources, strict=True):
-                np.copyto(blank, source)
+            taken = sum(rows.stop - rows.start for rows in self._taken) == len(self._sources[_OBSERVATION])
+            for number, (blank, source) in enumerate(zip(blanks, self._sources, strict=True)):
+                if not (stepped and taken and number == _OBSERVATION):
+                    np.copyto(blank, source)
         if self.config.emit:
             self._add_groups(following, state)
         return following, state

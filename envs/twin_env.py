@@ -55,6 +55,7 @@ class TwinEnv(EcoDrivingBase):
         backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
         super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, 0, num_envs)
         self.num_envs = num_envs
+        backend.played = self.reader.take
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         frame = super()._reset(tensordict, **options)
@@ -119,7 +120,7 @@ class TwinEnv(EcoDrivingBase):
         What a copy plays after its present episode is of its own.
         """
         check_range("n", n, 1, 65536 // self.num_envs)
-        state = self.state_dict()
+        self.require_started("branch")
         copies = TwinEnv(
             self.num_envs * n,
             self.schedule,
@@ -127,12 +128,28 @@ class TwinEnv(EcoDrivingBase):
             threads=self.backend.wanted_threads,
             surrogate=self.backend.surrogate,
         )
+        copies._next_episode[:] = self._next_episode.max() + np.arange(copies.num_envs)
+        self.branch_into(copies)
+        return copies
+
+    def branch_into(self, copies: TwinEnv) -> None:
+        """Bring copies that :meth:`branch` made to where these environments are now, whatever they have played.
+
+        Faster than new ones. Which episodes the copies play next does not change.
+
+        Raises:
+            IzooError: another number of copies for each environment, another schedule or other settings.
+        """
+        n, rest = divmod(copies.num_envs, self.num_envs)
+        if rest:
+            raise IzooError(
+                f"{copies.num_envs} environments are no copies of {self.num_envs}; take those that branch(n) returned."
+            )
+        state = self.state_dict()
         for name in ("episodes", "packed"):
             state[name] = [value for value in state[name] for _ in range(n)]
-        first = max(state["next_episodes"])
-        state["next_episodes"] = list(range(first, first + copies.num_envs))
+        state["next_episodes"] = copies._next_episode.tolist()
         copies.load_state_dict(state)
-        return copies
 
     def scene(self, index: int = 0) -> Scene:
         """Return the present state of an environment, whether or not it is emitted.

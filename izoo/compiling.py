@@ -13,6 +13,7 @@ import hashlib
 import importlib.util
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,9 @@ SOURCES = {
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
 _PATIENCE_S = 120.0
+_KEPT_S = 24 * 3600.0
+"""For so long compiled code of older sources is kept after a process last began to use it: it may still run."""
+_MARK = "writable"
 MESSAGE = "Compiling the environment: ten to thirty seconds, the twin one to two minutes, once per installation."
 
 
@@ -53,20 +57,29 @@ def sources() -> list[Path]:
 def folder() -> Path:
     """Return where compiled code of the present sources lies: beside this file, or else in the user's cache.
 
-    Folders of older sources beside this file are removed.
+    Folders of other sources beside this file are removed once nobody has begun to use them for a day: a process
+    loads a function from there when it first calls it.
     """
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources())).hexdigest()[:16]
     beside = Path(__file__).parent / "__pycache__"
     here = beside / f"compiled-{digest}"
     try:
         here.mkdir(parents=True, exist_ok=True)
-        (here / "writable").touch()
+        (here / _MARK).touch()
     except OSError:
         return cache_root() / here.name
     for old in beside.glob("compiled-*"):
-        if old != here:
+        if old != here and _last_begun_s(old) < time.time() - _KEPT_S:
             shutil.rmtree(old, ignore_errors=True)
     return here
+
+
+def _last_begun_s(compiled_folder: Path) -> float:
+    """Return when a process last began to use a folder: now, if it is not known."""
+    try:
+        return (compiled_folder / _MARK).stat().st_mtime
+    except OSError:  # another process has just made it, or removes it
+        return time.time()
 
 
 def compiled(

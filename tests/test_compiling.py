@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -29,15 +30,34 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     compiling.folder.cache_clear()
 
 
-def test_what_was_compiled_from_other_sources_is_not_found_and_goes(sources: Path) -> None:
+def renewed(source: Path, text: str) -> Path:
+    """The folder of a new process, for sources of another content."""
+    source.write_text(text)
+    compiling.folder.cache_clear()
+    return compiling.folder()
+
+
+def test_what_was_compiled_from_other_sources_is_not_found(sources: Path) -> None:
     first = compiling.folder()
     assert first.is_dir() and first.parent.name == "__pycache__"
-    compiling.folder.cache_clear()
-    assert compiling.folder() == first
-    sources.write_text("x = 2")
-    compiling.folder.cache_clear()
-    assert compiling.folder() != first
+    assert renewed(sources, "x = 1") == first
+    assert renewed(sources, "x = 2") != first
+
+
+def test_compiled_code_goes_once_nobody_has_used_it_for_a_day(sources: Path) -> None:
+    """Not before: a process of the older sources may still load from there what it calls for the first time."""
+    first = renewed(sources, "x = 1")
+    kept = first / "step.nbi"
+    kept.touch()
+    second = renewed(sources, "x = 2")
+    assert kept.is_file()
+    long_ago = time.time() - 25 * 3600.0
+    for folder in (first, second):
+        os.utime(folder / "writable", (long_ago, long_ago))
+    assert renewed(sources, "x = 2") == second and second.is_dir(), "one's own is used again, however old"
     assert not first.exists()
+    third = renewed(sources, "x = 3")
+    assert second.is_dir() and third.is_dir(), "it was used a moment ago"
 
 
 def test_a_folder_that_cannot_be_written_is_passed_over(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import weakref
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
@@ -42,7 +44,11 @@ class TwinBackend:
 
     Attributes:
         frames: the arrays ``[N, ...]`` that this backend writes.
+        played: called by each of several threads with its share of the environments, ``slice``, when it has written
+            their observations; ``None``: nobody asks.
     """
+
+    played: Callable[[slice], None] | None = None
 
     def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "torch") -> None:
         check_range("num_envs", num_envs, 1, 65536)
@@ -59,8 +65,11 @@ class TwinBackend:
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
         module = MovesSurrogate(self._weights)
-        self._emitters = [Emitter(module) for _ in range(self.threads)]
-        self._desks = [Desk() for _ in range(self.threads)]
+        # Each thread's environments are neighbours: lines of the cache that two of them share belong to one thread.
+        bounds = [num_envs * thread // self.threads for thread in range(self.threads + 1)]
+        self._shares = [slice(*pair) for pair in itertools.pairwise(bounds)]
+        self._emitters = [Emitter(module) for _ in self._shares]
+        self._desks = [Desk() for _ in self._shares]
         self._preparers_desk = Desk()
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
@@ -100,10 +109,10 @@ class TwinBackend:
         """Begin episodes in some environments, and write their first frames."""
         if not self._finalizer.alive:
             raise IzooError("this environment is closed; make another one.")
-        with compiling_once(drive_all):
+        with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             for index, play in plays.items():
                 self._runs[index] = None
-                desk = self._desks[index % self.threads]
+                desk = self._desks[bisect_right(self._shares, index, key=lambda share: share.start) - 1]
                 prepared = self._take(index, play, desk)
                 run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
                 self._runs[index] = run
@@ -170,22 +179,29 @@ class TwinBackend:
     def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
         """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads."""
         like = self._run(0).episode.world
-        others = [self._pool.submit(self._play_share, first, steps, like) for first in range(1, self.threads)]
+        others = [self._pool.submit(self._play_share, thread, steps, like) for thread in range(1, self.threads)]
         if meanwhile is not None and others:
             meanwhile()
-        with _one_torch_thread(self.threads > 1):
-            self._play_share(0, steps, like)
+        try:
+            with _one_torch_thread(self.threads > 1):
+                self._play_share(0, steps, like)
+        finally:
+            wait(others)
         for other in others:
             other.result()
         self._left -= steps
 
-    def _play_share(self, first: int, steps: np.ndarray, like: Any) -> None:
-        """Simulate the environments ``first``, ``first + threads``, ...: always by the thread whose desk they use."""
-        addresses, steps = (np.ascontiguousarray(whole[first :: self.threads]) for whole in (self._addresses, steps))
+    def _play_share(self, thread: int, steps: np.ndarray, like: Any) -> None:
+        """Simulate a thread's share of the environments, whose working memory is on its desk."""
+        share = self._shares[thread]
+        self._drive_share(self._addresses[share], steps[share], self._emitters[thread], like)
+        if self.played is not None and self.threads > 1:
+            self.played(share)
+
+    def _drive_share(self, addresses: np.ndarray, steps: np.ndarray, emitter: Emitter, like: Any) -> None:
         if self.surrogate == "compiled":
             play_all(addresses, steps, self._step_ms, self.config.lane_change, like)
             return
-        emitter = self._emitters[first]
         for step in range(int(steps.max())):
             # From here on, those that have been played are left out.
             chosen = addresses if steps.min() > step else addresses[steps > step]

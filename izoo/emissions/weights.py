@@ -13,6 +13,8 @@ from izoo.emissions.tables import moves_file
 
 INPUTS = 5
 HIDDEN = 64
+LINE_BYTES = 64
+"""Of the processor's cache."""
 
 
 class KernelWeights(NamedTuple):
@@ -60,10 +62,19 @@ def load_weights() -> KernelWeights:
         b3=stack("layer3.bias")[:, 0],
         floor=_idling_rates(),
     )
-    weights = KernelWeights(*(np.ascontiguousarray(array) for array in weights))
+    weights = KernelWeights(*(_aligned(array) for array in weights))
     for array in weights:
         array.flags.writeable = False
     return weights
+
+
+def _aligned(array: np.ndarray) -> np.ndarray:
+    """Return a contiguous copy that begins with a line of the processor's cache, so that no vector lies in two."""
+    block = np.empty(array.nbytes + LINE_BYTES, np.uint8)
+    first = -block.ctypes.data % LINE_BYTES
+    copy = block[first : first + array.nbytes].view(array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 def _idling_rates() -> np.ndarray:

@@ -243,6 +243,35 @@ def test_working_memory_keeps_nothing(make: Make, expected: dict[int, str]) -> N
     assert by_episode(play(env, env.config.control_steps, spoil)) == {0: expected[0]}
 
 
+def test_each_thread_copies_the_observations_of_its_environments(make: Make) -> None:
+    """What is read is what was written, stays as it is, and is read anew where a step has failed in between."""
+    env = make(5, schedule(), threads=2)
+    state = env.reset()
+    copy, taken = env.backend.played, []
+    env.backend.played = lambda rows: (taken.append(rows), copy(rows))
+    kept = []
+    for _ in range(30):
+        taken.clear()
+        steer(state)
+        following, state = env.step_and_maybe_reset(state)
+        assert sorted((rows.start, rows.stop) for rows in taken) == [(0, 2), (2, 5)]
+        seen = following["next", "agents", "observation"]
+        assert torch.equal(seen, torch.from_numpy(env.frames["observation"]))
+        kept.append((seen, seen.clone()))
+    assert all(torch.equal(one, other) for one, other in kept) and not torch.equal(kept[0][0], kept[-1][0])
+
+    def fail_in_one(rows: slice) -> None:
+        copy(rows)
+        env.frames["observation"][rows] += 1.0  # written after it was copied
+        if rows.start == 0:
+            raise RuntimeError("on purpose")
+
+    env.backend.played = fail_in_one
+    with pytest.raises(RuntimeError, match="on purpose"):
+        env.step_lean(steer(state))
+    assert torch.equal(env.present()["agents", "observation"], torch.from_numpy(env.frames["observation"]))
+
+
 def test_golden(expected: dict[int, str]) -> None:
     """A change here changes what a seed means on the twin: say so in the release notes."""
     assert expected[0] == GOLDEN
@@ -399,6 +428,35 @@ def test_branches_begin_alike_and_go_their_own_ways(make: Make) -> None:
         assert torch.equal(seen[5], original[1]) and not torch.equal(seen[3], original[1])
     finally:
         branches.close()
+
+
+def test_branches_are_brought_back_to_their_environments(make: Make) -> None:
+    """Over and over, also after the ends of their own episodes; what they play next is of their own."""
+    env = make(2, schedule())
+    env.reset()
+    branches = env.branch(2)
+    try:
+        numbers = branches.state_dict()["next_episodes"]
+        assert len(numbers) == 4 and min(numbers) >= 2
+        for _ in range(2):
+            play(env, 15, start=env.present())
+            play(branches, env.config.control_steps + 5, start=branches.present())
+            played = branches.state_dict()["next_episodes"]
+            env.branch_into(branches)
+            assert branches.state_dict()["next_episodes"] == played != numbers
+            here, there = env.present(), branches.present()
+            assert all(same(there[copy], here[copy // 2]) for copy in range(4))
+            theirs, ours = (play(each, 20, start=each.present())["next", "agents"] for each in (branches, env))
+            assert ours["mask"].any() and all(same(theirs[copy], ours[copy // 2]) for copy in range(4))
+        with pytest.raises(IzooError, match="3 environments are no copies of 2"):
+            env.branch_into(make(3, schedule()))
+    finally:
+        branches.close()
+
+
+def test_nothing_to_branch_before_the_first_reset(make: Make) -> None:
+    with pytest.raises(IzooError, match=r"branch\(\) came before reset"):
+        make().branch(2)
 
 
 def test_states_of_others_are_refused(make: Make) -> None:
