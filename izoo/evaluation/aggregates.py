@@ -78,15 +78,23 @@ FIGURES: dict[str, dict[str, Figure]] = {
         "policy": Figure(_column("served_policy"), statistics.mean),
         "baseline": Figure(_column("served_baseline"), statistics.mean),
     },
+    "kept_out": {
+        "policy": Figure(_column("kept_out_policy"), statistics.mean),
+        "baseline": Figure(_column("kept_out_baseline"), statistics.mean),
+    },
 }
 """Every figure, by part and name: by form and gate the benefit, the share of gated approaches, the ratio of sums."""
-OPTIONAL = tuple(f"{form}over_uncommanded" for form in FORMS)
-"""Parts that are there only where the rows have been compared with the uncommanded CV."""
+OPTIONAL = {
+    **{part: f"benefit_{part}" for part in (f"{form}over_uncommanded" for form in FORMS)},
+    "kept_out": "kept_out_policy",
+}
+"""Parts that not all rows have numbers for, and the column that tells: rows that were never compared with the
+uncommanded CV, and those of submissions from before there was such a column."""
 
 
 def figures_of(rows: pd.DataFrame) -> dict[str, dict[str, Figure]]:
     """Return the part of :data:`FIGURES` that the rows have numbers for."""
-    lacking = {p for p in OPTIONAL if f"benefit_{p}" not in rows or rows[f"benefit_{p}"].isna().any()}
+    lacking = {part for part, column in OPTIONAL.items() if column not in rows or rows[column].isna().any()}
     return {part: named for part, named in FIGURES.items() if part not in lacking}
 
 

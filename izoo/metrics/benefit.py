@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS, DEMAND
+from izoo.metrics.definitions import APPROACH_METRICS, DEMAND, KEPT_OUT
 from izoo.metrics.scores import require_columns
 from izoo.metrics.student import student_t_below
 
@@ -87,7 +87,8 @@ def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float =
         region per vehicle that entered), ``throughput_*`` (vehicles, means over all seeds), ``throughput_benefit``,
         ``throughput_p`` (of a fall by :data:`MARGIN` or more), ``benefit_ungated``, and per gate ``gated_*`` and
         ``benefit_*``; the same benefits by region, ``benefit_region_*``; ``served_*`` (share of the demand that
-        crossed), ``waiting_*``, ``unfinished_*``, ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``:
+        crossed), ``kept_out_*`` (share of it that has not come to the region), ``waiting_*``, ``unfinished_*``,
+        ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``:
         why the row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
         The exact gate is closed where the mean throughput falls; the tested gate where it is not shown, at the
         significance, that less than :data:`MARGIN` of it was lost.
@@ -124,7 +125,9 @@ def _compare(group: pd.DataFrame) -> dict[str, object]:
         collisions = group[f"collisions_cv_{side}"] + group[f"collisions_hdv_{side}"]
         result[f"collisions_{side}"] = float(collisions.mean())
         demand = float(sum(group[f"{name}_{side}"].sum() for name in DEMAND))
+        kept_out = float(sum(group[f"{name}_{side}"].sum() for name in KEPT_OUT))
         result[f"served_{side}"] = float(group[f"crossed_{side}"].sum()) / demand if demand else math.nan
+        result[f"kept_out_{side}"] = kept_out / demand if demand else math.nan
     arrivals = group[["entered_policy", "entered_baseline", "waiting_baseline"]].to_numpy(float)
     crossed_baseline = float(group["crossed_baseline"].sum())
     change = (group["crossed_policy"] - group["crossed_baseline"]).to_numpy(float)

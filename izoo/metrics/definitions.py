@@ -49,6 +49,9 @@ APPROACH_METRICS: tuple[str, ...] = (
 DEMAND: tuple[str, ...] = ("dropped", "waiting", "outside", "entered")
 """The parts of the demand of the measured time, by approach: every vehicle that was due, but for the early ones."""
 
+KEPT_OUT: tuple[str, ...] = ("waiting", "outside")
+"""Those of them that have not come to the region yet: what they burn is not counted."""
+
 EPISODE_METRICS: tuple[str, ...] = (
     "steps",  # control steps since warm-up
     "return",  # mean over agent-steps of the reward, summed over the episode (see the environment's docstring)

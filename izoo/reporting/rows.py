@@ -62,6 +62,8 @@ COLUMNS = (
     Column("throughput_baseline", "baseline crossed", 1),
     Column("served_policy", "served (%)", 1, 100.0, "share of the demand that crossed"),
     Column("served_baseline", "baseline served (%)", 1, 100.0),
+    Column("kept_out_policy", "kept outside (%)", 1, 100.0, "share of the demand that has not come to the region"),
+    Column("kept_out_baseline", "baseline kept outside (%)", 1, 100.0),
     Column("unfinished_policy", "unfinished", 1, meaning="vehicles per episode that had not crossed at the end"),
     Column("unfinished_baseline", "baseline unfinished", 1),
     Column("collisions_policy", "collisions", 2, meaning="per episode"),

@@ -89,7 +89,7 @@ def rows_of(submission: Mapping[str, Any]) -> pd.DataFrame:
     """Return the rows of a submission as :func:`izoo.evaluation.across.aggregate` takes them."""
     table = pd.DataFrame(submission["rows"])
     for name, column in schema()["properties"]["rows"]["items"]["properties"].items():
-        if column.get("type") == ["number", "null"]:
+        if name in table and column.get("type") == ["number", "null"]:
             table[name] = table[name].astype(float)
     return table
 

@@ -75,6 +75,7 @@ def test_the_demand_that_was_not_served_stands_in_the_rows() -> None:
     row = benefits(seeds_table([10, 10], [1e3] * 2, **sums), seeds_table([12, 12], [1e3] * 2, entered=15)).iloc[0]
     assert row["served_policy"] == pytest.approx(10 / 20)
     assert row["served_baseline"] == pytest.approx(12 / 15)
+    assert (row["kept_out_policy"], row["kept_out_baseline"]) == (pytest.approx(7 / 20), 0.0)
 
 
 def test_a_loss_is_zeroed_by_the_gate_too() -> None:
