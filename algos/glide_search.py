@@ -25,7 +25,7 @@ from izoo.algos.glide_search_config import GlideSearchConfig
 from izoo.algos.scripted import DEFER, Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
 from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
@@ -68,7 +68,8 @@ SETTINGS = (
     Searched("response_s", (2.0, 2.0)),
     Searched("brake_mps2", (1.0, 0.7)),
     Searched("push_mps2", (1.0, 1.0)),
-    Searched("stop_decel_mps2", (0.4, 0.4)),
+    Searched("stop_decel_mps2", (0.3, 0.3)),
+    Searched("stop_margin", (1.4, 1.6)),
 )
 """Glide's settings, and where the search begins: by hand, on measured intersections (one setting at a time)."""
 OTHERS = {"standing_gap_m": 3.0, "queue_speed_mps": 2.0}
@@ -87,6 +88,10 @@ GATE = (
 GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
 """Weights at the start of the search, by kind of road."""
 FOLLOWER_M = 60.0
+LATE_S = 1.0
+"""Who would reach the line later than this after the green ends does not pass: some drive on through yellow."""
+YELLOW_MPS2 = 3.0
+"""By yellow, whoever can stop with this deceleration does."""
 NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 """What the search looks at besides what glide does."""
 
@@ -94,19 +99,23 @@ NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 class SearchedGlide(Glide):
     """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
 
+    Where the gate is closed, whoever must stop brakes early and gently, as with glide; but so do those who would come
+    only after the present green, and those who follow closely.
+
     Args:
         config: settings of the environment; :data:`NEEDED` must be observed besides what glide needs.
     """
 
     gate: Tensor
+    followers_stop = True
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
         missing = [name for name in NEEDED if name not in self.columns]
         if missing:
             raise IzooError(
-                f"algo=glide_search also looks at {', '.join(missing)}; add follower to env.neighbours, and adoption and "
-                "lane_length_m to env.observed."
+                f"algo=glide_search also looks at {', '.join(missing)}; add follower to env.neighbours, and adoption "
+                "and lane_length_m to env.observed."
             )
         self.shortest_response_s = config.decision_s
 
@@ -155,6 +164,16 @@ class SearchedGlide(Glide):
             red / 30.0 - 1.0,
         )
         return (torch.stack(features, -1) * self.gate).sum(-1) > 0.0
+
+    def stop_is_certain(self, observation: Tensor, distance: Tensor, ahead: Tensor, speed: Tensor) -> Tensor:
+        """Return whether the present red, or the end of the present green, keeps each CV from passing, ``[N, A]``."""
+        red = observation[..., self.columns["signal_red"]] > 0.5
+        green = observation[..., self.columns["signal_green"]] > 0.5
+        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
+        too_late = green & (distance / torch.maximum(limit, speed) > left + LATE_S)
+        yellow = ~red & ~green & (distance > 0.5 * speed**2 / YELLOW_MPS2)
+        return super().stop_is_certain(observation, distance, ahead, speed) | too_late | yellow
 
     def traffic(self, observation: Tensor) -> Tensor:
         """Return how many vehicles there are per lane and 100 m of each CV's approach, ``[N, A]``, at most 12.

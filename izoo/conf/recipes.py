@@ -45,13 +45,13 @@ GLIDE_SEARCH = (
     "env.observed=[adoption,green_s,red_s,lane_count,lane_length_m,speed_limit_mps]",
     "num_envs=512",
     "algo=glide_search",
-    "total_frames=6144000",
+    "total_frames=3072000",
     "validation.every_batches=5",
     "validation.contexts=48",
     "validation.simulator=twin",
     "evaluation.contexts=16",
 )
-"""The settings of glide, searched by what whole teams are paid: 40 generations of 32 contexts for each of 16 rules."""
+"""The settings of glide, searched by what whole teams are paid: 20 generations of 32 contexts for each of 16 rules."""
 RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     "busy_lane": (
         "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",

@@ -88,7 +88,7 @@ def test_at_its_start_it_drives_as_glide_with_those_settings(lanes: float) -> No
     kind = int(lanes > ONE)
     start = {setting.name: setting.starts[kind] for setting in SETTINGS} | OTHERS
     glide = Glide(ENV, GlideConfig(**start, max_lanes=9, min_green_share=0.0))
-    frame = seen(2, lanes)
+    frame = seen(2, lanes, adoption=0.1)  # where CVs are few the gate is open
     acted, wanted = act(make(), frame), glide(frame.clone())
     assert (~wanted[DEFER]).any() and wanted[DEFER].any()
     mask = frame[base.MASK]
@@ -104,6 +104,32 @@ def test_every_setting_that_is_searched_is_one_of_glide(setting: Any) -> None:
     for several, start in zip((False, True), setting.starts, strict=True):
         assert float(setting.value(torch.zeros(()), torch.tensor(several))) == pytest.approx(start)
         assert float(setting.value(torch.ones(()), torch.tensor(several))) > start
+
+
+def test_where_the_gate_is_closed_cvs_brake_gently_for_stops_that_are_certain() -> None:
+    """By red as with glide; also by a green that ends before they are there, and behind a leader that is near."""
+    algorithm = make()
+    algorithm.policy.mean[:, len(SETTINGS)] = -20.0
+    frame = seen(1, SEVERAL)
+    rows = frame[base.OBSERVATION]
+    for name, value in {
+        "speed": 0.9,
+        "stop_line_distance": -0.6,
+        "leader_distance": 0.04,
+        "leader_speed": 0.9,
+        "signal_time_left": 0.5,
+    }.items():
+        rows[..., NAMES.index(name)] = value  # 150 m before the line, 10 m behind a leader, red for 50 s
+    assert not act(algorithm, frame)[DEFER][0, :-1].any()
+    assert (act(algorithm, frame)[base.ACTION][0, :-1] < 0.0).all()
+    rows[..., NAMES.index("signal_red")] = 0.0
+    rows[..., NAMES.index("signal_green")] = 1.0
+    assert act(algorithm, frame)[DEFER].all()  # green for 50 s
+    rows[..., NAMES.index("signal_time_left")] = 0.05
+    assert not act(algorithm, frame)[DEFER][0, :-1].any()  # for 5 s
+    rows[..., NAMES.index("stop_line_distance")] = -0.2
+    rows[..., NAMES.index("signal_time_left")] = 0.04
+    assert act(algorithm, frame)[DEFER].all()  # 50 m are 4 s
 
 
 def test_each_kind_of_road_has_numbers_of_its_own() -> None:
