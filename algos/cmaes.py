@@ -174,6 +174,8 @@ class CMAES:
         # counts is the difference to how the generation fares in the same context.
         returns = reward.double().sum(1).view(population, -1)
         relative = (returns - returns.mean(0)) / returns.mean(0).abs().clamp_min(1e-9)
+        if self.config.most_difference is not None:
+            relative = relative.clamp(-self.config.most_difference, self.config.most_difference)
         kinds = self.policy.kind_of(batch).view(population, -1)[0]
         fitness = np.full((self.policy.kinds, population), np.nan)
         for kind in range(self.policy.kinds):

@@ -22,17 +22,22 @@ class CMAESConfig(AlgoConfig):
             is 14 for 30 numbers; ours 16). It divides ``num_envs``, and the quotient is how many contexts they play.
         initial_spread: standard deviation of the first generation's weights (ours 0.3: observations are of order 1, so
             that some of these policies do something and few do much).
+        most_difference: a policy's return in one context differs from the generation's mean there by no more than this
+            share of it, so that a few contexts that jam do not decide alone; null: no bound.
     """
 
     name: Literal["cmaes"] = "cmaes"
     population: int = 16
     initial_spread: float = 0.3
+    most_difference: float | None = None
     frames_per_batch = 1  # no option: a batch is an episode of each environment, however long those are
 
     def __post_init__(self) -> None:
         check_types("algo", self)
         check_range("algo.population", self.population, 4, 4096)
         check_range("algo.initial_spread", self.initial_spread, 1e-6, 100.0)
+        if self.most_difference is not None:
+            check_range("algo.most_difference", self.most_difference, 1e-6, 100.0)
 
     @property
     def candidates(self) -> int:

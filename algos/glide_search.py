@@ -25,7 +25,7 @@ from izoo.algos.glide_search_config import GlideSearchConfig
 from izoo.algos.scripted import DEFER, Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
 from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
@@ -38,59 +38,85 @@ class Searched:
 
     Attributes:
         name: of :class:`~izoo.algos.scripted.GlideConfig`.
-        start: where the search begins.
+        starts: where the search begins, by kind of road.
         unit: what 1 stands for: of the setting, or, with ``ratio``, of its logarithm.
-        ratio: the setting is ``start`` times a factor, and so stays above 0.
+        ratio: the setting is its start times a factor, and so stays above 0.
     """
 
     name: str
-    start: float
+    starts: tuple[float, float]
     unit: float = 0.35
     ratio: bool = True
 
-    def value(self, number: Tensor) -> Tensor:
-        """Return the setting that a number of the search stands for."""
-        if self.ratio:
-            return self.start * torch.exp(self.unit * number.clamp(-6.0, 6.0))
-        return self.start + self.unit * number
+    def value(self, number: Tensor, several: Tensor) -> Tensor:
+        """Return the setting that a number of the search stands for, on roads of several lanes or of one."""
+        one, more = self.starts
+        start = torch.where(several, more, one)
+        return start * torch.exp(self.unit * number.clamp(-6.0, 6.0)) if self.ratio else start + self.unit * number
 
 
 SETTINGS = (
-    Searched("start_lag_s", 2.0),
-    Searched("headway_s", 2.2),
-    Searched("spacing_m", 7.5),
-    Searched("moving_fill", 0.15),
-    Searched("margin_s", 0.0, 2.0, ratio=False),
-    Searched("late_s", 2.0),
-    Searched("floor_mps", 8.0),
-    Searched("near_m", 15.0),
-    Searched("headway_gap_s", 1.5),
-    Searched("response_s", 2.0),
-    Searched("brake_mps2", 1.0),
-    Searched("push_mps2", 1.0),
-    Searched("stop_decel_mps2", 0.6),
+    Searched("start_lag_s", (2.5, 2.0)),
+    Searched("headway_s", (2.4, 2.2)),
+    Searched("spacing_m", (7.5, 7.5)),
+    Searched("moving_fill", (0.1, 0.07)),
+    Searched("margin_s", (0.0, 0.0), 2.0, ratio=False),
+    Searched("late_s", (2.0, 2.0)),
+    Searched("floor_mps", (4.0, 6.0)),
+    Searched("near_m", (20.0, 30.0)),
+    Searched("headway_gap_s", (1.5, 2.2)),
+    Searched("response_s", (2.0, 2.0)),
+    Searched("brake_mps2", (1.0, 0.7)),
+    Searched("push_mps2", (1.0, 1.0)),
+    Searched("stop_decel_mps2", (0.3, 0.3)),
+    Searched("stop_margin", (1.4, 1.6)),
 )
-"""Glide's settings, at first those of glide but for the lowest speed: creeping burns more than standing."""
+"""Glide's settings, and where the search begins: by hand, on measured intersections (one setting at a time)."""
 OTHERS = {"standing_gap_m": 3.0, "queue_speed_mps": 2.0}
-GATE = ("always", "green share", "seconds to lose", "distance", "follower", "more lanes")
+GATE = (
+    "always",
+    "green share",
+    "seconds to lose",
+    "distance",
+    "follower",
+    "more lanes",
+    "adoption",
+    "traffic",
+    "red",
+)
 """What decides whether holding back pays: a CV glides where the sum of these, times their weights, is above 0."""
-GATE_START = (1.0, 0.5, 0.0, 0.0, 0.0, 0.0)
+GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
+"""Weights at the start of the search, by kind of road."""
 FOLLOWER_M = 60.0
+LATE_S = 1.0
+"""Who would reach the line later than this after the green ends does not pass: some drive on through yellow."""
+YELLOW_MPS2 = 3.0
+"""By yellow, whoever can stop with this deceleration does."""
+NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
+"""What the search looks at besides what glide does."""
 
 
 class SearchedGlide(Glide):
     """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
 
+    Where the gate is closed, whoever must stop brakes early and gently, as with glide; but so do those who would come
+    only after the present green, and those who follow closely.
+
     Args:
-        config: settings of the environment; the follower must be observed besides what glide needs.
+        config: settings of the environment; :data:`NEEDED` must be observed besides what glide needs.
     """
 
     gate: Tensor
+    followers_stop = True
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        if "follower_present" not in self.columns:
-            raise IzooError("algo=glide_search also looks at the follower; add follower to env.neighbours.")
+        missing = [name for name in NEEDED if name not in self.columns]
+        if missing:
+            raise IzooError(
+                f"algo=glide_search also looks at {', '.join(missing)}; add follower to env.neighbours, and adoption "
+                "and lane_length_m to env.observed."
+            )
         self.shortest_response_s = config.decision_s
 
     def drive_with(self, numbers: Tensor, observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -103,12 +129,13 @@ class SearchedGlide(Glide):
         several = self.lanes(observation) > 1.5
         one, more = numbers[:, :1], numbers[:, 1:]
         chosen = torch.where(several.unsqueeze(-1), more, one)
-        values = {setting.name: setting.value(chosen[..., k]) for k, setting in enumerate(SETTINGS)}
+        values = {setting.name: setting.value(chosen[..., k], several) for k, setting in enumerate(SETTINGS)}
         values["response_s"] = values["response_s"].clamp_min(self.shortest_response_s)
         values["floor_mps"] = values["floor_mps"].clamp_min(0.1)
         rule: Any = copy.copy(self)  # the rule itself stays as it is, and so does its fingerprint
         rule.settings, rule.response_s = SimpleNamespace(**values, **OTHERS), values["response_s"]
-        rule.gate = chosen[..., len(SETTINGS) :] + chosen.new_tensor(GATE_START)
+        starts = chosen.new_tensor(GATE_STARTS)
+        rule.gate = chosen[..., len(SETTINGS) :] + torch.where(several.unsqueeze(-1), starts[1], starts[0])
         accel, defer = rule.drive(observation, torch.ones_like(several))
         return accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2), defer
 
@@ -132,8 +159,36 @@ class SearchedGlide(Glide):
             distance / 150.0 - 1.0,
             follower.float() - 0.5,
             (self.lanes(observation) - 2.5) / 1.5,
+            3.0 * (self._column(observation, "context_adoption", 1.0) - 1.0 / 3.0),
+            self.traffic(observation) / 3.0 - 1.0,
+            red / 30.0 - 1.0,
         )
         return (torch.stack(features, -1) * self.gate).sum(-1) > 0.0
+
+    def stop_is_certain(self, observation: Tensor, distance: Tensor, ahead: Tensor, speed: Tensor) -> Tensor:
+        """Return whether the present red, or the end of the present green, keeps each CV from passing, ``[N, A]``."""
+        red = observation[..., self.columns["signal_red"]] > 0.5
+        green = observation[..., self.columns["signal_green"]] > 0.5
+        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
+        too_late = green & (distance / torch.maximum(limit, speed) > left + LATE_S)
+        yellow = ~red & ~green & (distance > 0.5 * speed**2 / YELLOW_MPS2)
+        return super().stop_is_certain(observation, distance, ahead, speed) | too_late | yellow
+
+    def traffic(self, observation: Tensor) -> Tensor:
+        """Return how many vehicles there are per lane and 100 m of each CV's approach, ``[N, A]``, at most 12.
+
+        They are not observed, but the CVs are: as many times as many as one in how many vehicles is one. CVs are taken
+        to be on the same approach where length, limit and lanes of theirs are the same.
+        """
+        names = ("context_lane_length_m", "context_speed_limit_mps", "context_lane_count")
+        approach = observation[..., [self.columns[name] for name in names]]
+        same = (approach.unsqueeze(-2) - approach.unsqueeze(-3)).abs().amax(-1) < 1e-4
+        same &= (observation[..., self.columns["location_approaching"]] > 0.5).unsqueeze(-2)
+        length_m = self._column(observation, "context_lane_length_m", feature("lane_length_m").scale)
+        share = self._column(observation, "context_adoption", 1.0)
+        road = (share * self.lanes(observation) * length_m / 100.0).clamp_min(1e-3)
+        return (same.sum(-1) / road).clamp_max(12.0)
 
 
 class GlidePolicies(TensorDictModuleBase):

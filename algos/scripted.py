@@ -136,8 +136,10 @@ class GlideConfig:
             be guessed from the leader, others overtake and merge in front, and the rule costs more than it gains.
         min_green_share: nor for movements with a smaller share of green: there CVs would glide through most of a long
             red, which burns twice what standing does, for a short discharge.
-        stop_decel_mps2: in both cases, whoever must stop in any case brakes from where this deceleration is enough; 0:
-            they are left alone.
+        stop_decel_mps2: in both cases, whoever must stop in any case brakes from where this is enough; 0: they
+            are left alone.
+        stop_margin: a stop is certain where the red light lasts this many times as long as the way to the stop takes
+            at the present speed; 2: until a vehicle that brakes evenly stands.
         start_lag_s: time from green until the first vehicle of a queue crosses.
         headway_s: time between two vehicles of a discharging queue.
         spacing_m: road that a queued vehicle takes up.
@@ -156,6 +158,7 @@ class GlideConfig:
     max_lanes: int = 1
     min_green_share: float = 0.22
     stop_decel_mps2: float = 0.6
+    stop_margin: float = 2.0
     start_lag_s: float = 2.0
     headway_s: float = 2.2
     spacing_m: float = 7.5
@@ -178,6 +181,7 @@ class GlideConfig:
         check_range("glide.max_lanes", self.max_lanes, 0, 100)
         check_range("glide.min_green_share", self.min_green_share, 0.0, 1.0)
         check_range("glide.stop_decel_mps2", self.stop_decel_mps2, 0.0, -ACTION_LOW_MPS2, "m/s^2")
+        check_range("glide.stop_margin", self.stop_margin, 0.1, 10.0)
         check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
 
 
@@ -196,6 +200,9 @@ class Glide(ScriptedDriver):
             and ``lane_count`` must be observed.
         settings: of the rule.
     """
+
+    followers_stop = False
+    """Whether a CV that follows closely brakes early for a stop, too."""
 
     def __init__(self, config: EnvConfig, settings: GlideConfig | None = None) -> None:
         super().__init__()
@@ -230,7 +237,7 @@ class Glide(ScriptedDriver):
         glides = leads & pays & early
         glide = ((advised - speed) / self.response_s).clamp(-s.brake_mps2, s.push_mps2)
         decel, must_stop = self.stop(observation, distance, speed)
-        stops = leads & ~pays & must_stop
+        stops = (approaching if self.followers_stop else leads) & ~pays & must_stop
         return torch.where(stops, -decel, glide), ~(glides | stops)
 
     def gliding_pays(self, observation: Tensor) -> Tensor:
@@ -244,7 +251,7 @@ class Glide(ScriptedDriver):
     def stop(self, observation: Tensor, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Return the deceleration that ends in each CV's stop, ``[*B, A]`` in m/s^2, and whether it is time for it.
 
-        A stop is certain while a red light outlasts the braking: at the line, or behind a leader that stands before it.
+        It is at the line, or behind a leader that stands before it.
 
         Args:
             observation: ``[*B, A, F]``.
@@ -257,12 +264,23 @@ class Glide(ScriptedDriver):
         queued &= self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
         ahead = torch.where(queued, torch.minimum(gap - s.standing_gap_m, distance), distance)
         decel = 0.5 * speed**2 / ahead.clamp_min(1.0)
-        red = observation[..., self.columns["signal_red"]] > 0.5
-        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
-        certain = red & (left > 2.0 * ahead / speed.clamp_min(0.5))
+        certain = self.stop_is_certain(observation, distance, ahead, speed)
         # Harder braking, and the last moment before standing, are left to the simulator.
         possible = (decel >= s.stop_decel_mps2) & (decel < 4.0) & (ahead > 5.0) & (speed > 3.0)
         return decel, certain & possible & (s.stop_decel_mps2 > 0.0)
+
+    def stop_is_certain(self, observation: Tensor, distance: Tensor, ahead: Tensor, speed: Tensor) -> Tensor:
+        """Return whether a red light keeps each CV from passing, ``[*B, A]``.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            distance: ``[*B, A]`` metres to the stop line.
+            ahead: ``[*B, A]`` metres to where it would stand.
+            speed: ``[*B, A]`` m/s.
+        """
+        red = observation[..., self.columns["signal_red"]] > 0.5
+        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        return red & (left > self.settings.stop_margin * ahead / speed.clamp_min(0.5))
 
     def passing_time(self, observation: Tensor, distance: Tensor, free_s: Tensor) -> Tensor:
         """Return in how many seconds each CV can pass the stop line, ``[*B, A]``.

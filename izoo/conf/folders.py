@@ -24,7 +24,7 @@ class DatasetContexts:
         path: a folder of intersection folders, or one intersection folder with ``net.net.xml`` and ``inflows.txt``.
         split: ``train``, ``validation`` and ``test`` share out the intersections 80/10/10 by name; ``all``: every one.
         approaches: ``one``: a context per incoming approach, fed from it alone; ``all``: one per intersection.
-        adoption: share of controlled vehicles, 0 to 1.
+        adoption: share of controlled vehicles, 0 to 1; a list of shares: every context once with each.
         hour: ``peak`` or ``off-peak``.
         season: season of the weather.
         weather: ``published``: the values of the paper's summer experiments (those of Salt Lake City where a folder
@@ -38,7 +38,7 @@ class DatasetContexts:
     path: str | None = None
     split: Split = "all"
     approaches: Literal["one", "all"] = "one"
-    adoption: float = 1.0 / 3.0
+    adoption: float | list[float] = 1.0 / 3.0
     hour: Hour = "peak"
     season: Season = "summer"
     weather: Literal["published", "county"] = "published"
@@ -48,7 +48,7 @@ class DatasetContexts:
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
-        check_range("contexts.adoption", self.adoption, 0.0, 1.0)
+        _check_adoption(self.adoption)
         if self.weather == "published" and self.season != "summer":
             raise IzooError(
                 f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
@@ -77,7 +77,7 @@ class OsmContexts:
         path: the folder ``OUT``.
         split: ``train``, ``validation`` and ``test`` share out the intersections 80/10/10 by name; ``all``: every one.
         approaches: ``one``: a context per incoming approach, fed from it alone; ``all``: one per intersection.
-        adoption: share of controlled vehicles, 0 to 1.
+        adoption: share of controlled vehicles, 0 to 1; a list of shares: every context once with each.
         hour: ``peak`` or ``off-peak``.
         temperature_c, humidity_pct: the weather.
         engine: of controlled vehicles, ``combustion`` or ``electric``.
@@ -89,7 +89,7 @@ class OsmContexts:
     path: str | None = None
     split: Split = "all"
     approaches: Literal["one", "all"] = "one"
-    adoption: float = 1.0 / 3.0
+    adoption: float | list[float] = 1.0 / 3.0
     hour: Hour = "peak"
     temperature_c: float = 20.0
     humidity_pct: float = 46.0
@@ -99,7 +99,7 @@ class OsmContexts:
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
-        check_range("contexts.adoption", self.adoption, 0.0, 1.0)
+        _check_adoption(self.adoption)
         check_range("contexts.temperature_c", self.temperature_c, -60.0, 60.0, "degrees C")
         check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")
         _make_absolute(self)
@@ -119,6 +119,13 @@ class OsmContexts:
         return with_own_drivers(_load(self, self.path, fields), self.drivers)
 
 
+def _check_adoption(adoption: float | list[float]) -> None:
+    if adoption == []:
+        raise IzooError("contexts.adoption is an empty list; give a share from 0 to 1, or a list of shares.")
+    for share in [adoption] if isinstance(adoption, float) else adoption:
+        check_range("contexts.adoption", share, 0.0, 1.0)
+
+
 def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
     if path is None:
         raise IzooError(f"contexts={name} needs a folder: contexts.path=DIR.")
@@ -132,15 +139,18 @@ def _load(config: DatasetContexts | OsmContexts, path: str | None, fields: dict[
     from izoo.networks.dataset.intersections import load_dataset
 
     folder = _check(config.name, path)
+    shares = [config.adoption] if isinstance(config.adoption, float) else config.adoption
     contexts = load_dataset(
         folder,
         approaches=config.approaches,
-        adoption=config.adoption,
+        adoption=shares[0],
         hour=config.hour,
         engine=config.engine,
         cv_vehicle=config.cv_vehicle,
         **fields,
     )
+    if len(shares) > 1:
+        contexts = ContextList([context.replace(adoption=share) for share in shares for context in contexts])
     if config.split == "all":
         return contexts
     names = list(dict.fromkeys(context.intersection.name for context in contexts))

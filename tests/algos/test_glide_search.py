@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos import base
 from izoo.algos.action import AdviseAction, DirectAction
-from izoo.algos.glide_search import GATE_START, OTHERS, SETTINGS, GlideSearch
+from izoo.algos.glide_search import GATE, GATE_STARTS, OTHERS, SETTINGS, GlideSearch
 from izoo.algos.glide_search_config import GlideSearchConfig
 from izoo.algos.masked_gae import TEAM_REWARD
 from izoo.algos.registry import make_algorithm
@@ -22,7 +22,10 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.evaluation.policies import fingerprint
 
-ENV = EnvConfig(hold_s=2.0)
+ENV = EnvConfig(
+    hold_s=2.0,
+    observed=("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"),
+)
 NAMES = observation_names(ENV)
 LANES, AGENTS, STEPS = NAMES.index("context_lane_count"), 7, 3
 ONE, SEVERAL = 1 / 4, 3 / 4
@@ -34,7 +37,7 @@ def make(population: int = 4, seed: int = 0) -> GlideSearch:
     return made
 
 
-def seen(envs: int, lanes: float, seed: int = 3) -> TensorDict:
+def seen(envs: int, lanes: float, seed: int = 3, adoption: float = 1 / 3, length_m: float = 250.0) -> TensorDict:
     """CVs on their way to a red light that lasts for 20 to 50 s more, the same in each environment."""
     generator = torch.Generator().manual_seed(seed)
     rows = torch.zeros(envs, AGENTS, len(NAMES))
@@ -46,6 +49,7 @@ def seen(envs: int, lanes: float, seed: int = 3) -> TensorDict:
     }
     fixed = {"location_approaching": 1.0, "signal_red": 1.0, "follower_distance": 0.1, "context_speed_limit_mps": 1.0}
     fixed |= {"signal_second_green": 1.4, "signal_third_green": 2.4, "context_green_s": 0.4, "context_red_s": 0.6}
+    fixed |= {"context_adoption": adoption, "context_lane_length_m": length_m / 250.0}
     for name, value in {**fixed, "leader_present": 1.0, "context_lane_count": lanes}.items():
         rows[..., NAMES.index(name)] = value
     for name, column in values.items():
@@ -81,9 +85,10 @@ def test_acting_leaves_the_policy_as_it_is() -> None:
 
 @pytest.mark.parametrize("lanes", [ONE, SEVERAL])
 def test_at_its_start_it_drives_as_glide_with_those_settings(lanes: float) -> None:
-    start = {setting.name: setting.start for setting in SETTINGS} | OTHERS
+    kind = int(lanes > ONE)
+    start = {setting.name: setting.starts[kind] for setting in SETTINGS} | OTHERS
     glide = Glide(ENV, GlideConfig(**start, max_lanes=9, min_green_share=0.0))
-    frame = seen(2, lanes)
+    frame = seen(2, lanes, adoption=0.1)  # where CVs are few the gate is open
     acted, wanted = act(make(), frame), glide(frame.clone())
     assert (~wanted[DEFER]).any() and wanted[DEFER].any()
     mask = frame[base.MASK]
@@ -96,8 +101,35 @@ def test_at_its_start_it_drives_as_glide_with_those_settings(lanes: float) -> No
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
 def test_every_setting_that_is_searched_is_one_of_glide(setting: Any) -> None:
     assert setting.name in {field.name for field in dataclasses.fields(GlideConfig)}
-    assert float(setting.value(torch.zeros(()))) == pytest.approx(setting.start)
-    assert float(setting.value(torch.ones(()))) > setting.start
+    for several, start in zip((False, True), setting.starts, strict=True):
+        assert float(setting.value(torch.zeros(()), torch.tensor(several))) == pytest.approx(start)
+        assert float(setting.value(torch.ones(()), torch.tensor(several))) > start
+
+
+def test_where_the_gate_is_closed_cvs_brake_gently_for_stops_that_are_certain() -> None:
+    """By red as with glide; also by a green that ends before they are there, and behind a leader that is near."""
+    algorithm = make()
+    algorithm.policy.mean[:, len(SETTINGS)] = -20.0
+    frame = seen(1, SEVERAL)
+    rows = frame[base.OBSERVATION]
+    for name, value in {
+        "speed": 0.9,
+        "stop_line_distance": -0.6,
+        "leader_distance": 0.04,
+        "leader_speed": 0.9,
+        "signal_time_left": 0.5,
+    }.items():
+        rows[..., NAMES.index(name)] = value  # 150 m before the line, 10 m behind a leader, red for 50 s
+    assert not act(algorithm, frame)[DEFER][0, :-1].any()
+    assert (act(algorithm, frame)[base.ACTION][0, :-1] < 0.0).all()
+    rows[..., NAMES.index("signal_red")] = 0.0
+    rows[..., NAMES.index("signal_green")] = 1.0
+    assert act(algorithm, frame)[DEFER].all()  # green for 50 s
+    rows[..., NAMES.index("signal_time_left")] = 0.05
+    assert not act(algorithm, frame)[DEFER][0, :-1].any()  # for 5 s
+    rows[..., NAMES.index("stop_line_distance")] = -0.2
+    rows[..., NAMES.index("signal_time_left")] = 0.04
+    assert act(algorithm, frame)[DEFER].all()  # 50 m are 4 s
 
 
 def test_each_kind_of_road_has_numbers_of_its_own() -> None:
@@ -146,4 +178,33 @@ def test_what_does_not_suit_it_is_refused() -> None:
         make_algorithm(GlideSearchConfig(), AdviseAction(), ENV)
     with pytest.raises(IzooError, match=r"add follower to env\.neighbours"):
         make_algorithm(GlideSearchConfig(), DirectAction(), EnvConfig(neighbours=("leader",)))
-    assert len(GATE_START) == make().policy.mean.shape[1] - len(SETTINGS)
+    with pytest.raises(IzooError, match="context_adoption"):
+        make_algorithm(GlideSearchConfig(), DirectAction(), EnvConfig(observed=ENV.observed[1:]))
+    assert [len(GATE)] * 2 == [len(start) for start in GATE_STARTS]
+    assert make().policy.mean.shape[1] == len(SETTINGS) + len(GATE)
+
+
+def test_vehicles_on_the_road_are_counted_by_their_cvs() -> None:
+    rule = make().policy.rule
+    frame = seen(1, ONE, adoption=0.5, length_m=200.0)
+    rows = frame[base.OBSERVATION].clone()
+    rows[:, -1] = 0.0  # an empty slot
+    # Six CVs, every second vehicle one, on one lane of 200 m.
+    assert rule.traffic(rows)[0, :-1].tolist() == pytest.approx([6.0] * 6)
+    rows[:, 0, NAMES.index("location_approaching")] = 0.0  # has crossed the line
+    rows[:, 1, NAMES.index("context_lane_length_m")] = 2.0  # comes on another approach, of 500 m
+    assert rule.traffic(rows)[0, 2:-1].tolist() == pytest.approx([4.0] * 4)
+    assert float(rule.traffic(rows)[0, 1]) == pytest.approx(0.4)
+
+
+def test_the_gate_hears_how_many_cvs_and_vehicles_there_are() -> None:
+    algorithm = make()
+    for name, column, much in (("adoption", "context_adoption", 1.0), ("traffic", "context_lane_length_m", 0.1)):
+        algorithm.policy.mean.zero_()
+        frame = seen(1, ONE)
+        little = act(algorithm, frame)[DEFER]
+        algorithm.policy.mean[0, len(SETTINGS) + GATE.index(name)] = -20.0
+        frame[base.OBSERVATION][..., NAMES.index(column)] = much  # or a short road: crowded
+        algorithm.policy.mean[0, [setting.name for setting in SETTINGS].index("stop_decel_mps2")] = 6.0
+        assert not little.all()
+        assert act(algorithm, frame)[DEFER].all()

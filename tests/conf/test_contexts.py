@@ -143,6 +143,10 @@ def test_dataset_splits_share_out_the_intersections(dataset):
         names[split] = {context.intersection.name for context in source}
     assert (len(names["train"]), len(names["validation"]), len(names["test"])) == (48, 6, 6)
     assert names["train"] | names["validation"] | names["test"] == names["all"]
+    several = list(DatasetContexts(path=path, split="test", adoption=[0.1, 1.0]).build())
+    assert {context.intersection.name for context in several} == names["test"]
+    assert [context.adoption for context in several] == [0.1] * (len(several) // 2) + [1.0] * (len(several) // 2)
+    assert len({context.content_hash for context in several}) == len(several)
     with pytest.raises(IzooError, match="named after one of the ten"):
         DatasetContexts(path=path, weather="county", season="winter").build()
     with pytest.raises(IzooError, match="too few for a test set"):
@@ -167,6 +171,8 @@ def test_dataset_splits_share_out_the_intersections(dataset):
         (["contexts=dataset"], "contexts.path=DIR"),
         (["contexts=dataset", "contexts.path=/nowhere"], "/nowhere does not exist"),
         (["contexts=dataset", "contexts.season=fall"], "contexts.weather=county"),
+        (["contexts=dataset", "contexts.adoption=[]"], "contexts.adoption is an empty list"),
+        (["contexts=osm", "contexts.adoption=[0.5,1.5]"], r"\[0, 1\]"),
         (["contexts=osm"], "contexts.path=DIR"),
         (["contexts=osm", "contexts.path=/nowhere"], "izoo.contexts build --osm"),
         (["contexts=osm", "contexts.humidity_pct=120"], "100"),
