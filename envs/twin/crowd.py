@@ -48,6 +48,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.emitting import count_classes
 from izoo.envs.twin.fetching import (
     GUESTS_AT,
+    LINES,
     NET_AT,
     STATE_AT,
     TRAFFIC_AT,
@@ -80,9 +81,10 @@ def drive_all(addresses, step_ms, lane_change, like, by_class, ranges):  # type:
     for c in range(by_class.shape[0]):
         by_class[c] = 0
     for k in range(addresses.shape[0]):
-        fetch_next(addresses, k, like, True, ranges)
+        list_next(addresses, k, like, True, ranges)
         world = world_at(addresses[k, WORLD_AT], like)
-        _drive(world, addresses, k, step_ms, lane_change)
+        _drive(world, addresses, k, step_ms, lane_change, ranges)
+        fetch_some(ranges, ranges[LINES, 0])
         count_classes(world, by_class)
 
 
@@ -100,7 +102,7 @@ def play_all(addresses, steps, step_ms, lane_change, like, ranges):  # type: ign
     for k in range(addresses.shape[0]):
         world = world_at(addresses[k, WORLD_AT], like)
         for played in range(steps[k]):
-            _drive(world, addresses, k, step_ms, lane_change)
+            _drive(world, addresses, k, step_ms, lane_change, ranges)
             if played == steps[k] - 1:
                 list_next(addresses, k, like, True, ranges)
             _emit_and_fetch(world, ranges)
@@ -119,19 +121,19 @@ def _emit_and_fetch(world, ranges):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
-    """Drive the environments at ``addresses`` for some steps, uncommanded."""
+def warm_up_all(addresses, steps, step_ms, ranges):  # type: ignore[no-untyped-def]
+    """Drive the environments at ``addresses`` for some steps, uncommanded; ``ranges`` holds nothing."""
     for k in range(addresses.shape[0]):
         for _ in range(steps):
-            step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+            step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms, ranges)
 
 
 @compiled(borrows=True)
-def _drive(world, addresses, k, step_ms, lane_change):  # type: ignore[no-untyped-def]
+def _drive(world, addresses, k, step_ms, lane_change, ranges):  # type: ignore[no-untyped-def]
     net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
     guests = open_guests(addresses[k, GUESTS_AT])
     _pass_on_orders(world, state, lane_change)
-    step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+    step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms, ranges)
     _see_off(world, state, guests)
     _welcome(world, state, guests)
     _read(world.tables, net, state, guests)

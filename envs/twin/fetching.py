@@ -2,10 +2,12 @@
 
 A step touches some sixty kilobytes, and the tables of a hundred environments do not stay in the cache. Read one after
 the other, as the step needs them, its lines come at the pace of the memory's latency; asked for ahead they are there.
-Where CO2 is computed vehicle by vehicle, a few lines are asked for with each of them.
+A few lines are asked for with each vehicle that is driven, or whose CO2 is computed.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.mdp.world import MEMBERS
@@ -36,7 +38,12 @@ _STRAGGLERS = 8
 RANGES = 24
 """Rows of a list of ranges, ``[RANGES, 2]`` int64 with begin and end in each; the last row holds how many of them are
 done and how many there are, the one before it how many lines they have."""
-_DONE, _LINES = RANGES - 1, RANGES - 2
+_DONE, LINES = RANGES - 1, RANGES - 2
+
+
+def no_ranges() -> np.ndarray:
+    """Return an empty list of ranges."""
+    return np.zeros((RANGES, 2), np.int64)
 
 
 @compiled
@@ -51,7 +58,7 @@ def list_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-de
         ranges: output, for :func:`fetch_some`.
     """
     count = addresses.shape[0]
-    ranges[_DONE, 0] = ranges[_DONE, 1] = ranges[_LINES, 0] = 0
+    ranges[_DONE, 0] = ranges[_DONE, 1] = ranges[LINES, 0] = 0
     if k == 0 and count > 1:
         _fetch_directories(addresses, 1)
     if k + 2 < count:
@@ -66,13 +73,13 @@ def list_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-de
 def fetch_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-def]
     """Ask at once for all that :func:`list_next` lists."""
     list_next(addresses, k, like, drives, ranges)
-    fetch_some(ranges, ranges[_LINES, 0])
+    fetch_some(ranges, ranges[LINES, 0])
 
 
 @compiled(borrows=True)
 def lines_for_each(ranges, count):  # type: ignore[no-untyped-def]
     """Return how many lines to ask for at a time, to have all of them after ``count`` times."""
-    return ranges[_LINES, 0] // max(1, count) + 1
+    return ranges[LINES, 0] // max(1, count) + 1
 
 
 @compiled(borrows=True)
@@ -100,7 +107,7 @@ def _list(ranges, address, size):  # type: ignore[no-untyped-def]
     k = ranges[_DONE, 1]
     ranges[k, 0], ranges[k, 1] = address, address + size
     ranges[_DONE, 1] = k + 1
-    ranges[_LINES, 0] += (size + LINE_BYTES - 1) // LINE_BYTES
+    ranges[LINES, 0] += (size + LINE_BYTES - 1) // LINE_BYTES
 
 
 @compiled(borrows=True)

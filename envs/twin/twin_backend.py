@@ -23,7 +23,7 @@ from izoo.envs.mdp.scene import Scene
 from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
 from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import Emitter
-from izoo.envs.twin.fetching import PARTS_BYTES, RANGES
+from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
@@ -70,7 +70,7 @@ class TwinBackend:
         self._shares = [slice(*pair) for pair in itertools.pairwise(bounds)]
         self._emitters = [Emitter(module) for _ in self._shares]
         self._desks = [Desk() for _ in self._shares]
-        self._ranges = [np.zeros((RANGES, 2), np.int64) for _ in self._shares]
+        self._ranges = [no_ranges() for _ in self._shares]
         self._preparers_desk = Desk()
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
