@@ -81,24 +81,29 @@ def settle(world, reading):  # type: ignore[no-untyped-def]
 @compiled(borrows=True)
 def emit_co2(world):  # type: ignore[no-untyped-def]
     """Write each member's CO2 of the step in g; electric CVs emit nothing."""
+    for j in range(world.tables.cursor[MEMBERS]):
+        emit_one(world, world.tables.members[j])
+
+
+@compiled(borrows=True, forceinline=True)
+def emit_one(world, r):  # type: ignore[no-untyped-def]
+    """Write the CO2 of the vehicle in row ``r``, unless it is that of the step before."""
     tables, rules = world.tables, world.rules
     floats = tables.floats
-    for j in range(tables.cursor[MEMBERS]):
-        r = tables.members[j]
-        if tables.flags[r, STEADY]:
-            continue
-        floats[r, EMISSION] = 0.0
-        if not tables.flags[r, ELECTRIC]:
-            rate = emission_rate(
-                floats[r, SPEED],
-                floats[r, ACCEL],
-                floats[r, GRADE],
-                tables.ints[r, MOVES_CLASS],
-                rules.temperature_c,
-                rules.humidity_pct,
-                world.surrogate,
-            )
-            floats[r, EMISSION] = rate * rules.step_s
+    if tables.flags[r, STEADY]:
+        return
+    floats[r, EMISSION] = 0.0
+    if not tables.flags[r, ELECTRIC]:
+        rate = emission_rate(
+            floats[r, SPEED],
+            floats[r, ACCEL],
+            floats[r, GRADE],
+            tables.ints[r, MOVES_CLASS],
+            rules.temperature_c,
+            rules.humidity_pct,
+            world.surrogate,
+        )
+        floats[r, EMISSION] = rate * rules.step_s
 
 
 @compiled(borrows=True)

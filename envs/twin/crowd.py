@@ -21,7 +21,7 @@ from izoo.envs.mdp.state import (
     SPEED,
     YIELDING,
 )
-from izoo.envs.mdp.step import conclude, emit_co2, settle, take_orders
+from izoo.envs.mdp.step import conclude, emit_one, settle, take_orders
 from izoo.envs.mdp.world import MEMBERS, SUSPECTS
 from izoo.envs.twin.arrays import (
     ACCEL as TWIN_ACCEL,
@@ -46,7 +46,18 @@ from izoo.envs.twin.arrays import (
     SPEED as TWIN_SPEED,
 )
 from izoo.envs.twin.emitting import count_classes
-from izoo.envs.twin.fetching import GUESTS_AT, NET_AT, STATE_AT, TRAFFIC_AT, WORLD_AT, fetch_next
+from izoo.envs.twin.fetching import (
+    GUESTS_AT,
+    LINES,
+    NET_AT,
+    STATE_AT,
+    TRAFFIC_AT,
+    WORLD_AT,
+    fetch_next,
+    fetch_some,
+    lines_for_each,
+    list_next,
+)
 from izoo.envs.twin.guests import open_guests
 from izoo.envs.twin.handles import world_at
 from izoo.envs.twin.stepping import step
@@ -56,7 +67,7 @@ _STEPS = EPISODE_METRIC["steps"]
 
 
 @compiled(nogil=True)
-def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[no-untyped-def]
+def drive_all(addresses, step_ms, lane_change, like, by_class, ranges):  # type: ignore[no-untyped-def]
     """Play the first half of a step in some environments.
 
     Args:
@@ -65,50 +76,64 @@ def drive_all(addresses, step_ms, lane_change, like, by_class):  # type: ignore[
         lane_change: whether lane changes are commanded.
         like: any of the worlds; it gives the others' type.
         by_class: ``[C]`` int64 output: how many vehicles of each class emit something else than in the step before.
+        ranges: working memory of :mod:`~izoo.envs.twin.fetching`.
     """
     for c in range(by_class.shape[0]):
         by_class[c] = 0
     for k in range(addresses.shape[0]):
-        fetch_next(addresses, k, like, True)
+        list_next(addresses, k, like, True, ranges)
         world = world_at(addresses[k, WORLD_AT], like)
-        _drive(world, addresses, k, step_ms, lane_change)
+        _drive(world, addresses, k, step_ms, lane_change, ranges)
+        fetch_some(ranges, ranges[LINES, 0])
         count_classes(world, by_class)
 
 
 @compiled(nogil=True)
-def conclude_all(addresses, like):  # type: ignore[no-untyped-def]
+def conclude_all(addresses, like, ranges):  # type: ignore[no-untyped-def]
     """Play the second half of a step; CO2 is there."""
     for k in range(addresses.shape[0]):
-        fetch_next(addresses, k, like, False)
+        fetch_next(addresses, k, like, False, ranges)
         _conclude(world_at(addresses[k, WORLD_AT], like), addresses, k)
 
 
 @compiled(nogil=True)
-def play_all(addresses, steps, step_ms, lane_change, like):  # type: ignore[no-untyped-def]
+def play_all(addresses, steps, step_ms, lane_change, like, ranges):  # type: ignore[no-untyped-def]
     """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment."""
     for k in range(addresses.shape[0]):
-        fetch_next(addresses, k, like, True)
         world = world_at(addresses[k, WORLD_AT], like)
-        for _ in range(steps[k]):
-            _drive(world, addresses, k, step_ms, lane_change)
-            emit_co2(world)
+        for played in range(steps[k]):
+            _drive(world, addresses, k, step_ms, lane_change, ranges)
+            if played == steps[k] - 1:
+                list_next(addresses, k, like, True, ranges)
+            _emit_and_fetch(world, ranges)
             _conclude(world, addresses, k)
 
 
+@compiled(borrows=True)
+def _emit_and_fetch(world, ranges):  # type: ignore[no-untyped-def]
+    """Compute CO2, and ask for what is listed meanwhile."""
+    members = world.tables.cursor[MEMBERS]
+    lines = lines_for_each(ranges, members)
+    for j in range(members):
+        fetch_some(ranges, lines)
+        emit_one(world, world.tables.members[j])
+    fetch_some(ranges, lines)
+
+
 @compiled(nogil=True)
-def warm_up_all(addresses, steps, step_ms):  # type: ignore[no-untyped-def]
-    """Drive the environments at ``addresses`` for some steps, uncommanded."""
+def warm_up_all(addresses, steps, step_ms, ranges):  # type: ignore[no-untyped-def]
+    """Drive the environments at ``addresses`` for some steps, uncommanded; ``ranges`` holds nothing."""
     for k in range(addresses.shape[0]):
         for _ in range(steps):
-            step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+            step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms, ranges)
 
 
 @compiled(borrows=True)
-def _drive(world, addresses, k, step_ms, lane_change):  # type: ignore[no-untyped-def]
+def _drive(world, addresses, k, step_ms, lane_change, ranges):  # type: ignore[no-untyped-def]
     net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
     guests = open_guests(addresses[k, GUESTS_AT])
     _pass_on_orders(world, state, lane_change)
-    step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms)
+    step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms, ranges)
     _see_off(world, state, guests)
     _welcome(world, state, guests)
     _read(world.tables, net, state, guests)

@@ -27,6 +27,7 @@ from izoo.envs.twin.arrays import (
     NEVER_MS,
     NOT_ACTIVE,
     NOW_MS,
+    ON_ROAD,
     STATE,
     STEP_COUNT,
     STOOD_FOR,
@@ -43,6 +44,7 @@ from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
 from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.desk import Desk, Shapes, zeros
+from izoo.envs.twin.fetching import fetch_some, lines_for_each
 from izoo.envs.twin.inserting import insert_vehicles
 from izoo.envs.twin.lights import begin_signals, show_signals
 from izoo.envs.twin.moving import drive
@@ -102,22 +104,25 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
 
 
 @compiled
-def step(net_at, traffic_at, state_at, step_ms):  # type: ignore[no-untyped-def]
+def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-untyped-def]
     """Advance an environment by ``step_ms``; commands are read from its state.
 
     Args:
         net_at, traffic_at, state_at: addresses of the directories, see :mod:`izoo.envs.twin.compiled`.
+        ranges: what to fetch meanwhile (:mod:`izoo.envs.twin.fetching`).
     """
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
     show_signals(net, state, step_ms)
     state.clock[ITEM_TOTAL] = 0
     activate_busy(net, state)
     forget_empty(state)
+    lines = lines_for_each(ranges, state.clock[ON_ROAD])
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         in_front_m = 0.0
         while v >= 0:
+            fetch_some(ranges, lines)
             take_commands(net, state, v, step_ms)
             plan(net, traffic, state, v, step_ms)
             keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)

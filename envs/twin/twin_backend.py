@@ -23,7 +23,7 @@ from izoo.envs.mdp.scene import Scene
 from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
 from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import Emitter
-from izoo.envs.twin.fetching import PARTS_BYTES
+from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
@@ -70,6 +70,7 @@ class TwinBackend:
         self._shares = [slice(*pair) for pair in itertools.pairwise(bounds)]
         self._emitters = [Emitter(module) for _ in self._shares]
         self._desks = [Desk() for _ in self._shares]
+        self._ranges = [no_ranges() for _ in self._shares]
         self._preparers_desk = Desk()
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
@@ -194,20 +195,22 @@ class TwinBackend:
     def _play_share(self, thread: int, steps: np.ndarray, like: Any) -> None:
         """Simulate a thread's share of the environments, whose working memory is on its desk."""
         share = self._shares[thread]
-        self._drive_share(self._addresses[share], steps[share], self._emitters[thread], like)
+        self._drive_share(self._addresses[share], steps[share], self._emitters[thread], self._ranges[thread], like)
         if self.played is not None and self.threads > 1:
             self.played(share)
 
-    def _drive_share(self, addresses: np.ndarray, steps: np.ndarray, emitter: Emitter, like: Any) -> None:
+    def _drive_share(
+        self, addresses: np.ndarray, steps: np.ndarray, emitter: Emitter, ranges: np.ndarray, like: Any
+    ) -> None:
         if self.surrogate == "compiled":
-            play_all(addresses, steps, self._step_ms, self.config.lane_change, like)
+            play_all(addresses, steps, self._step_ms, self.config.lane_change, like, ranges)
             return
         for step in range(int(steps.max())):
             # From here on, those that have been played are left out.
             chosen = addresses if steps.min() > step else addresses[steps > step]
-            drive_all(chosen, self._step_ms, self.config.lane_change, like, emitter.by_class)
+            drive_all(chosen, self._step_ms, self.config.lane_change, like, emitter.by_class, ranges)
             emitter.emit(chosen, like)
-            conclude_all(chosen, like)
+            conclude_all(chosen, like, ranges)
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]

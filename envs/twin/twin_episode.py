@@ -21,6 +21,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.compiled import directory
 from izoo.envs.twin.desk import Desk
+from izoo.envs.twin.fetching import no_ranges
 from izoo.envs.twin.stepping import new_state, step
 
 
@@ -51,7 +52,7 @@ class TwinEpisode:
 
     def step(self) -> None:
         """Advance by one step."""
-        step(*self.addresses, self.step_ms)
+        step(*self.addresses, self.step_ms, no_ranges())
 
     def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
         """Command speeds until further notice; NaN gives control back."""

@@ -33,7 +33,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.compiled import directory
 from izoo.envs.twin.crowd import warm_up_all
 from izoo.envs.twin.desk import Desk
-from izoo.envs.twin.fetching import NET_AT, PARTS_BYTES, STATE_AT
+from izoo.envs.twin.fetching import NET_AT, PARTS_BYTES, STATE_AT, no_ranges
 from izoo.envs.twin.guests import GUESTS, READING, Guests
 from izoo.envs.twin.handles import address_of, parts_at
 from izoo.envs.twin.twin_episode import TwinEpisode
@@ -76,7 +76,7 @@ def prepare(config: EnvConfig, play: Play, desk: Desk) -> Prepared:
     driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s), desk)
     addresses = np.zeros((1, PARTS_BYTES + 1), np.int64)
     addresses[0, NET_AT : STATE_AT + 1] = driving.addresses
-    warm_up_all(addresses, config.warmup_steps, driving.step_ms)
+    warm_up_all(addresses, config.warmup_steps, driving.step_ms, no_ranges())
     return Prepared(play, road, traffic, names, driving)
 
 
