@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from izoo.envs.twin.arrays import (
+    LANE_EDGE,
     LANE_INSIDE,
     LANE_LENGTH,
     LINK_DIRECTION,
@@ -163,7 +164,7 @@ def _waiting_foes(
     """Return the links that a waiting point yields to.
 
     They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict, but
-    not those that yield to it in turn.
+    not those that yield to it in turn, nor those of the same road.
     """
     links = ways.link_ints
     foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
@@ -172,6 +173,9 @@ def _waiting_foes(
     entry_of = {lane: row for row, lanes in lanes_of.items() for lane in lanes}
     waiting = [row for row in behind if links[row, LINK_VIA] >= 0]
     waiting = [row for row in waiting if entry not in ways.responses.get(entry_of[int(links[row, LINK_FROM])], ())]
+    edges = ways.lane_ints[:, LANE_EDGE]
+    road = edges[links[entry, LINK_FROM]]
+    waiting = [row for row in waiting if edges[links[entry_of[int(links[row, LINK_FROM])], LINK_FROM]] != road]
     return list(dict.fromkeys([*foes, *waiting]))
 
 

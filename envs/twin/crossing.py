@@ -116,12 +116,12 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
     if net.wait_count[link] > 0:
         first = net.wait_first[link]
         for k in range(first, first + net.wait_count[link]):
-            if _blocks(net, traffic, state, item, net.wait_foes[k]):
+            if _blocks(net, traffic, state, item, net.wait_foes[k], step_ms):
                 return False
     else:
         first = net.link_ints[link, LINK_FIRST_RESPONSE]
         for k in range(first, first + net.link_ints[link, LINK_RESPONSES]):
-            if _blocks(net, traffic, state, item, net.responses[k]):
+            if _blocks(net, traffic, state, item, net.responses[k], step_ms):
                 return False
     if letter == STOP and state.item_floats[item, ITEM_DISTANCE] <= VISIBILITY_M:
         state.ints[v, STOOD_FOR] = link
@@ -129,7 +129,7 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _blocks(net, traffic, state, item, foe_link):  # type: ignore[no-untyped-def]
+def _blocks(net, traffic, state, item, foe_link, step_ms):  # type: ignore[no-untyped-def]
     """Return whether a vehicle that approaches ``foe_link`` keeps the one of ``item`` from passing."""
     foe = state.link_first[foe_link]
     link, v = state.item_ints[item, ITEM_LINK], state.item_ints[item, ITEM_VEHICLE]
@@ -139,14 +139,14 @@ def _blocks(net, traffic, state, item, foe_link):  # type: ignore[no-untyped-def
     while foe >= 0:
         w = state.item_ints[foe, ITEM_VEHICLE]
         no_foe = w == v or (lingers and state.floats[w, SPEED] <= STANDING_MPS)
-        if not no_foe and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging):
+        if not no_foe and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging, step_ms):
             return True
         foe = state.item_ints[foe, ITEM_NEXT]
     return False
 
 
 @compiled
-def _meets(traffic, state, item, foe, merging):  # type: ignore[no-untyped-def]
+def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-untyped-def]
     """Return whether the passages of two items come too close; ``merging`` if both lead to one lane."""
     own, other = state.item_ints[item], state.item_ints[foe]
     v, w = own[ITEM_VEHICLE], other[ITEM_VEHICLE]
@@ -164,12 +164,12 @@ def _meets(traffic, state, item, foe, merging):  # type: ignore[no-untyped-def]
     foe_arrival, foe_speed = float(other[ITEM_ARRIVAL_MS]), state.item_floats[foe, ITEM_BRAKED_SPEED]
     impatience = min(1.0, state.ints[v, WAITING_MS] / IMPATIENT_AFTER_MS)
     if impatience > 0.0 and foe_arrival > arrival:
-        later_s, foe_speed = _braking_for(
-            0.001 * (foe_arrival - arrival),
-            state.item_floats[foe, ITEM_ARRIVAL_SPEED],
-            impatience * traffic.floats[w, DECEL],
-        )
-        foe_arrival += 1000.0 * later_s
+        # The foe goes on as it drives now until the arrival, and brakes then.
+        foe_speed = state.floats[w, SPEED]
+        ahead_s = 0.001 * (arrival - (state.clock[NOW_MS] - step_ms))
+        way = state.item_floats[foe, ITEM_DISTANCE] - foe_speed * ahead_s
+        braking_s, foe_speed = _braking_for(way, foe_speed, impatience * traffic.floats[w, DECEL])
+        foe_arrival = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
     if foe_arrival > leave + MARGIN_MS:
         return merging and _unsafe(
             state.item_floats[item, ITEM_LEAVE_SPEED],
@@ -181,19 +181,17 @@ def _meets(traffic, state, item, foe, merging):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _braking_for(ahead_s, speed, decel):  # type: ignore[no-untyped-def]
-    """Return how much later (s) and how fast (m/s) a vehicle arrives that brakes from ``ahead_s`` before its arrival.
+def _braking_for(way, speed, decel):  # type: ignore[no-untyped-def]
+    """Return in what time (s) and how fast (m/s) a vehicle arrives that brakes for someone who has waited for long.
 
     Args:
-        speed: with which it would arrive. decel: how hard it brakes for someone who has waited for long.
+        way: to drive (m). speed: at its begin. decel: how hard it brakes.
     """
-    slowed = speed - decel * ahead_s
-    missing_m = 0.5 * decel * ahead_s * ahead_s
-    rest = slowed * slowed - 2.0 * decel * missing_m
-    if slowed <= 0.0 or rest <= 0.0:
+    rest = speed * speed - 2.0 * decel * way
+    if rest <= 0.0:
         return NEVER_LATER_S, 0.0
     arrival_speed = math.sqrt(rest)
-    return (slowed - arrival_speed) / decel, arrival_speed
+    return (speed - arrival_speed) / decel, arrival_speed
 
 
 @compiled

@@ -13,8 +13,11 @@ from izoo.envs.twin.arrays import (
     DROPS,
     LANE_BACK,
     LANE_EDGE,
+    LANE_FRONT,
+    LANE_INSIDE,
     LANE_LENGTH,
     LANE_LIMIT,
+    LANE_TAILS,
     LENGTH,
     LINK_NEXT,
     LINK_PROGRAM,
@@ -36,6 +39,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.conflicts import CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, free_speed, secure_gap, stop_speed
 from izoo.envs.twin.lights import is_major
 from izoo.envs.twin.order import back_on, last_on, place, tail_on
@@ -94,6 +98,9 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
     start, speed = lane, driver[DEPART_SPEED]
+    if state.ints[v, VARIANT] < 0:
+        # Once and for all, though the signals may change while it waits.
+        state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     wish = net.lane_floats[lane, LANE_LIMIT]
     position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     seen = -position
@@ -126,6 +133,10 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
         if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], wish, step_s) < speed:
             verdict = DROP
             break
+        onward = net.route_link[traffic.ints[v, ROUTE], lane]
+        if net.lane_ints[lane, LANE_INSIDE] and _is_crossed(net, state, onward):
+            verdict = WAIT
+            break
         leader = last_on(net, traffic, state, lane, v)
     if verdict == ENTER and _changes_too_late(net, traffic, state, v, start, position, step_s):
         verdict = DROP
@@ -133,9 +144,21 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
 
 
 @compiled
+def _is_crossed(net, state, link):  # type: ignore[no-untyped-def]
+    """Return whether anybody is on a way that crosses or merges with the one that ``link`` ends."""
+    first = net.conflict_first[link]
+    for row in range(first, first + net.conflict_count[link]):
+        lane = net.conflict_ints[row, CONFLICT_LANE]
+        busy = state.lanes[lane, LANE_FRONT] >= 0 or state.lanes[lane, LANE_TAILS] > 0
+        if busy and net.conflict_ints[row, CONFLICT_KIND] != PARTING:
+            return True
+    return False
+
+
+@compiled
 def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end."""
-    variant = find_variant(net, state, traffic.ints[v, ROUTE])
+    variant = state.ints[v, VARIANT]
     offset = net.best_offset[variant, lane]
     if -2 < offset < 2:
         return False
@@ -167,6 +190,5 @@ def enter(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     floats[v, POSITION] = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     floats[v, SPEED], floats[v, ACCEL] = driver[DEPART_SPEED], 0.0
     state.ints[v, STATUS] = DRIVING
-    state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     place(state, v, lane)
     state.clock[ON_ROAD] += 1

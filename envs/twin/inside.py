@@ -111,7 +111,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m):  # type: igno
         return False, 0.0, 0.0
     if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
-    heeds = outside or in_the_way or _goes_first(net, state, v, w, link, row)
+    heeds = outside or in_the_way or _goes_first(net, state, v, w, link, row, to_conflict)
     return heeds, to_conflict, to_conflict - traffic.floats[v, MIN_GAP] - back_left
 
 
@@ -216,11 +216,14 @@ def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _goes_first(net, state, v, w, link, row):  # type: ignore[no-untyped-def]
+def _goes_first(net, state, v, w, link, row, to_conflict):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         foe = state.ints[w, JUNCTION_MS]
+    elif to_conflict > 0.0 and state.ints[v, CONFLICT_MS] != NEVER_MS:
+        # Past its waiting point, but not where the ways meet.
+        own = state.ints[v, CONFLICT_MS]
     if net.conflict_ints[row, CONFLICT_YIELDS] and state.ints[v, CONFLICT_MS] == NEVER_MS:
         # At a waiting point one goes after everybody, but leaves before those whose signal has changed to green.
         lingers = net.conflict_ints[row, CONFLICT_FOE_YIELDS] and is_lingering(net, state, link)

@@ -14,6 +14,8 @@ from izoo.envs.twin.arrays import (
     EDGE_FIRST_LANE,
     EDGE_INSIDE,
     EDGE_LANES,
+    FLEET_DECEL,
+    FLEET_MIN_GAP,
     LANE,
     LANE_BACK,
     LANE_EDGE,
@@ -36,13 +38,14 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.conflicts import CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, secure_gap
 from izoo.envs.twin.inside import leader_in_conflict
 from izoo.envs.twin.lights import LOWER_CASE
 from izoo.envs.twin.order import back_on, last_on, tail_on
 
 HALTING_MPS = 0.1
-_LEAST_DECEL_MPS2 = 2.0
+_MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32
 
 
@@ -130,30 +133,45 @@ def follower_beside(net, traffic, state, v, lane):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _braking_way(net, lane):  # type: ignore[no-untyped-def]
+def _braking_way(net, traffic, lane):  # type: ignore[no-untyped-def]
+    """Return how far (m) SUMO looks back beyond ``lane``: what its worst vehicle needs to stop there."""
     limit = net.lane_floats[lane, LANE_LIMIT]
-    return min(limit * limit * 0.5 / _LEAST_DECEL_MPS2, 1000.0)
+    return min(limit * limit * 0.5 / traffic.fleet[FLEET_DECEL] + traffic.fleet[FLEET_MIN_GAP], _MAX_BRAKING_M)
 
 
 @compiled
 def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-untyped-def]
     """Look on all ways that lead to ``lane`` for the follower that lacks most of its secure gap."""
-    search = _braking_way(net, lane) - back
     queue = state.changer_queue
     ways = state.changer_way
-    count = _enqueue(net, queue, ways, 0, lane, 0.0)
+    count = 0
+    if back < _braking_way(net, traffic, lane):
+        count = _enqueue(net, queue, ways, 0, lane, 0.0)
     done, found, found_gap, worst = 0, -1, 0.0, 0.0
     while done < count:
         link, way = queue[done], ways[done]
         done += 1
         before = net.link_ints[link, LINK_FROM]
-        search = max(search, _braking_way(net, before) - back)
-        follower, gap = _first_on(net, traffic, state, v, before, link, way, back)
+        follower, gap, covered = _first_on(net, traffic, state, v, before, link, way, back)
         if follower >= 0:
             lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
-        if way < search:
+        first = net.conflict_first[link]
+        for row in range(first, first + net.conflict_count[link]):
+            if net.conflict_ints[row, CONFLICT_KIND] != PARTING:
+                continue
+            # Who came by the same lane, to take another way that has not parted there yet.
+            beside = net.conflict_ints[row, CONFLICT_LANE]
+            follower = state.lanes[beside, LANE_FRONT]
+            parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+            if follower >= 0 and follower != v and state.floats[follower, POSITION] < parting:
+                gap = way - state.floats[follower, POSITION] + back - traffic.floats[follower, MIN_GAP]
+                other = state.floats[follower, SPEED]
+                lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
+                if found < 0 or lacking > worst:
+                    found, found_gap, worst = follower, gap, lacking
+        if not covered and way + back < _braking_way(net, traffic, before):
             count = _enqueue(net, queue, ways, count, before, way)
     return found, found_gap
 
@@ -173,21 +191,25 @@ def _enqueue(net, queue, ways, count, lane, way):  # type: ignore[no-untyped-def
 
 @compiled
 def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no-untyped-def]
-    """Return the vehicle on ``lane`` that is first to come, and its gap to a back bumper at ``back``."""
+    """Return the vehicle on ``lane`` that is first to come, its gap to a back bumper at ``back``, and who is behind.
+
+    Returns:
+        The vehicle or -1; its gap (m); whether those behind it on that way do not count.
+    """
     if state.lanes[lane, LANE_TAILS] > 0:
         other = tail_on(net, traffic, state, lane, v)
         if other >= 0:
             # Its front has gone on: beside ``v``, and nobody counts behind it; or another way.
             if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]:
-                return -1, 0.0
+                return -1, 0.0, True
             gap = way - net.lane_floats[lane, LANE_LENGTH] + back - traffic.floats[other, MIN_GAP]
             if gap <= 0.0:
-                return other, gap
+                return other, gap, True
     first = state.lanes[lane, LANE_FRONT]
     if first < 0 or first == v:
-        return -1, 0.0
+        return -1, 0.0, False
     gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
     if state.link_letter[link] >= LOWER_CASE and state.floats[first, SPEED] < HALTING_MPS:
         # Who stands on a minor road does not block.
         gap = max(gap, 0.0)
-    return first, gap
+    return first, gap, True

@@ -31,6 +31,7 @@ from izoo.envs.twin.arrays import (
     STATE,
     STEP_COUNT,
     STOOD_FOR,
+    VARIANT,
     VEHICLE_FLOATS,
     VEHICLE_INTS,
     TwinNet,
@@ -94,7 +95,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         getattr(state, name)[:] = -1
     state.program_phase[:] = state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
-    state.ints[:, [LANE, AHEAD, BEHIND, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
+    state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     state.active[:, ACTIVE_NEXT] = NOT_ACTIVE

@@ -75,13 +75,8 @@ class TwinWorld:
     program_ids: tuple[str, ...]
 
 
-def build_twin_net(road: RoadNet, net_path: str | Path) -> TwinNet:
-    """Return the arrays of the net file that ``road`` was read from; the last few dozen are kept in memory."""
-    return read_twin_world(road, net_path).net
-
-
 def read_twin_world(road: RoadNet, net_path: str | Path) -> TwinWorld:
-    """Return the arrays of a net with the names of their rows.
+    """Return the arrays of a net with the names of their rows; the last few dozen are kept in memory.
 
     Raises:
         IzooError: the file is not the one of ``road``, or the net has something that the twin cannot play.
@@ -314,4 +309,6 @@ def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
     depart_ms = np.array([to_ms(float(f"{value:.3f}")) for value in traffic.depart_s.tolist()], np.int64)
     route = net.route_of[traffic.approach, traffic.source, traffic.exit].astype(np.int64)
     lane = net.edge_ints[net.route_edges[route, 0], EDGE_FIRST_LANE] + traffic.depart_lane
-    return TwinTraffic(floats.reshape(-1, 8), np.stack([depart_ms, route, lane], axis=1))
+    # Without vehicles nobody asks for what they have in common.
+    fleet = np.array([decel.min(initial=np.inf), min_gap.max(initial=0.0)])
+    return TwinTraffic(floats.reshape(-1, 8), np.stack([depart_ms, route, lane], axis=1), fleet)

@@ -79,6 +79,7 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
     edges = net.lane_ints[:, LANE_EDGE]
     passed: list[list[int]] = [[] for _ in range(len(case.traffic))]
     for t in range(len(sumo.lane)):
+        variants = episode.state.ints[:, VARIANT].copy()
         episode.step()
         found = []
         for v in np.flatnonzero((sumo.lane[t] >= 0) | (episode.status == DRIVING)).tolist():
@@ -96,6 +97,9 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
                 found.append(Difference(t, v, theirs, ours))
         for difference in found:
             _correct(episode, difference, passed[difference.vehicle], sumo)
+            v, before = difference.vehicle, sumo.lane[t - 1, difference.vehicle] if t else -1
+            if before >= 0 and edges[before] == edges[difference.sumo.lane]:
+                episode.state.ints[v, VARIANT] = variants[v]
         yield from found
 
 
@@ -158,7 +162,8 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     else:
         before = lane
         ints[v, STATUS] = DRIVING
-        ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
+        if ints[v, VARIANT] < 0:
+            ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
         state.clock[ON_ROAD] += 1
     floats[v, ACCEL] += (speed - floats[v, SPEED]) * 1000.0 / step_ms
     floats[v, POSITION], floats[v, SPEED] = position, speed

@@ -24,6 +24,7 @@ CHANGING = [
 ]
 ALL_AT_ONCE = [(1000.0, "GGgGGgGGgGGg")]
 ONE_RIGHT_ON_RED = [(1000.0, "GGGrrrrrrsrr")]
+LEFT_AND_RIGHT_ON_RED = [(1000.0, "rrgrrrsrrrrr")]
 
 MEETINGS: list[tuple[list[tuple[float, str]], list[tuple[float, str]], str, tuple[float, float]]] = [
     (PERMISSIVE, [(0.0, "AB")], "CA", (-4.0, 6.0)),
@@ -88,6 +89,15 @@ def test_drivers_of_all_kinds_turn_as_in_sumo(nets: dict[str, Path], driver: dic
 def test_who_enters_the_junction_is_waited_for_to_the_end_of_the_step(nets: dict[str, Path], second_s: float) -> None:
     case = meet(nets[str(ONE_RIGHT_ON_RED)], [(0.0, "AC"), (second_s, "AC")], "DC", 0.5)
     departure = first_departure(case, play_sumo(case, 110), play_twin(case, 110))
+    assert departure is None, str(departure)
+
+
+@pytest.mark.parametrize(("first_s", "second_s"), [(1.0, 30.0), (2.0, 20.0), (2.0, 26.0), (3.0, 23.0)])
+def test_who_has_waited_waits_for_who_drives_fast_from_afar(tmp_path: Path, first_s: float, second_s: float) -> None:
+    """He takes the other, who will stop before his right on red, to come as fast as he drives now."""
+    net = build_crossroads(tmp_path, LEFT_AND_RIGHT_ON_RED, length_m=400.0)
+    case = meet(net, [(first_s, "CB"), (first_s + second_s, "CB")], "AB", 0.0)
+    departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
     assert departure is None, str(departure)
 
 
