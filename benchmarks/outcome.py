@@ -46,7 +46,7 @@ TABLES = {
         ("ratio of sums", "exact", "ratio_of_sums"),
         ("gated to 0", "exact", "share_gated"),
         ("demand served", "served", "policy"),
-        ("kept outside", "kept_out", "policy"),
+        ("kept out", "kept_out", "policy"),
     ),
 }
 """Tables of the entries: per title the columns, each a label, and part and name of its figure

@@ -48,7 +48,7 @@ LINES = (
     ("approaches that kept it", "throughput", "share_kept"),
     ("demand served, mean", "served", "policy"),
     ("the same under the baseline", "served", "baseline"),
-    ("demand kept outside, mean", "kept_out", "policy"),
+    ("demand kept out, mean", "kept_out", "policy"),
     ("the same under the baseline", "kept_out", "baseline"),
 )
 """Lines of a comparison: label, block and statistic."""

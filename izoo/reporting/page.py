@@ -51,7 +51,7 @@ SUMMARY_COLUMNS = (
     ("no gate: mean", "ungated", "mean"),
     ("kept throughput", "throughput", "share_kept"),
     ("demand served", "served", "policy"),
-    ("kept outside", "kept_out", "policy"),
+    ("kept out", "kept_out", "policy"),
 )
 """Columns of the summary: label, part and statistic of :func:`izoo.evaluation.across.compare`."""
 Note = Callable[[str], None]

@@ -70,7 +70,7 @@ def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
         "whole region: mean",
         "region, over uncommanded",
         "demand served",
-        "kept outside",
+        "kept out",
         "fewer than 6 intersections",
     ):
         assert words in text
