@@ -146,14 +146,13 @@ def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
 def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from izoo.contexts.procedural import procedural_context
     from izoo.docs.examples import adoption
-    from izoo.envs import EnvConfig
 
     monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
     context = procedural_context(lane_count=1, inflow_vph_per_lane=400.0)
-    env = EnvConfig(horizon_s=125.0, hold_s=2.0)
-    rows = adoption.measure([context], env, ["uncommanded", "glide"], tmp_path, seeds=2)
+    policies = ["uncommanded", "glide", "zoo:measured_search"]
+    rows = adoption.measure([context], policies, tmp_path, seeds=2, horizon_s=125.0)
     found = {(row["policy"], row["vehicle"], round(row["adoption"], 2)): row["benefit"]["value"] for row in rows}
-    assert len(found) == 12
+    assert len(found) == 18
     human = [value for (name, vehicle, _), value in found.items() if name == "uncommanded" and vehicle == "human"]
     assert human == [0.0, 0.0, 0.0], "with human parameters, uncommanded CVs are human driving"
     assert any(value != 0.0 for (name, vehicle, _), value in found.items() if name == "glide" and vehicle == "human")

@@ -7,6 +7,7 @@ the published dataset. It may be stopped at any time; the same command goes on.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,17 +32,24 @@ VEHICLES = {"paper": "CVs with the paper's parameters", "human": "CVs with the p
 FIGURES = {"benefit": "exact", "region": "region_exact", "over_uncommanded": "over_uncommanded"}
 
 
+def own_env(policy: str, horizon_s: float = 1000.0) -> EnvConfig:
+    """Return what a policy observes, and how long its decisions last: as it was trained, or 2 s."""
+    shipped = zoo.named(policy)
+    env = zoo.load(shipped).env if shipped else EnvConfig(hold_s=2.0)
+    return dataclasses.replace(env, horizon_s=horizon_s)
+
+
 def measure(
-    contexts: Sequence[Context], env: EnvConfig, policies: Sequence[str], out: Path, seeds: int = 3
+    contexts: Sequence[Context], policies: Sequence[str], out: Path, seeds: int = 3, horizon_s: float = 1000.0
 ) -> list[dict[str, Any]]:
     """Evaluate policies at every adoption with both kinds of vehicles; return a row per combination.
 
     Args:
         contexts: whatever their adoption is.
-        env: what the policies observe, and how long decisions last.
         policies: names that ``izoo.evaluate`` knows.
         out: folder of the evaluations.
         seeds: paired episodes per context.
+        horizon_s: how long they last.
     """
     rows = []
     for vehicle in VEHICLES:
@@ -49,9 +57,9 @@ def measure(
             here = [context.replace(adoption=adoption, cv_vehicle=vehicle) for context in contexts]
             folder = out / f"{vehicle}-{adoption:.2f}"
             for policy in policies:
-                name = policy.removeprefix(zoo.PREFIX)
+                name, env = policy.removeprefix(zoo.PREFIX), own_env(policy, horizon_s)
                 table = evaluate_policy(
-                    policy, here, EpisodeSeeds(EVALUATION_STREAM, seeds), env, num_workers=0, out_dir=folder
+                    policy, here, EpisodeSeeds(EVALUATION_STREAM, seeds), env, num_workers=0, out_dir=folder / name
                 )
                 found = aggregate(run_rows(table, name, 0))
                 estimates = {
@@ -89,11 +97,11 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 def main(dataset: str, out: str, policies: Sequence[str], limit: int = 10) -> None:
     """Evaluate on ``limit`` approaches drawn from the test split, and write ``adoption.json`` and ``adoption.png``."""
-    env, folder = EnvConfig(hold_s=2.0), Path(out)
+    folder = Path(out)
     for policy in policies:
-        as_candidate(policy, env)  # a name that means nothing is refused before anything is played
+        as_candidate(policy, own_env(policy))  # a name that means nothing is refused before anything is played
     contexts = choose_contexts(DatasetContexts(path=dataset, split="test").build(), limit, 0)
-    rows = measure(contexts, env, policies, folder)
+    rows = measure(contexts, policies, folder)
     write_json(folder / "adoption.json", {"rows": rows})
     draw(rows, folder / "adoption.png")
     print(f"{folder / 'adoption.png'}")
