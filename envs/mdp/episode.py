@@ -11,6 +11,7 @@ from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
+from izoo.envs.mdp.held_up import held_up_s, idle_rates
 from izoo.envs.mdp.motion import road_arrays
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.signals import clock_arrays, read_clock
@@ -152,9 +153,9 @@ class Episode:
         return self.tables.members[: self.tables.cursor[MEMBERS]]
 
     @property
-    def held_up(self) -> tuple[np.ndarray, np.ndarray]:
-        """What has become of each vehicle of the demand, and how many are held up outside, as of now."""
-        return self._demand.fate, self._demand.outside
+    def awaited(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What has become of each vehicle of the demand, how many are held up outside, and who came when, as of now."""
+        return self._demand.fate, self._demand.outside, self._demand.came
 
     # The methods below change the tables; they come in the order of a step.
 
@@ -230,10 +231,20 @@ class Episode:
         book_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
         for name, numbers in ending._asdict().items():
             np.add.at(tables.sums[:, METRIC[name]], self.traffic.approach[np.asarray(numbers, np.int64)], 1.0)
+        self._book_held_up(ending.early)
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
         frame["approach_metrics"][:] = tables.sums
+
+    def _book_held_up(self, early: Sequence[int]) -> None:
+        """Book how long vehicles were held up outside, and what they would have burned, standing."""
+        came = self._demand.came.copy()
+        came[np.asarray(early, np.int64)] = 0
+        held_s = held_up_s(came, self.road, self.traffic, self.started_s, self.steps, self.config.step_s)
+        burned_g = held_s * idle_rates(self.context, self.road, self.traffic, self._weights)
+        for name, values in (("held_up_s", held_s), ("held_up_emission_g", burned_g)):
+            np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach, values)
 
     def scene(self) -> Scene:
         """Return copies of the present state."""

@@ -29,6 +29,7 @@ from izoo.envs.mdp.state import (
 from izoo.envs.mdp.tally import book_entry
 from izoo.envs.mdp.world import FREE, FREED, LEAVERS, MEMBERS
 
+_STEPS = EPISODE_METRIC["steps"]
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
 
 
@@ -66,6 +67,7 @@ def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     if demand.fate[number] == OUTSIDE:
         demand.outside[approach] -= 1
     demand.fate[number] = HERE
+    demand.came[number] = int(tables.episode[_STEPS])
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
     book_entry(row, floats, ints, flags, tables.sums)

@@ -19,8 +19,8 @@ SATURATION_VPS_PER_LANE = 0.5
 ACCEL_MPS2 = 1.5
 MOST_SAMPLED = 64
 GRACE_S = 60.0
-"""A vehicle is held up outside if it has not come so long after it could have, at the limit, from two lengths of the
-approach away: a cycle of the signals that feed it may pass before it does."""
+"""A reward counts a vehicle as held up outside if it has not come so long after it could have: a cycle of the signals
+that feed its approach may pass before it does."""
 
 
 class Units(NamedTuple):
@@ -80,7 +80,16 @@ def _rate(
     return float(out.mean())
 
 
-def due_times(road: RoadNet, traffic: Traffic) -> np.ndarray:
-    """Return when each vehicle counts as held up if it has not come to the region, ``[N]`` s."""
+def reach_times(road: RoadNet, traffic: Traffic) -> np.ndarray:
+    """Return when each vehicle could have come to the region, at the limit, from two lengths of the approach away.
+
+    Returns:
+        ``[N]``, s.
+    """
     reach_s = 2.0 * road.lane_length_m / road.speed_limit_mps
-    return traffic.depart_s + GRACE_S + reach_s[traffic.approach]
+    return traffic.depart_s + reach_s[traffic.approach]
+
+
+def due_times(road: RoadNet, traffic: Traffic) -> np.ndarray:
+    """Return when each vehicle counts as held up, for a reward that is a sum, if it has not come; ``[N]`` s."""
+    return reach_times(road, traffic) + GRACE_S

@@ -146,6 +146,10 @@ def work_space(config: EnvConfig, num_lanes: int) -> Work:
     )
 
 
+NEVER = -1
+"""Step at which a vehicle came that has not come."""
+
+
 class Demand(NamedTuple):
     """What is known of every vehicle of the episode beforehand, ``[N]`` each, and who is held up outside.
 
@@ -154,6 +158,7 @@ class Demand(NamedTuple):
         due_s, due_number: by when vehicles should have come, ascending, and which these are.
         fate: changes: what has become of the vehicle (:mod:`izoo.envs.mdp.share`).
         outside: ``[P]``, changes: how many are held up.
+        came: changes: how many steps had been played when the vehicle came, :data:`NEVER` until then.
     """
 
     is_cv: np.ndarray
@@ -165,6 +170,7 @@ class Demand(NamedTuple):
     due_number: np.ndarray
     fate: np.ndarray
     outside: np.ndarray
+    came: np.ndarray
 
 
 def demand_arrays(traffic: Traffic, road: RoadNet) -> Demand:
@@ -181,6 +187,7 @@ def demand_arrays(traffic: Traffic, road: RoadNet) -> Demand:
         due_number=order,
         fate=np.zeros(len(traffic), np.int64),
         outside=np.zeros(len(road.approaches), np.int64),
+        came=np.full(len(traffic), NEVER, np.int64),
     )
 
 

@@ -155,7 +155,7 @@ class TwinRun:
         return [
             *(array for name, array in self.driving.state._asdict().items() if name not in WORKING),
             *episode.tables,
-            *episode.held_up,
+            *episode.awaited,
             *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
             *(guests.row_of, guests.begun_s, self._early),
             *(frame[field.name] for field in frame_fields(self.config)),

@@ -86,6 +86,7 @@ FIGURES: dict[str, dict[str, Figure]] = {
 """Every figure, by part and name: by form and gate the benefit, the share of gated approaches, the ratio of sums."""
 OPTIONAL = {
     **{part: f"benefit_{part}" for part in (f"{form}over_uncommanded" for form in FORMS)},
+    **{part: f"benefit_{part}" for part in (f"demand_{kind}" for kind in (*GATES, "ungated"))},
     "kept_out": "kept_out_policy",
 }
 """Parts that not all rows have numbers for, and the column that tells: rows that were never compared with the

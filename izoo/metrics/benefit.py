@@ -29,9 +29,18 @@ SIGNIFICANCE = 0.05
 MARGIN = 0.02
 """Share of the baseline's throughput below which a fall does not count for the tested gate. About what the horizon does
 by itself: whether the last two vehicles of a hundred cross just before it or just after."""
-FORMS = ("", "region_")
-"""Benefits come by approach (the paper's form: CO2 up to the stop line per vehicle that crossed) and by region (CO2 of
-the whole controlled region, exits included, per vehicle that entered); both have the same gates."""
+FORMS = ("", "region_", "demand_")
+"""Benefits come by approach (the paper's form: CO2 up to the stop line, of the vehicles that crossed it), by region
+(CO2 of the whole controlled region, exits included, per vehicle that entered) and by demand (CO2 up to the stop line of
+all who came to cross it: also of those who have not crossed, and of those who are held up outside of the region, as if
+they stood there; per vehicle that crossed). All have the same gates. What upstream signals take is in the last form on
+both sides, so its figures are closer to 0."""
+_BURNED = {
+    "": ("emission_g",),
+    "region_": ("region_emission_g",),
+    "demand_": ("emission_g", "unfinished_emission_g", "held_up_emission_g"),
+}
+_VEHICLES = {"": "crossed", "region_": "entered", "demand_": "crossed"}
 
 
 def not_inferior_p_value(difference: Sequence[float] | NDArray[np.float64], margin: float) -> float:
@@ -84,9 +93,11 @@ def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float =
     Returns:
         One row per (context, approach): ``seeds`` (pairs), ``emission_policy_g``, ``emission_baseline_g`` (g per
         vehicle that crossed, means over the seeds in which both are defined), ``region_emission_*_g`` (g in the whole
-        region per vehicle that entered), ``throughput_*`` (vehicles, means over all seeds), ``throughput_benefit``,
+        region per vehicle that entered), ``demand_emission_*_g`` (g of the whole demand, up to the stop line, per vehicle
+        that crossed), ``throughput_*`` (vehicles, means over all seeds), ``throughput_benefit``,
         ``throughput_p`` (of a fall by :data:`MARGIN` or more), ``benefit_ungated``, and per gate ``gated_*`` and
-        ``benefit_*``; the same benefits by region, ``benefit_region_*``; ``served_*`` (share of the demand that
+        ``benefit_*``; the same benefits by region and by demand, ``benefit_region_*`` and
+        ``benefit_demand_*``; ``served_*`` (share of the demand that
         crossed), ``kept_out_*`` (share of it that has not come to the region), ``waiting_*``, ``unfinished_*``,
         ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``:
         why the row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
@@ -135,18 +146,19 @@ def _compare(group: pd.DataFrame) -> dict[str, object]:
     result["seeds"] = len(group)
     result["throughput_p"] = not_inferior_p_value(change, MARGIN * float(group["crossed_baseline"].mean()))
     result["throughput_benefit"] = float(change.sum()) / crossed_baseline if crossed_baseline else math.nan
-    for form, vehicles in zip(FORMS, ("crossed", "entered"), strict=True):
-        result |= _saving(group, form, vehicles)
+    for form in FORMS:
+        result |= _saving(group, form)
     result["saturated"] = bool(group["waiting_baseline"].sum() > 0) or bool(result["volume_over_capacity"] > 1.0)  # type: ignore[operator]
     return result
 
 
-def _saving(group: pd.DataFrame, form: str, vehicles: str) -> dict[str, float]:
+def _saving(group: pd.DataFrame, form: str) -> dict[str, float]:
     """Emission per vehicle of both sides and the benefit, in one of :data:`FORMS`, over the seeds where both exist."""
     emission = {}
     for side in ("policy", "baseline"):
-        count = group[f"{vehicles}_{side}"].to_numpy(float)
-        emission[side] = group[f"{form}emission_g_{side}"].to_numpy(float) / np.where(count > 0, count, np.nan)
+        count = group[f"{_VEHICLES[form]}_{side}"].to_numpy(float)
+        burned_g = group[[f"{part}_{side}" for part in _BURNED[form]]].to_numpy(float).sum(axis=1)
+        emission[side] = burned_g / np.where(count > 0, count, np.nan)
     both = ~np.isnan(emission["policy"]) & ~np.isnan(emission["baseline"])
     result: dict[str, float] = {}
     for side, values in emission.items():

@@ -43,6 +43,8 @@ APPROACH_METRICS: tuple[str, ...] = (
     "dropped",  # those that the simulator dropped because they could not enter the network safely
     "outside",  # those under way to the region at the end
     "early",  # those that were in the region, or had left it, when the warm-up ended
+    "held_up_s",  # seconds that vehicles were held up outside of the region, over all who should have come to it
+    "held_up_emission_g",  # what these would have burned meanwhile, standing
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 

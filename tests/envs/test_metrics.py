@@ -16,6 +16,7 @@ from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.networks.net.build import build_net
 from izoo.networks.road import APPROACHING, read_road
+from izoo.traffic.sampling import sample_traffic
 from tests.envs.reference import run_sumo
 from tests.envs.worlds import Driver, at_random, crossing, defer, digest, play, set_action, short, steer
 
@@ -191,6 +192,52 @@ def test_waiting_vehicles_are_spill_back() -> None:
     sums = final(run(full, defer, short(horizon_s=500.0, emit=("metrics",))))
     free = final(run(crossing(inflow_vph_per_lane=100.0), defer))
     assert sums["waiting"].sum() > 0 and free["waiting"].sum() == 0
+
+
+def test_held_up_is_who_has_not_come_though_it_could(tmp_path: Path) -> None:
+    """Read in the ``sumo`` program's own output when each vehicle came to the region, of a demand that queues before it."""
+    config = short(horizon_s=300.0, warmup_s=60.0, emit=("metrics", "vehicles"))
+    full = crossing(lane_count=1, inflow_vph_per_lane=900.0, green_s=20.0, red_s=32.0, adoption=0.0)
+    road = read_road(build_net(full.intersection))
+    traffic = sample_traffic(full, road, SEED, config.horizon_s)
+    came: dict[int, float] = {}
+    for time_s, vehicles in run_sumo(full, SEED, tmp_path, config).items():
+        for number in (n for n, (lane, _, _) in vehicles.items() if lane in road.lane_ids):
+            came[number] = min(came.get(number, np.inf), time_s)
+    expected = np.zeros(len(road.approaches))
+    for number, p in enumerate(traffic.approach.tolist()):
+        could_s = traffic.depart_s[number] + 2.0 * road.lane_length_m[p] / road.speed_limit_mps[p]
+        until_s = min(came.get(number, np.inf), config.horizon_s)
+        expected[p] += max(until_s - max(could_s, config.warmup_s), 0.0)
+    sums = final(run(full, defer, config))
+    held_s = sums["held_up_s"][: len(expected)].numpy()
+    assert expected.min() > 300.0
+    steps = np.bincount(traffic.approach) * config.step_s  # a vehicle comes between two steps
+    assert (abs(held_s - expected) <= steps).all()
+    standing_gps = sums["held_up_emission_g"][: len(expected)].numpy() / held_s
+    still = frames_of_standing(run(full, defer, config))
+    assert still.min() <= standing_gps.min() and standing_gps.max() <= still.max()
+
+
+def frames_of_standing(frames: TensorDict) -> np.ndarray:
+    """CO2 rates, in g/s, of those who stand on an approach."""
+    vehicles = frames["next", "vehicles"]
+    stands = vehicles["present"] & (vehicles["speed_mps"] < 0.01) & (vehicles["accel_mps2"].abs() < 0.01)
+    return vehicles["emission_g"][stands].numpy() / CONFIG.step_s
+
+
+def test_holding_vehicles_back_is_held_against_who_does() -> None:
+    """CVs that crawl burn little on the approach, and keep a queue outside: by demand that is no gain."""
+    full = crossing(lane_count=1, inflow_vph_per_lane=700.0, approach="A")
+    config = short(horizon_s=400.0, emit=("metrics",))
+    free, crawling = (final(run(full, act, config)) for act in (defer, crawl))
+    assert crawling["held_up_s"][0] > free["held_up_s"][0] + 100.0
+    assert crawling["held_up_emission_g"][0] > free["held_up_emission_g"][0]
+
+
+def crawl(tensordict: TensorDictBase) -> TensorDictBase:
+    """Slow down to a walk."""
+    return set_action(tensordict, torch.full((64, 1), -1.0))
 
 
 # -- edges -------------------------------------------------------------------------------------------------------------

@@ -70,6 +70,18 @@ def test_the_whole_region_shows_what_is_shifted_behind_the_stop_line() -> None:
     assert fewer["benefit_region_ungated"] == pytest.approx(0.4) and fewer["benefit_region_exact"] == 0.0
 
 
+def test_keeping_vehicles_out_saves_nothing_by_demand() -> None:
+    """A fifth less on the approach, but who waits outside, and who has not crossed, burns it all the same."""
+    baseline = seeds_table([10] * 3, [1000.0] * 3, unfinished_emission_g=40.0, held_up_emission_g=60.0)
+    holding = seeds_table([10] * 3, [800.0] * 3, unfinished_emission_g=90.0, held_up_emission_g=320.0)
+    row = benefits(holding, baseline).iloc[0]
+    assert row["benefit_exact"] == pytest.approx(0.2)
+    assert (row["demand_emission_policy_g"], row["demand_emission_baseline_g"]) == pytest.approx((121.0, 110.0))
+    assert row["benefit_demand_ungated"] == row["benefit_demand_exact"] == pytest.approx(1.0 - 121.0 / 110.0)
+    fewer = benefits(seeds_table([8] * 3, [800.0] * 3, held_up_emission_g=80.0), baseline).iloc[0]
+    assert fewer["benefit_demand_ungated"] == pytest.approx(0.0) and fewer["benefit_demand_exact"] == 0.0
+
+
 def test_the_demand_that_was_not_served_stands_in_the_rows() -> None:
     sums = {"entered": 12, "unfinished": 2, "waiting": 3, "outside": 4, "dropped": 1, "early": 9, "due": 29}
     row = benefits(seeds_table([10, 10], [1e3] * 2, **sums), seeds_table([12, 12], [1e3] * 2, entered=15)).iloc[0]
