@@ -38,7 +38,8 @@ TABLES = {
         ("exact gate", "exact", "mean"),
         ("over\nuncommanded", "over_uncommanded", "mean"),
         ("whole region", "region_exact", "mean"),
-        ("region, over\nuncommanded", "region_over_uncommanded", "mean"),
+        ("whole demand", "demand_exact", "mean"),
+        ("demand, over\nuncommanded", "demand_over_uncommanded", "mean"),
     ),
     "the same, otherwise summed up": (
         ("IQM", "exact", "iqm"),

@@ -18,6 +18,7 @@ FIGURES = (
     ("mean benefit,\nexact gate", "exact", "mean"),
     ("whole region", "region_exact", "mean"),
     ("over\nuncommanded,\nno gate", "over_uncommanded", "mean"),
+    ("demand, over\nuncommanded", "demand_over_uncommanded", "mean"),
     ("demand\nserved", "served", "policy"),
 )
 """Columns of a leaderboard: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""

@@ -52,6 +52,13 @@ SCORES: dict[str, Score] = {
     "region_emission_g_per_vehicle": Score(
         "emission in the whole region per vehicle", ("region_emission_g",), ("entered",), "g", "lower"
     ),
+    "demand_emission_g_per_vehicle": Score(
+        "emission of the whole demand per vehicle",
+        ("emission_g", "unfinished_emission_g", "held_up_emission_g"),
+        ("crossed",),
+        "g",
+        "lower",
+    ),
     "served_share": Score("share of the demand that crossed", ("crossed",), DEMAND, "", "higher"),
     "unfinished_share": Score("share that had not crossed", ("unfinished",), ("entered",), "", "lower"),
     "waiting_vehicles": Score("waiting to enter at the end", ("waiting",), (), "veh", "lower"),

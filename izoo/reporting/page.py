@@ -41,6 +41,8 @@ SUMMARY_COLUMNS = (
     ("over uncommanded", "over_uncommanded", "mean"),
     ("whole region: mean", "region_exact", "mean"),
     ("region, over uncommanded", "region_over_uncommanded", "mean"),
+    ("whole demand: mean", "demand_exact", "mean"),
+    ("demand, over uncommanded", "demand_over_uncommanded", "mean"),
     ("throughput, mean change", "throughput", "mean"),
     ("approaches with benefit", "exact", "share_positive"),
     ("gated to 0", "exact", "share_gated"),

@@ -51,6 +51,7 @@ COLUMNS = (
     Column("policy", "policy"),
     Column("benefit_exact", "benefit (%)", 2, 100.0, "exact gate: 0 where the mean throughput falls"),
     Column("benefit_region_exact", "region (%)", 2, 100.0, "the same for CO2 in the whole region, exits included"),
+    Column("benefit_demand_exact", "demand (%)", 2, 100.0, "the same with those who have not crossed or come yet"),
     Column("benefit_tested", "tested gate (%)", 2, 100.0, "0 where a t-test cannot show that under 2 % was lost"),
     Column("benefit_ungated", "no gate (%)", 2, 100.0),
     Column("low", "low (%)", 2, 100.0, "95 % over episode seeds, no gate; of several training seeds, the lowest"),

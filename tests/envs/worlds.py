@@ -15,7 +15,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, SumoParallelEnv
 from izoo.envs.env import EcoDrivingBase
 
-UNHASHED = ("due", "dropped", "outside", "early")
+UNHASHED = ("due", "dropped", "outside", "early", "held_up_s", "held_up_emission_g")
 """Metrics that are younger than the golden digests."""
 Driver = Callable[[TensorDictBase], TensorDictBase]
 
