@@ -57,6 +57,7 @@ def _merge(options: argparse.Namespace) -> None:
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
     _validate_arguments(parser)
     parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG")
+    parser.add_argument("--histograms", action="store_true", help="the paper's histograms, a panel per file")
 
 
 def _draw(options: argparse.Namespace) -> None:
@@ -64,10 +65,14 @@ def _draw(options: argparse.Namespace) -> None:
         raise IzooError(f"--out is {options.out}, but the picture is a PNG; give a name that ends so, such as all.png.")
     checked = _checked(options.files)
     from izoo.reporting import submissions
+    from izoo.reporting.histogram_picture import draw_histograms
     from izoo.reporting.standing import draw_standing
 
     try:
-        draw_standing(submissions.merge(checked), options.out)
+        if options.histograms:
+            draw_histograms(checked, options.out)
+        else:
+            draw_standing(submissions.merge(checked), options.out)
     except OSError as error:
         raise IzooError(f"cannot write {options.out}: {os_reason(error)}; choose another file with --out.") from error
     print(f"Picture: {options.out}", flush=True)

@@ -93,14 +93,13 @@ def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float =
     Returns:
         One row per (context, approach): ``seeds`` (pairs), ``emission_policy_g``, ``emission_baseline_g`` (g per
         vehicle that crossed, means over the seeds in which both are defined), ``region_emission_*_g`` (g in the whole
-        region per vehicle that entered), ``demand_emission_*_g`` (g of the whole demand, up to the stop line, per vehicle
-        that crossed), ``throughput_*`` (vehicles, means over all seeds), ``throughput_benefit``,
+        region per vehicle that entered), ``demand_emission_*_g`` (g of the whole demand, up to the stop line, per
+        vehicle that crossed), ``throughput_*`` (vehicles, means over all seeds), ``throughput_benefit``,
         ``throughput_p`` (of a fall by :data:`MARGIN` or more), ``benefit_ungated``, and per gate ``gated_*`` and
-        ``benefit_*``; the same benefits by region and by demand, ``benefit_region_*`` and
-        ``benefit_demand_*``; ``served_*`` (share of the demand that
-        crossed), ``kept_out_*`` (share of it that has not come to the region), ``waiting_*``, ``unfinished_*``,
-        ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``:
-        why the row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
+        ``benefit_*``; the same benefits by region and by demand, ``benefit_region_*`` and ``benefit_demand_*``;
+        ``served_*`` (share of the demand that crossed), ``kept_out_*`` (share of it that has not come to the region),
+        ``waiting_*``, ``unfinished_*``, ``collisions_*`` (means over seeds), ``saturated``, and ``left_out``: why the
+        row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
         The exact gate is closed where the mean throughput falls; the tested gate where it is not shown, at the
         significance, that less than :data:`MARGIN` of it was lost.
         A gated benefit is NaN in left-out rows only; where nothing crossed under the policy it is 0.

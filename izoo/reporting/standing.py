@@ -14,6 +14,7 @@ from izoo.reporting.published import PUBLISHED, Published
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.typing import FillStyleType
 
 UNTRAINED = "_untrained"
 PANELS = (
@@ -21,8 +22,12 @@ PANELS = (
     ("exact", "ratio_of_sums", "benefit over human driving, ratio of sums (%):\nthe paper's form"),
 )
 """Part and name of :data:`izoo.evaluation.aggregates.FIGURES`, and what the axis says."""
-REGION = ("region_over_uncommanded", "mean")
-"""Drawn hollow beside the first panel's."""
+FORMS = (
+    ("over_uncommanded", "o", "full", "to the stop line"),
+    ("region_over_uncommanded", "o", "none", "whole region"),
+    ("demand_over_uncommanded", "s", "none", "whole demand"),
+)
+"""What the first panel draws, one below the other: part, marker, its filling, and what the legend says."""
 
 
 def draw_standing(merged: Mapping[str, Any], path: Path) -> None:
@@ -48,20 +53,20 @@ def standing(merged: Mapping[str, Any]) -> Figure:
     axes = figure.subplots(len(groups), 2, height_ratios=heights, squeeze=False, sharey="row")
     for row, group, entries in zip(axes, groups, lines, strict=True):
         for panel, (part, name, label) in enumerate(PANELS):
-            _panel(row[panel], entries, part, name, hollow=panel == 0)
+            _panel(row[panel], entries, name, FORMS if panel == 0 else ((part, "o", "full", ""),))
             row[panel].set_xlabel(label)
         row[0].set_title(_title(group["protocol"], entries), loc="left", fontsize=10, parse_math=False)
         _published(row[1], group["protocol"], entries)
     return figure
 
 
-def published_for(protocol: Mapping[str, Any]) -> list[Published]:
-    """Return the published results that have a ratio of sums for this protocol."""
+def published_for(protocol: Mapping[str, Any], known: str = "benefit") -> list[Published]:
+    """Return the published results for this protocol of which a figure is ``known``, by default the ratio of sums."""
     if protocol["protocol"] == "systematicity":
-        return []
+        return [each for each in PUBLISHED if each.protocol == "Systematicity" and getattr(each, known) is not None]
     train, test = (str(protocol[role] or protocol["train"]).replace("_", " ").title() for role in ("train", "test"))
     wanted = train if train == test else f"{train} -> {test}"
-    return [each for each in PUBLISHED if each.protocol == wanted and each.benefit is not None]
+    return [each for each in PUBLISHED if each.protocol == wanted and getattr(each, known) is not None]
 
 
 def _in_order(lines: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -75,35 +80,36 @@ def _in_order(lines: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return sorted(lines, key=key)
 
 
-def _panel(axes: Axes, lines: Sequence[Mapping[str, Any]], part: str, name: str, hollow: bool) -> None:
+def _panel(
+    axes: Axes, lines: Sequence[Mapping[str, Any]], name: str, forms: Sequence[tuple[str, str, FillStyleType, str]]
+) -> None:
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
     for place, line in enumerate(lines):
-        trained = line["policy"]["kind"] == "trained"
-        colour = PALETTE[0] if trained else QUIET
-        shift = 0.14 if hollow else 0.0
-        _estimate(axes, line, part, name, place - shift, colour, filled=True)
-        if hollow:
-            _estimate(axes, line, *REGION, place + shift, colour, filled=False)
+        colour = PALETTE[0] if line["policy"]["kind"] == "trained" else QUIET
+        for k, (part, marker, filling, _) in enumerate(forms):
+            shift = 0.24 * (k - 0.5 * (len(forms) - 1))
+            _estimate(axes, line, part, name, place + shift, {"color": colour, "marker": marker, "fillstyle": filling})
     axes.set_yticks(range(len(lines)), labels(lines), parse_math=False)
     axes.set_ylim(len(lines) + 0.9, -0.6)  # with room for a legend below
     axes.grid(axis="x", linewidth=0.3)
     axes.spines[["top", "right"]].set_visible(False)
-    if hollow:
-        for inside, said in ((PALETTE[0], "to the stop line"), ("white", "whole region")):
-            axes.plot([], [], "o", color=PALETTE[0], markerfacecolor=inside, label=said)
+    drawn = [form for form in forms if form[-1] and any(form[0] in line["aggregates"]["all"] for line in lines)]
+    for _, marker, filling, said in drawn:
+        axes.plot([], [], marker, color=PALETTE[0], fillstyle=filling, label=said)
+    if drawn:
         axes.legend(fontsize=7, loc="lower right")
 
 
 def _estimate(
-    axes: Axes, line: Mapping[str, Any], part: str, name: str, place: float, colour: str, filled: bool
+    axes: Axes, line: Mapping[str, Any], part: str, name: str, place: float, style: Mapping[str, Any]
 ) -> None:
+    """Draw an estimate with its interval; nothing where there is none, as in files from before there was the part."""
     found = line["aggregates"]["all"].get(part, {}).get(name)
     if found is None or found["value"] is None:
         return
-    value = 100.0 * found["value"]
     if found["low"] is not None:
-        axes.plot([100.0 * found["low"], 100.0 * found["high"]], [place, place], color=colour, linewidth=1.4)
-    axes.plot([value], [place], "o", color=colour, markerfacecolor=colour if filled else "white", markersize=4.5)
+        axes.plot([100.0 * found["low"], 100.0 * found["high"]], [place, place], color=style["color"], linewidth=1.2)
+    axes.plot([100.0 * found["value"]], [place], linestyle="", markersize=4.5, markerfacecoloralt="white", **style)
 
 
 def _published(axes: Axes, protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> None:

@@ -16,6 +16,7 @@ from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
 from izoo.evaluation.provenance import versions
+from izoo.reporting.histogram_picture import histogram_panels
 from izoo.reporting.standing import labels, published_for, standing
 from izoo.reporting.submissions import (
     check,
@@ -235,6 +236,8 @@ def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys
     assert [(line.get_xdata()[0], line.get_ydata()[0]) for line in published] == [(pytest.approx(-9.59), 0)]
     assert [each.algorithm for each in published_for(entries[0]["protocol"])] == ["DDPG", "PPO"]
     assert published_for({**PROTOCOL, "protocol": "systematicity"}) == []
+    published = published_for({**PROTOCOL, "protocol": "systematicity"}, "at_zero")
+    assert [(each.algorithm, each.at_zero) for each in published] == [("DDPG", 40), ("PPO", 119)]
     write_submission(tmp_path / "ppo.json", entries[0])
     assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "all.png")]) == 0
     assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
@@ -242,3 +245,40 @@ def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys
     assert "choose another file with --out" in capsys.readouterr().err
     assert command.main(["draw", str(tmp_path / "ppo.json"), "--out", str(tmp_path / "all.pdf")]) == 2
     assert "is a PNG" in capsys.readouterr().err and not (tmp_path / "all.pdf").exists()
+
+
+def test_histograms_show_every_approach_of_every_seed(tmp_path: Path) -> None:
+    content = submission()
+    content["protocol"] = {**PROTOCOL, "title": "a -> a", "train": "salt_lake_city"}
+    checked = check(sealed(content), "ppo.json", VERSIONS)
+    panels = histogram_panels([checked] * 3).axes
+    assert [bool(panel.patches) for panel in panels] == [True, True, True, False]
+    rows = [row for row in content["rows"] if not row["left_out"]]
+    heights, cut = [bar.get_height() for bar in panels[0].patches], panels[0].texts
+    written = sum(int(text.get_text()) for text in cut[:-1])
+    assert sum(heights) - (len(cut) - 1) * max(heights) * bool(written) + written == len(rows)
+    at_zero = sum(0.0 <= 100.0 * row["benefit_exact"] < 200.0 / 150 for row in rows)
+    assert cut[-1].get_text().splitlines() == [
+        f"at 0: {at_zero} of {len(rows)} ({100.0 * at_zero / len(rows):.0f} %)",
+        "published: 913 of 1048 (87 %)",
+    ]
+    write_submission(tmp_path / "ppo.json", content)
+    out = tmp_path / "histograms.png"
+    assert command.main(["draw", str(tmp_path / "ppo.json"), "--histograms", "--out", str(out)]) == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_files_from_before_there_was_a_benefit_by_demand_still_count() -> None:
+    """Their rows lack the columns, their aggregates the part; the picture leaves its marker out."""
+    content = submission()
+    assert "demand_exact" in content["aggregates"]["all"]
+    for row in content["rows"]:
+        for name in [name for name in row if "demand_" in name]:
+            del row[name]
+        row["benefit_over_uncommanded"] = row["benefit_region_over_uncommanded"] = 0.01
+    rows = pd.DataFrame(content["rows"])
+    content["aggregates"] = {**content["aggregates"], **aggregate(rows)}
+    checked = check(sealed(content), "old.json", VERSIONS)
+    assert not checked.marks and "demand_exact" not in content["aggregates"]["all"]
+    left, _ = standing(merge([checked])).axes
+    assert [text.get_text() for text in left.get_legend().get_texts()] == ["to the stop line", "whole region"]

@@ -195,7 +195,7 @@ def test_waiting_vehicles_are_spill_back() -> None:
 
 
 def test_held_up_is_who_has_not_come_though_it_could(tmp_path: Path) -> None:
-    """Read in the ``sumo`` program's own output when each vehicle came to the region, of a demand that queues before it."""
+    """Read in the ``sumo`` program's own output when each vehicle came to the region, of a demand that queues up."""
     config = short(horizon_s=300.0, warmup_s=60.0, emit=("metrics", "vehicles"))
     full = crossing(lane_count=1, inflow_vph_per_lane=900.0, green_s=20.0, red_s=32.0, adoption=0.0)
     road = read_road(build_net(full.intersection))
