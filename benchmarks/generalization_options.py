@@ -11,6 +11,7 @@ from izoo.algos.registry import DRIVER_NAMES, choices
 from izoo.conf.recipes import recipe_words
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
+from izoo.zoo import shelf
 
 T = TypeVar("T", bound="GeneralizationConfig")
 RECIPE_PREFIX = "recipe:"
@@ -75,7 +76,7 @@ class Entry:
         kind: ``trained`` or ``scripted``.
         algo: preset of the algorithm (a choice of ``algo=``), or ``None``.
         action: ``direct`` or ``residual``, or ``None``.
-        policy: the scripted driver's name or ``module:function``, or ``None``.
+        policy: the scripted driver's name, ``zoo:NAME`` or ``module:function``, or ``None``.
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
 
@@ -107,8 +108,9 @@ class GeneralizationConfig:
         algos: what is compared: presets of ``algo`` (``ppo``, ``ddpg``, ``mappo``, ``gcrl``, ``ppo_paper``, ...), with
             ``_residual`` appended for ``action=residual``; scripted drivers (``glide``, ``uncommanded``, ...;
             ``glide_floor3`` is glide that never slows below 3 m/s); ``recipe:NAME``, a recipe of ``izoo.train`` with
-            its own length and environment, on the contexts of the protocol; or ``module:function``. Beside trained
-            ones always stand ``uncommanded``, ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
+            its own length and environment, on the contexts of the protocol; ``zoo:NAME``, a policy that ships, as it is
+            and in its environment; or ``module:function``. Beside trained ones always stand ``uncommanded``,
+            ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
         train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
             ``salt_lake_city``. Not for systematicity.
         test: where to test, for productivity; null: ``atlanta``.
@@ -276,6 +278,9 @@ def parse_entry(name: str) -> Entry:
     """
     if name.startswith(RECIPE_PREFIX):
         return _recipe_entry(name.removeprefix(RECIPE_PREFIX))
+    shipped = shelf.named(name)
+    if shipped is not None:
+        return Entry(shipped, "scripted", policy=name)
     if ":" in name:
         return Entry(name.rpartition(":")[2], "scripted", policy=name)
     if name in DRIVER_NAMES and name != "human":
@@ -290,9 +295,8 @@ def parse_entry(name: str) -> Entry:
     if preset not in presets:
         drivers = [driver for driver in DRIVER_NAMES if driver != "human"]
         residual = [f"{preset}{RESIDUAL_SUFFIX}" for preset in presets]
-        raise unknown_choice(
-            "entry of algos", name, [*presets, *residual, *drivers, f"{FLOOR_INFIX}NUMBER", "module:function"]
-        )
+        others = [f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", "module:function"]
+        raise unknown_choice("entry of algos", name, [*presets, *residual, *drivers, *others])
     return Entry(name, "trained", algo=preset, action=action)
 
 

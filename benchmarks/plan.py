@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 
+from izoo import zoo
 from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig, is_folder
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.compose import compose_config
@@ -23,6 +24,7 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation.selection import EpisodeSeeds
+from izoo.zoo import shelf
 
 EVALUATION_SEED = 241015221
 """Published constant: base of the episode seeds and of the drawn test contexts; no training seed reaches it."""
@@ -136,8 +138,10 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
 def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> EnvConfig:
     """Return the environment of an entry's evaluation: that of the benchmark's training runs, and what is its own.
 
-    Only the length of its training episodes is no matter of the evaluation.
+    Only the length of its training episodes is no matter of the evaluation. A policy that ships brings its own.
     """
+    if entry is not None and shelf.named(entry.policy or ""):
+        return dataclasses.replace(zoo.full_episodes(zoo.load(entry.name).env), horizon_s=config.horizon_s or 0.0)
     own = [o for o in (entry.options if entry is not None else ()) if not o.startswith(LENGTH)]
     said = [option for option in (*config.train_options, *own) if option.startswith("env.")]
     return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env

@@ -6,6 +6,7 @@ import dataclasses
 
 import pytest
 
+from izoo import zoo
 from izoo.benchmarks import pace
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
 from izoo.benchmarks.outcome import _place
@@ -201,3 +202,14 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> N
     ]
     with pytest.raises(IzooError, match="from_scratch"):
         parse_entry("recipe:from_scrach")
+
+
+def test_a_policy_that_ships_is_an_entry_with_its_own_environment() -> None:
+    config = GeneralizationConfig(algos=("zoo:measured_search", "uncommanded"), horizon_s=300.0).resolved()
+    shipped, uncommanded = sorted(config.entries(), key=lambda entry: entry.name)
+    assert (shipped.name, shipped.kind, shipped.policy) == ("measured_search", "scripted", "zoo:measured_search")
+    own, common = evaluation_env(config, shipped), evaluation_env(config, uncommanded)
+    assert own.observed == zoo.load("measured_search").env.observed != common.observed
+    assert (own.hold_s, own.horizon_s, own.warmup_s) == (2.0, 300.0, common.warmup_s)
+    with pytest.raises(IzooError, match="zoo:measured_search"):
+        parse_entry("zoo:measured_serch")
