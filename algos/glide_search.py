@@ -30,6 +30,8 @@ from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
 """Kinds of roads with numbers of their own."""
+KIND = "road_kind"
+"""Key ``[*B, 1]`` int8: of which of :data:`KINDS` the context is; -1 where there is no CV."""
 
 
 @dataclass(frozen=True)
@@ -203,10 +205,11 @@ class GlidePolicies(TensorDictModuleBase):
     candidates: Tensor
     quiet_band = 0.0
     kinds = len(KINDS)
+    reads: base.Keys = (KIND,)
 
     def __init__(self, config: EnvConfig, population: int) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION, DEFER]
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION, DEFER, KIND]
         self.rule = SearchedGlide(config)
         width = len(SETTINGS) + len(GATE)
         self.register_buffer("mean", torch.zeros(self.kinds, width))
@@ -214,7 +217,7 @@ class GlidePolicies(TensorDictModuleBase):
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write actions ``[*B, A, 1]``, 0 in empty slots, and ``defer`` ``[*B, A]``.
+        """Write actions ``[*B, A, 1]``, 0 in empty slots, ``defer`` ``[*B, A]``, and :data:`KIND`.
 
         Raises:
             IzooError: while exploring, the environments cannot be shared out evenly.
@@ -224,13 +227,13 @@ class GlidePolicies(TensorDictModuleBase):
         rows = seen if seen.ndim > 2 else seen.unsqueeze(0)
         accel, defer = self.rule.drive_with(numbers, rows)
         accel = torch.where(mask, accel.view(mask.shape), 0.0)
+        lanes = torch.where(mask, self.rule.lanes(seen), 0.0).amax(-1, keepdim=True)
+        tensordict.set(KIND, torch.where(lanes > 0.5, (lanes > 1.5).to(torch.int8), -1))
         return tensordict.set(base.ACTION, accel.unsqueeze(-1)).set(DEFER, defer.view(mask.shape) | ~mask)
 
     def kind_of(self, batch: TensorDictBase) -> Tensor:
         """Return of which of :data:`KINDS` each context of a batch ``[N, T]`` is, ``[N]``; -1 where no CV came."""
-        mask = batch.get(base.MASK)
-        lanes = torch.where(mask, self.rule.lanes(batch.get(base.OBSERVATION)), 0.0).flatten(1).amax(1)
-        return torch.where(lanes > 0.5, (lanes > 1.5).long(), -1)
+        return batch.get(KIND).squeeze(-1).amax(1)
 
 
 class GlideSearch(CMAES):

@@ -71,7 +71,7 @@ def generation(algorithm: GlideSearch, lanes: float, goal: int = 0) -> TensorDic
     reward = (own - 10.0)[:, None, None].expand(population, STEPS, 1) / STEPS
     done = torch.zeros(population, STEPS, 1, dtype=torch.bool)
     done[:, -1] = True
-    frames = torch.stack([seen(population, lanes)] * STEPS, dim=1)
+    frames = torch.stack([act(algorithm, seen(population, lanes))] * STEPS, dim=1)
     return frames.set("next", TensorDict({TEAM_REWARD: reward, "done": done}, [population, STEPS]))
 
 
