@@ -26,8 +26,16 @@ REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
 
 
+Keys = tuple[str | tuple[str, ...], ...]
+"""Keys of a TensorDict."""
+
+
 class Algorithm(Protocol):
-    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``."""
+    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
+
+    One that also has ``reads``, of :data:`Keys`, learns from these keys of a batch alone, and others may be missing
+    (:func:`reads`).
+    """
 
     policy: TensorDictModuleBase
 
@@ -50,6 +58,11 @@ class Algorithm(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned."""
         ...
+
+
+def reads(algorithm: Algorithm) -> Keys | None:
+    """Return the keys of a batch that an algorithm learns from; ``None``: any of them."""
+    return getattr(algorithm, "reads", None)
 
 
 def explores() -> bool:

@@ -52,6 +52,8 @@ class LinearPolicies(TensorDictModuleBase):
     candidates: Tensor
     quiet_band = 0.0
     kinds = 1
+    reads: base.Keys = ()
+    """What :meth:`kind_of` looks at."""
 
     def __init__(self, features: int, low: float, high: float, population: int, band: float | None) -> None:
         super().__init__()
@@ -101,6 +103,9 @@ def own_numbers(policies: Any, mask: Tensor) -> Tensor:
 class CMAES:
     """CMA-ES; see :class:`izoo.algos.base.Algorithm`. It learns from batches of whole episodes.
 
+    Attributes:
+        reads: what it learns from: not the observations, which are nearly all that a batch holds.
+
     Args:
         config: hyper-parameters.
         features: length of an observation.
@@ -124,6 +129,7 @@ class CMAES:
     def _start(self, config: Any, policy: Any) -> None:
         """Begin to search the numbers of a module like :class:`LinearPolicies`."""
         self.config, self.policy = config, policy
+        self.reads: base.Keys = (("next", TEAM_REWARD), ("next", "done"), *policy.reads)
         self.seed = int(torch.randint(2**31 - 1, ()))
         self.returns: list[np.ndarray] = []
         self._begin()

@@ -30,6 +30,8 @@ from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
 """Kinds of roads with numbers of their own."""
+KIND = "road_kind"
+"""Key ``[*B, 1]`` int8: of which of :data:`KINDS` the context is; -1 where there is no CV."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ class SearchedGlide(Glide):
     """
 
     gate: Tensor
+    environments: Tensor
     followers_stop = True
 
     def __init__(self, config: EnvConfig) -> None:
@@ -119,32 +122,34 @@ class SearchedGlide(Glide):
             )
         self.shortest_response_s = config.decision_s
 
-    def drive_with(self, numbers: Tensor, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2 and who is left alone, ``[N, A]`` each.
+    def drive_with(self, numbers: Tensor, observation: Tensor, environments: Tensor) -> tuple[Tensor, Tensor]:
+        """Return accelerations in m/s^2 and who is left alone, ``[M]`` each.
 
         Args:
-            numbers: ``[N or 1, kinds, n]``.
-            observation: ``[N, A, F]``.
+            numbers: ``[M or 1, kinds, n]``.
+            observation: ``[M, F]``, of CVs alone.
+            environments: ``[M]`` which environment each of them is in.
         """
         several = self.lanes(observation) > 1.5
-        one, more = numbers[:, :1], numbers[:, 1:]
+        one, more = numbers[:, 0], numbers[:, 1]
         chosen = torch.where(several.unsqueeze(-1), more, one)
         values = {setting.name: setting.value(chosen[..., k], several) for k, setting in enumerate(SETTINGS)}
         values["response_s"] = values["response_s"].clamp_min(self.shortest_response_s)
         values["floor_mps"] = values["floor_mps"].clamp_min(0.1)
         rule: Any = copy.copy(self)  # the rule itself stays as it is, and so does its fingerprint
         rule.settings, rule.response_s = SimpleNamespace(**values, **OTHERS), values["response_s"]
+        rule.environments = environments
         starts = chosen.new_tensor(GATE_STARTS)
         rule.gate = chosen[..., len(SETTINGS) :] + torch.where(several.unsqueeze(-1), starts[1], starts[0])
         accel, defer = rule.drive(observation, torch.ones_like(several))
         return accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2), defer
 
     def lanes(self, observation: Tensor) -> Tensor:
-        """Return how many lanes each CV's approach has."""
+        """Return how many lanes each CV's approach has, in the shape of ``observation`` without its last dimension."""
         return self._column(observation, "context_lane_count", feature("lane_count").scale)
 
     def gliding_pays(self, observation: Tensor) -> Tensor:
-        """Return where the gate is open, ``[N, A]``."""
+        """Return where the gate is open, ``[M]``."""
         green = self._column(observation, "context_green_s", feature("green_s").scale)
         red = self._column(observation, "context_red_s", feature("red_s").scale)
         limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
@@ -166,7 +171,7 @@ class SearchedGlide(Glide):
         return (torch.stack(features, -1) * self.gate).sum(-1) > 0.0
 
     def stop_is_certain(self, observation: Tensor, distance: Tensor, ahead: Tensor, speed: Tensor) -> Tensor:
-        """Return whether the present red, or the end of the present green, keeps each CV from passing, ``[N, A]``."""
+        """Return whether the present red, or the end of the present green, keeps each CV from passing, ``[M]``."""
         red = observation[..., self.columns["signal_red"]] > 0.5
         green = observation[..., self.columns["signal_green"]] > 0.5
         left = self._column(observation, "signal_time_left", TIME_SCALE_S)
@@ -176,19 +181,21 @@ class SearchedGlide(Glide):
         return super().stop_is_certain(observation, distance, ahead, speed) | too_late | yellow
 
     def traffic(self, observation: Tensor) -> Tensor:
-        """Return how many vehicles there are per lane and 100 m of each CV's approach, ``[N, A]``, at most 12.
+        """Return how many vehicles there are per lane and 100 m of each CV's approach, ``[M]``, at most 12.
 
         They are not observed, but the CVs are: as many times as many as one in how many vehicles is one. CVs are taken
         to be on the same approach where length, limit and lanes of theirs are the same.
         """
         names = ("context_lane_length_m", "context_speed_limit_mps", "context_lane_count")
-        approach = observation[..., [self.columns[name] for name in names]]
-        same = (approach.unsqueeze(-2) - approach.unsqueeze(-3)).abs().amax(-1) < 1e-4
-        same &= (observation[..., self.columns["location_approaching"]] > 0.5).unsqueeze(-2)
+        approach = observation[:, [self.columns[name] for name in names]]
+        places = torch.cat([self.environments.unsqueeze(-1).to(approach.dtype), approach], -1)
+        approaches, own = places.unique(dim=0, return_inverse=True)
+        comes = observation[:, self.columns["location_approaching"]] > 0.5
+        count = approach.new_zeros(len(approaches)).index_add_(0, own[comes], approach.new_ones(int(comes.sum())))
         length_m = self._column(observation, "context_lane_length_m", feature("lane_length_m").scale)
         share = self._column(observation, "context_adoption", 1.0)
         road = (share * self.lanes(observation) * length_m / 100.0).clamp_min(1e-3)
-        return (same.sum(-1) / road).clamp_max(12.0)
+        return (count[own] / road).clamp_max(12.0)
 
 
 class GlidePolicies(TensorDictModuleBase):
@@ -203,10 +210,11 @@ class GlidePolicies(TensorDictModuleBase):
     candidates: Tensor
     quiet_band = 0.0
     kinds = len(KINDS)
+    reads: base.Keys = (KIND,)
 
     def __init__(self, config: EnvConfig, population: int) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION, DEFER]
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION, DEFER, KIND]
         self.rule = SearchedGlide(config)
         width = len(SETTINGS) + len(GATE)
         self.register_buffer("mean", torch.zeros(self.kinds, width))
@@ -214,23 +222,26 @@ class GlidePolicies(TensorDictModuleBase):
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write actions ``[*B, A, 1]``, 0 in empty slots, and ``defer`` ``[*B, A]``.
+        """Write actions ``[*B, A, 1]``, 0 in empty slots, ``defer`` ``[*B, A]``, and :data:`KIND`.
 
         Raises:
             IzooError: while exploring, the environments cannot be shared out evenly.
         """
         seen, mask = tensordict.get(base.OBSERVATION), tensordict.get(base.MASK)
         numbers = own_numbers(self, mask)
-        rows = seen if seen.ndim > 2 else seen.unsqueeze(0)
-        accel, defer = self.rule.drive_with(numbers, rows)
-        accel = torch.where(mask, accel.view(mask.shape), 0.0)
-        return tensordict.set(base.ACTION, accel.unsqueeze(-1)).set(DEFER, defer.view(mask.shape) | ~mask)
+        accel, defer = torch.zeros(mask.shape), torch.ones_like(mask)
+        if mask.any():
+            # Most slots are empty, and the rule takes a hundred operations.
+            environments = mask.view(-1, mask.shape[-1]).nonzero()[:, 0]
+            own = numbers if len(numbers) == 1 else numbers[environments]
+            accel[mask], defer[mask] = self.rule.drive_with(own, seen[mask], environments)
+        lanes = torch.where(mask, self.rule.lanes(seen), 0.0).amax(-1, keepdim=True)
+        tensordict.set(KIND, torch.where(lanes > 0.5, (lanes > 1.5).to(torch.int8), -1))
+        return tensordict.set(base.ACTION, accel.unsqueeze(-1)).set(DEFER, defer)
 
     def kind_of(self, batch: TensorDictBase) -> Tensor:
         """Return of which of :data:`KINDS` each context of a batch ``[N, T]`` is, ``[N]``; -1 where no CV came."""
-        mask = batch.get(base.MASK)
-        lanes = torch.where(mask, self.rule.lanes(batch.get(base.OBSERVATION)), 0.0).flatten(1).amax(1)
-        return torch.where(lanes > 0.5, (lanes > 1.5).long(), -1)
+        return batch.get(KIND).squeeze(-1).amax(1)
 
 
 class GlideSearch(CMAES):

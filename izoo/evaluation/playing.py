@@ -1,25 +1,30 @@
-"""One episode of a policy in a context: the lean loop that evaluation runs, and the rows it yields."""
+"""Episodes of a policy in contexts: the lean loop that evaluation runs, and the rows it yields."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from izoo.contexts.context import Context
-from izoo.envs.env import EcoDrivingEnv
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.errors import IzooError
+from izoo.evaluation.processes import Rows
 from izoo.evaluation.table import EPISODE_COLUMNS, features, identity, scored_approaches
 from izoo.metrics.definitions import APPROACH_METRICS, DEMAND, EPISODE_METRICS
+from izoo.networks.road import RoadNet
+
+if TYPE_CHECKING:
+    from izoo.envs.twin_env import TwinEnv
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 _SEED_MASK = 2**63 - 1
 
 
-def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
+def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context, seed: int) -> Rows:
     """Play one episode and return a row per scored approach (:mod:`izoo.evaluation.table`).
 
     Stochastic policies act by their mode, and torch's default generator is seeded from the context and the seed, so
@@ -34,10 +39,29 @@ def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context,
     with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         torch.manual_seed(torch_seed)
         play(env, policy, env.reset(context=context, seed=seed))
-    return _rows(env, name, context, seed)
+    return _rows(env.road, env.reader.metrics(), name, context, seed)
 
 
-def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> None:
+def run_together(env: TwinEnv, policy: Policy, name: str, plays: Sequence[tuple[Context, int]]) -> list[Rows]:
+    """Play an episode in each environment, and return the rows of each.
+
+    They are those of :func:`run_episode` where a policy does to every row of a batch what it does to it alone, and
+    draws no random numbers.
+
+    Args:
+        env: as many environments as ``plays``, on a schedule that begins with these.
+        policy, name: as for :func:`run_episode`.
+        plays: context and seed of each environment.
+    """
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        play(env, policy, env.reset())
+    metrics = env.reader.metrics()
+    return [
+        _rows(env.scene(index).road, metrics[index], name, context, seed) for index, (context, seed) in enumerate(plays)
+    ]
+
+
+def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase) -> None:
     """Step from a reset to the end of the episode."""
     while True:
         result = policy(tensordict)
@@ -48,9 +72,7 @@ def play(env: EcoDrivingEnv, policy: Policy, tensordict: TensorDictBase) -> None
         tensordict = step_mdp(result, exclude_action=True)
 
 
-def _rows(env: EcoDrivingEnv, name: str, context: Context, seed: int) -> list[dict[str, Any]]:
-    road = env.road
-    metrics = env.reader.metrics()
+def _rows(road: RoadNet, metrics: TensorDictBase, name: str, context: Context, seed: int) -> Rows:
     approach, episode = metrics.get("approach"), metrics.get("episode")
     sums = {metric: approach.get(metric).tolist() for metric in APPROACH_METRICS}
     whole = {

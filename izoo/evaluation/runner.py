@@ -23,8 +23,13 @@ from izoo.evaluation.remote import play_on_ray
 from izoo.evaluation.selection import EpisodeSeeds
 from izoo.evaluation.sources import add_sources
 from izoo.evaluation.table import identity
+from izoo.evaluation.together import play_together
 
-EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {"processes": play_all, "ray": play_on_ray}
+EXECUTORS: dict[str, Callable[..., Iterator[tuple[Task, Rows]]]] = {
+    "processes": play_all,
+    "ray": play_on_ray,
+    "together": play_together,
+}
 """What plays episodes, by the option ``executor``."""
 Key = tuple[str, str, int]
 """Policy name, content hash of the context it is evaluated in, seed."""
@@ -65,7 +70,8 @@ def evaluate_policy(
         source: what a policy that is given as an object can be made from again, so that a report can replay it: a
             driver's name, ``module:function``, or the path of a checkpoint.
         executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
-            cluster.
+            cluster; ``together``: the episodes side by side in this process, on the twin, for policies that act on a
+            batch ``[N]`` as on each of its rows, and draw no random numbers.
         simulator: what plays the episodes: ``sumo``, or ``twin``, its compiled copy.
 
     Returns:

@@ -20,6 +20,7 @@ from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
+from izoo.algos.base import Keys
 from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
@@ -154,6 +155,7 @@ class BatchSource:
         schedule: the episodes.
         pasts: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
         twin: where those of a run on the twin stood (:meth:`environments`).
+        keeps: the keys that batches from the twin hold; ``None``: all that there are.
     """
 
     def __init__(
@@ -163,13 +165,16 @@ class BatchSource:
         schedule: Schedule,
         pasts: Sequence[EpisodePast] = (),
         twin: Mapping[str, Any] = MappingProxyType({}),
+        keeps: Keys | None = None,
     ) -> None:
         frames = frames_per_batch(config)
         self._twin: TrainingTwinEnv | None = None
         with workers_ignore_interrupts():
             if config.simulator == "twin":
-                self._twin = _on_twin(config, schedule, twin)
-                self._collector: BaseCollector = _collector(self._twin, policy, frames)
+                self._twin = _on_twin(config, schedule, twin, keeps)
+                # TorchRL's buffers are made for whole steps.
+                whole = keeps is None
+                self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=whole)
             else:
                 self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
@@ -259,7 +264,7 @@ def _parallel(
     return _collector(env, policy, frames)
 
 
-def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) -> TrainingTwinEnv:
+def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None) -> TrainingTwinEnv:
     count = num_envs(config)
     return TrainingTwinEnv(
         count,
@@ -270,6 +275,7 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any]) 
         surrogate=config.twin.surrogate,
         state=state,
         phases=random_phases(count, config.env.decisions, config.seed) if config.staggered else None,
+        keeps=keeps,
     )
 
 
@@ -347,7 +353,7 @@ def _worker_env(
     return env
 
 
-def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
+def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buffers: bool = True) -> Collector:
     return Collector(
         env,
         policy,
@@ -355,6 +361,7 @@ def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Colle
         total_frames=-1,
         exploration_type=ExplorationType.RANDOM,
         return_same_td=True,
+        use_buffers=use_buffers,
         track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,

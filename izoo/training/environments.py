@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from izoo.algos import overview
+from izoo.algos.base import Keys
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.twin_env import TwinEnv
@@ -109,6 +110,7 @@ class TrainingTwinEnv(_Training, TwinEnv):
     """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS` and :data:`NUMBERS`.
 
     Args:
+        keeps: keys of a step that are handed on when it is over; ``None``: all. The policy sees everything.
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
         phases: ``[N]`` decisions that nobody commands at the beginning of each environment's first episode; ``None``:
             episodes begin, and so end, together.
@@ -117,11 +119,21 @@ class TrainingTwinEnv(_Training, TwinEnv):
     leaves = (TOTALS, NUMBERS)
 
     def __init__(
-        self, *args: Any, state: Mapping[str, Any] | None = None, phases: Sequence[int] | None = None, **options: Any
+        self,
+        *args: Any,
+        state: Mapping[str, Any] | None = None,
+        phases: Sequence[int] | None = None,
+        keeps: Keys | None = None,
+        **options: Any,
     ) -> None:
         super().__init__(*args, **options)
-        self._left_at, self._phases = state, phases
+        self._left_at, self._phases, self.keeps = state, phases, keeps
         self.observation_spec[NUMBERS] = Unbounded(self.reader.tensors[NUMBERS].shape, dtype=torch.int64)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step as the environment does; what need not be kept is not."""
+        stepped, state = super().step_and_maybe_reset(tensordict)
+        return stepped if self.keeps is None else stepped.select(*self.keeps, inplace=True), state
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         state, phases = self._left_at, self._phases

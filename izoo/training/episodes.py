@@ -22,6 +22,10 @@ LOGGED_SCORES = {
 """Scores that training logs, and the name each has in ``metrics.csv``."""
 
 
+READS = (MASK, ("next", *REWARD), ("next", "done"), ("next", TOTALS), ("next", NUMBERS))
+"""What :func:`episode_stats` reads of a batch."""
+
+
 def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     """Summarise a batch: the reward of all valid agent-steps, and the scores of the episodes that ended in it.
 

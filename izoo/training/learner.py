@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.base import Algorithm
+from izoo.algos.base import Algorithm, Keys, reads
 from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -90,6 +90,11 @@ class Learner:
         stats = self.algorithm.update(to_learner(batch, self.device), progress)
         self.share()
         return stats
+
+    @property
+    def reads(self) -> Keys | None:
+        """The keys of a batch that the algorithm learns from; ``None``: any of them."""
+        return reads(self.algorithm)
 
     def advantage(self) -> Tensor:
         """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""

@@ -25,7 +25,7 @@ from izoo.errors import IzooError, UnfinishedError
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
 from izoo.training.environments import NUMBERS
-from izoo.training.episodes import episode_stats
+from izoo.training.episodes import READS, episode_stats
 from izoo.training.last_comparison import compare
 from izoo.training.learner import Learner, is_finite, learner_device
 from izoo.training.levels import Levels
@@ -254,7 +254,9 @@ class Session:
     def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
         config = self.config
         going_on = self.pasts.pasts if self._state is not None else ()
-        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments)
+        reads = self.learner.reads
+        keeps = None if reads is None else (*reads, *READS)
+        batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments, keeps)
         self._batches = batches
         if config.simulator == "twin":
             if self.levels is None:

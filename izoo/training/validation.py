@@ -236,6 +236,7 @@ def validate(path: Path) -> dict[str, Any]:
         num_workers=0,
         progress=False,
         name=POLICY,
+        executor="together" if options.simulator == "twin" else "processes",
         simulator=options.simulator,
     )
     summary = summarise(table)

@@ -71,7 +71,7 @@ def generation(algorithm: GlideSearch, lanes: float, goal: int = 0) -> TensorDic
     reward = (own - 10.0)[:, None, None].expand(population, STEPS, 1) / STEPS
     done = torch.zeros(population, STEPS, 1, dtype=torch.bool)
     done[:, -1] = True
-    frames = torch.stack([seen(population, lanes)] * STEPS, dim=1)
+    frames = torch.stack([act(algorithm, seen(population, lanes))] * STEPS, dim=1)
     return frames.set("next", TensorDict({TEAM_REWARD: reward, "done": done}, [population, STEPS]))
 
 
@@ -187,14 +187,16 @@ def test_what_does_not_suit_it_is_refused() -> None:
 def test_vehicles_on_the_road_are_counted_by_their_cvs() -> None:
     rule = make().policy.rule
     frame = seen(1, ONE, adoption=0.5, length_m=200.0)
-    rows = frame[base.OBSERVATION].clone()
-    rows[:, -1] = 0.0  # an empty slot
+    rows = frame[base.OBSERVATION][0, :-1].clone()
+    rule.environments = torch.zeros(6, dtype=torch.int64)
     # Six CVs, every second vehicle one, on one lane of 200 m.
-    assert rule.traffic(rows)[0, :-1].tolist() == pytest.approx([6.0] * 6)
-    rows[:, 0, NAMES.index("location_approaching")] = 0.0  # has crossed the line
-    rows[:, 1, NAMES.index("context_lane_length_m")] = 2.0  # comes on another approach, of 500 m
-    assert rule.traffic(rows)[0, 2:-1].tolist() == pytest.approx([4.0] * 4)
-    assert float(rule.traffic(rows)[0, 1]) == pytest.approx(0.4)
+    assert rule.traffic(rows).tolist() == pytest.approx([6.0] * 6)
+    rows[0, NAMES.index("location_approaching")] = 0.0  # has crossed the line
+    rows[1, NAMES.index("context_lane_length_m")] = 2.0  # comes on another approach, of 500 m
+    assert rule.traffic(rows)[2:].tolist() == pytest.approx([4.0] * 4)
+    assert float(rule.traffic(rows)[1]) == pytest.approx(0.4)
+    rule.environments[2] = 1  # the same roads elsewhere
+    assert rule.traffic(rows)[2:].tolist() == pytest.approx([1.0, 3.0, 3.0, 3.0])
 
 
 def test_the_gate_hears_how_many_cvs_and_vehicles_there_are() -> None:
