@@ -31,9 +31,10 @@ class EvaluateConfig:
         out: folder of the results; an evaluation that was interrupted goes on there. null: a folder named after the
             options, in ``evaluations`` of the run's folder or of the current one.
         simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
-        num_workers: worker processes, each with one simulator.
+        num_workers: worker processes, each with one simulator; with ``together``, threads.
         executor: where they are: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS
-            names, or else one on this machine).
+            names, or else one on this machine). ``together``: episodes are played side by side on the twin, for
+            policies that act on a batch as on each of its rows, and draw no random numbers.
         uncommanded: also play the controlled vehicles that nobody commands.
         cache: folder of the cached human episodes; null: the user's cache folder.
     """
@@ -49,7 +50,7 @@ class EvaluateConfig:
     out: str | None = None
     simulator: Literal["sumo", "twin"] = "sumo"
     num_workers: int = 2
-    executor: Literal["processes", "ray"] = "processes"
+    executor: Literal["processes", "ray", "together"] = "processes"
     uncommanded: bool = True
     cache: str | None = None
 

@@ -70,8 +70,8 @@ def evaluate_policy(
         source: what a policy that is given as an object can be made from again, so that a report can replay it: a
             driver's name, ``module:function``, or the path of a checkpoint.
         executor: where the workers are, one of :data:`EXECUTORS`: ``processes`` of this machine, or those of a ``ray``
-            cluster; ``together``: the episodes side by side in this process, on the twin, for policies that act on a
-            batch ``[N]`` as on each of its rows, and draw no random numbers.
+            cluster; ``together``: the episodes side by side in ``num_workers`` threads, on the twin, for policies that
+            act on a batch ``[N]`` as on each of its rows, and draw no random numbers.
         simulator: what plays the episodes: ``sumo``, or ``twin``, its compiled copy.
 
     Returns:

@@ -39,26 +39,26 @@ def play_together(
 
     Args:
         tasks, policies, config: as for :func:`izoo.evaluation.processes.play_all`.
-        num_workers: 0: there are no other processes.
+        num_workers: threads that share the environments out among them; 0 is one.
         simulator: ``twin``.
 
     Raises:
-        IzooError: another simulator, or worker processes, were asked for.
+        IzooError: another simulator was asked for.
         EpisodeFailed: an episode failed.
     """
     from izoo.envs.twin_env import TwinEnv  # it compiles, and most evaluations need none
 
-    if simulator != "twin" or num_workers:
+    if simulator != "twin":
         raise IzooError(
-            f"executor=together plays on the twin, in one process, but simulator is {simulator} and num_workers "
-            f"{num_workers}; choose simulator=twin and num_workers=0, or executor=processes."
+            f"executor=together plays episodes side by side on the twin, but simulator is {simulator}; choose "
+            "simulator=twin, or executor=processes."
         )
     for key, group in itertools.groupby(sorted(tasks, key=lambda task: task.policy), lambda task: task.policy):
         policy, own = cloudpickle.loads(policies[key]), list(group)
         for first in range(0, len(own), MOST):
             block = own[first : first + MOST]
             plays = [(task.context, task.seed) for task in block]
-            env = TwinEnv(len(block), _Plays(plays), config=config, threads=1, surrogate="compiled")
+            env = TwinEnv(len(block), _Plays(plays), config=config, threads=max(num_workers, 1), surrogate="compiled")
             try:
                 yield from zip(block, run_together(env, policy, block[0].name, plays), strict=True)
             except IzooError:

@@ -24,16 +24,16 @@ CONTEXTS = [
 ]
 
 
-def evaluated(executor: str, cache: Path, policy: object = "glide") -> pd.DataFrame:
+def evaluated(executor: str, cache: Path, policy: object = "glide", threads: int = 0) -> pd.DataFrame:
     return evaluate_policy(
         policy,  # type: ignore[arg-type]
         CONTEXTS,
         EpisodeSeeds(5, 2),
         SHORT,
-        num_workers=0,
+        num_workers=threads,
         progress=False,
         name="driver",
-        cache=cache / executor,
+        cache=cache / f"{executor}{threads}",
         executor=executor,
         simulator="twin",
     )
@@ -42,19 +42,18 @@ def evaluated(executor: str, cache: Path, policy: object = "glide") -> pd.DataFr
 def test_side_by_side_or_one_after_the_other_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(together, "MOST", 4)  # six episodes of each driver: a full block and a part of one
     alone = evaluated("processes", tmp_path)
-    beside = evaluated("together", tmp_path)
     order = ["policy", "context_hash", "seed", "approach"]
-    pd.testing.assert_frame_equal(*(table.sort_values(order, ignore_index=True) for table in (beside, alone)))
+    for threads in (0, 2):
+        beside = evaluated("together", tmp_path, threads=threads)
+        pd.testing.assert_frame_equal(*(table.sort_values(order, ignore_index=True) for table in (beside, alone)))
     assert set(beside["policy"]) == {"human", "uncommanded", "driver"} and len(beside) == 3 * 2 * (1 + 4 + 1)
     means = beside.groupby("policy")["emission_g"].sum()
     assert means.nunique() == 3
 
 
 def test_what_it_cannot_play_is_refused_and_what_fails_is_named(tmp_path: Path) -> None:
-    for wrong in ({"simulator": "sumo"}, {"simulator": "twin", "num_workers": 2}):
-        options = {"num_workers": 0, **wrong}
-        with pytest.raises(IzooError, match=f"simulator is {wrong['simulator']} .* choose simulator=twin"):
-            evaluate_policy("glide", CONTEXTS[:1], [1], SHORT, executor="together", progress=False, **options)
+    with pytest.raises(IzooError, match=r"but simulator is sumo; choose simulator=twin"):
+        evaluate_policy("glide", CONTEXTS[:1], [1], SHORT, executor="together", progress=False, cache=tmp_path)
 
     def fails(tensordict: torch.Tensor) -> torch.Tensor:
         raise ValueError(f"no idea for {tensordict[MASK].shape}")
