@@ -23,37 +23,64 @@ MEASURES = {
     "stopped_s": ("stopped_time_s", "crossed"),
 }
 """What is compared per approach: a sum, over a count or (``None``) over episodes."""
-KEY = ["policy", "context", "context_hash", "approach"]
+_PAIR = ["policy", "context", "context_hash", "approach"]
+KEY = ["policy", "adoption", "demand", "context", "context_hash", "approach"]
+GROUP = ["policy", "adoption", "demand", "lanes"]
+"""What approaches are summed up by."""
 WIDE = 0.05
 """Differences of CO2 above this, beyond SUMO's own spread, are named."""
 
 
-def approaches(sumo: pd.DataFrame, twin: pd.DataFrame) -> pd.DataFrame:
+def approaches(sumo: pd.DataFrame, other: pd.DataFrame, side: str = "twin") -> pd.DataFrame:
     """Compare two evaluations of the same contexts and seeds, a row per policy and approach.
 
+    Human driving is compared once for each intersection and demand, as no CVs, whatever the context's share of them.
+
     Args:
-        sumo, twin: tables as ``izoo.evaluate`` writes them.
+        sumo, other: tables as ``izoo.evaluate`` writes them.
+        side: what the other one is called.
 
     Returns:
-        :data:`KEY`, ``lanes``, and per measure ``*_sumo``, ``*_twin`` (means over seeds), ``*_difference`` (relative to
-        SUMO; of crossed vehicles too) and ``*_spread`` (standard error of SUMO's mean over its seeds, relative).
-        Approaches that nobody crosses in SUMO have no differences (NaN).
+        :data:`KEY`, ``seeds``, ``lane_count``, and per measure ``*_sumo``, ``*_twin`` (means over seeds) and
+        ``*_difference`` (relative to SUMO; of crossed vehicles too). Approaches that nobody crosses in SUMO have no
+        differences (NaN).
     """
-    joined = sumo.merge(twin, on=[*KEY, "seed"], suffixes=("_sumo", "_twin"), validate="one_to_one")
+    about = ["adoption", "demand", "lane_count"]
+    joined = sumo.merge(other.drop(columns=about), on=[*_PAIR, "seed"], suffixes=("_sumo", f"_{side}"), validate="1:1")
     rows = []
     for key, group in joined.groupby(KEY, sort=False):
         row: dict[str, Any] = dict(zip(KEY, key, strict=True)) | {"seeds": len(group)}
-        row["lanes"] = int(group["lane_count_sumo"].iloc[0])
+        row["lane_count"] = int(group["lane_count"].iloc[0])
         for name, (total, count) in MEASURES.items():
-            values = {side: _per_seed(group, total, count, side) for side in ("sumo", "twin")}
-            centre = {side: _mean(column) for side, column in values.items()}
-            row |= {f"{name}_{side}": centre[side] for side in centre}
-            row[f"{name}_difference"] = centre["twin"] / centre["sumo"] - 1.0 if centre["sumo"] else np.nan
-            known = values["sumo"][~np.isnan(values["sumo"])]
-            error = known.std(ddof=1) / np.sqrt(len(known)) if len(known) > 1 else np.nan
-            row[f"{name}_spread"] = error / centre["sumo"] if centre["sumo"] else np.nan
+            centre = {name: _mean(_per_seed(group, total, count, name)) for name in ("sumo", side)}
+            row |= {f"{name}_{played}": value for played, value in centre.items()}
+            row[f"{name}_difference"] = centre[side] / centre["sumo"] - 1.0 if centre["sumo"] else np.nan
         rows.append(row)
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    human = table["policy"] == HUMAN
+    table.loc[human, "adoption"] = 0.0
+    # Contexts that differ in the share of CVs alone have one name, and the same human driving.
+    again = table.duplicated([name for name in KEY if name != "context_hash"])
+    return table[~(human & again)].reset_index(drop=True)
+
+
+def own_spread(sumo: pd.DataFrame, late: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Compare SUMO with itself: :func:`approaches` for each evaluation with late vehicles, one below the other."""
+    tables = [approaches(sumo, table, "late").assign(late=number) for number, table in enumerate(late, 1)]
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+
+def with_spread(compared: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
+    """Add to :func:`approaches` SUMO's own spread, ``co2_g_own`` and ``crossed_own``.
+
+    It is the mean size of the relative differences of :func:`own_spread`; NaN where it was not measured.
+    """
+    names = {f"{name}_difference": f"{name}_own" for name in ("co2_g", "crossed")}
+    if own.empty:
+        return compared.assign(**dict.fromkeys(names.values(), np.nan))
+    sizes = own[[*KEY, *names]].rename(columns=names)
+    sizes[list(names.values())] = sizes[list(names.values())].abs()
+    return compared.merge(sizes.groupby(KEY, sort=False).mean().reset_index(), on=KEY, how="left", validate="1:1")
 
 
 def _per_seed(group: pd.DataFrame, total: str, count: str | None, side: str) -> np.ndarray:
@@ -94,55 +121,79 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def rungs(table: pd.DataFrame) -> pd.DataFrame:
-    """Sum :func:`approaches` up, a row per policy and kind of approach (one lane, several)."""
-    kinds = np.where(table["lanes"] == 1, "one lane", "several lanes")
+def rungs(table: pd.DataFrame, side: str = "twin") -> pd.DataFrame:
+    """Sum :func:`approaches` up, a row per policy, share of CVs, demand and kind of approach (one lane, several).
+
+    ``co2_beyond`` counts approaches whose CO2 differs by more than :data:`WIDE` beyond SUMO's own spread, where the
+    table has it (:func:`with_spread`); ``co2_wide`` those that differ by more than that in any case.
+    """
+    kinds = np.where(table["lane_count"] == 1, "one", "several")
     rows = []
-    for (policy, kind), group in table.assign(kind=kinds).groupby(["policy", "kind"], sort=False):
+    for key, group in table.assign(lanes=kinds).groupby(GROUP, sort=False):
         away = group["co2_g_difference"].abs()
-        beyond = away - group["co2_g_spread"].fillna(0.0) > WIDE
+        own = {name: group.get(f"{name}_own", pd.Series(dtype=float)) for name in ("co2_g", "crossed")}
+        beyond = away - own["co2_g"].reindex(group.index).fillna(0.0) > WIDE
         rows.append(
-            {
-                "policy": policy,
-                "kind": kind,
+            dict(zip(GROUP, key, strict=True))
+            | {
                 "approaches": int(away.notna().sum()),
                 "co2_mean_abs": float(away.mean()),
                 "co2_bias": float(group["co2_g_difference"].mean()),
                 "co2_median_abs": float(away.median()),
                 "co2_worst": float(away.max()),
+                "co2_wide": int((away > WIDE).sum()),
                 "co2_beyond": int(beyond.sum()),
-                "co2_spread": float(group["co2_g_spread"].mean()),
-                "crossed": _change(group, "crossed"),
+                "co2_own": float(own["co2_g"].mean()),
+                "crossed": _change(group, "crossed", side),
                 "crossed_mean_abs": float(group["crossed_difference"].abs().mean()),
+                "crossed_own": float(own["crossed"].mean()),
                 "travel_time": float(group["travel_time_s_difference"].mean()),
-                "stopped": _change(group, "stopped_s"),
+                "stopped": _change(group, "stopped_s", side),
             }
         )
     return pd.DataFrame(rows)
 
 
-def _change(group: pd.DataFrame, name: str) -> float:
-    """Return how much larger a measure is on the twin, summed over approaches; NaN where it is 0 in SUMO."""
-    sumo, twin = (float(group[f"{name}_{side}"].sum()) for side in ("sumo", "twin"))
-    return twin / sumo - 1.0 if sumo else np.nan
+def _change(group: pd.DataFrame, name: str, side: str) -> float:
+    """Return by how much larger a measure is than in SUMO, summed over approaches; NaN where it is 0 there."""
+    sumo, other = (float(group[f"{name}_{played}"].sum()) for played in ("sumo", side))
+    return other / sumo - 1.0 if sumo else np.nan
 
 
-def gains(sumo: pd.DataFrame, twin: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean benefit over human driving, ungated, in SUMO and on the twin, of policies played on both."""
+def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] = ()) -> pd.DataFrame:
+    """Return what policies gain over human driving, in SUMO and on the twin, a row per policy, share of CVs and demand.
+
+    Args:
+        sumo, twin: tables as ``izoo.evaluate`` writes them.
+        late: of SUMO with late vehicles.
+
+    Returns:
+        ``policy``, ``adoption``, ``demand``; the mean benefit, ungated, in ``sumo`` and on the ``twin``, their
+        ``difference``, and ``own``: the mean size of the difference that late vehicles make in SUMO (NaN without).
+    """
     rows = []
     played = set(twin["policy"])
     for policy in [name for name in sumo["policy"].unique() if name != HUMAN and name in played]:
-        found = {}
-        for side, table in (("sumo", sumo), ("twin", twin)):
-            chosen, human = (table[table["policy"] == name] for name in (policy, HUMAN))
-            found[side] = float(benefits(chosen, human)["benefit_ungated"].mean())
-        rows.append({"policy": policy, **found, "difference": found["twin"] - found["sumo"]})
+        for (adoption, demand), _ in sumo[sumo["policy"] == policy].groupby(["adoption", "demand"], sort=True):
+
+            def gain(table: pd.DataFrame) -> float:
+                part = table[(table["adoption"] == adoption) & (table["demand"] == demand)]  # noqa: B023
+                chosen, human = (part[part["policy"] == name] for name in (policy, HUMAN))  # noqa: B023
+                return float(benefits(chosen, human)["benefit_ungated"].mean())
+
+            found = {"sumo": gain(sumo), "twin": gain(twin)}
+            own = [abs(gain(table) - found["sumo"]) for table in late]
+            rows.append(
+                {"policy": policy, "adoption": adoption, "demand": demand}
+                | {**found, "difference": found["twin"] - found["sumo"], "own": float(np.mean(own)) if own else np.nan}
+            )
     return pd.DataFrame(rows)
 
 
 def same_order(gained: pd.DataFrame) -> bool:
-    """Whether policies rank the same on both."""
-    return bool((gained["sumo"].rank() == gained["twin"].rank()).all())
+    """Whether policies rank the same on both, at every share of CVs and with every demand."""
+    groups = gained.groupby(["adoption", "demand"]) if len(gained) else ()
+    return all(bool((group["sumo"].rank() == group["twin"].rank()).all()) for _, group in groups)
 
 
 def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
@@ -152,39 +203,63 @@ def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.abs(np.cumsum(one) / one.sum() - np.cumsum(other) / other.sum()).max())
 
 
-def tables(exact: pd.DataFrame, summed: pd.DataFrame, gained: pd.DataFrame) -> list[Table]:
-    """Return :func:`exactness`, :func:`rungs` and :func:`gains` as tables to read."""
+def tables(
+    exact: pd.DataFrame, summed: pd.DataFrame, gained: pd.DataFrame, own: pd.DataFrame | None = None
+) -> list[Table]:
+    """Return :func:`exactness`, :func:`rungs` and :func:`gains` as tables to read.
+
+    Args:
+        own: :func:`rungs` of SUMO's own spread, if it was measured.
+    """
     steps = _table("Every vehicle and step", "policy", "demand", "approaches", "episodes", "the same", "else parted at")
     for row in exact.itertuples():
         parted = "" if np.isnan(row.median_parted) else f"step {row.median_parted:.0f} (median)"
         steps.add_row(row.policy, row.demand, row.kind, f"{row.episodes}", f"{row.same}", parted)
-    co2 = _table(
-        "CO2 per vehicle, twin against SUMO", "policy", "approaches", "n", "mean |d|", "median", "bias", "worst"
-    )
-    co2.add_column("> 5 %", justify="right", no_wrap=True)
-    others = _table(
-        "Vehicles, twin against SUMO", "policy", "approaches", "crossed", "mean |d|", "travel time", "stopped"
-    )
-    for row in summed.itertuples():
-        co2.add_row(
-            *(row.policy, row.kind, f"{row.approaches}", f"{row.co2_mean_abs:.2%}", f"{row.co2_median_abs:.3%}"),
-            *(f"{row.co2_bias:+.2%}", f"{row.co2_worst:.1%}", f"{row.co2_beyond}"),
-        )
-        others.add_row(
-            *(row.policy, row.kind, f"{row.crossed:+.2%}", f"{row.crossed_mean_abs:.2%}"),
-            *(f"{row.travel_time:+.2%}", f"{row.stopped:+.2%}"),
-        )
-    benefit = _table("Benefit over human driving, not gated", "policy", "SUMO", "twin", "difference in points")
+    found = [steps]
+    compared = {"twin against SUMO": summed}
+    if own is not None and not own.empty:
+        compared["SUMO with a late vehicle against SUMO"] = own
+    for title, rungs_ in compared.items():
+        found.append(_table(f"CO2 per vehicle, {title}", *_ABOUT, "n", "mean |d|", "median", "bias", "worst", "> 5 %"))
+        for row in rungs_.itertuples():
+            found[-1].add_row(
+                *(*_about(row), f"{row.approaches}", f"{row.co2_mean_abs:.1%}", f"{row.co2_median_abs:.1%}"),
+                *(f"{row.co2_bias:+.1%}", f"{row.co2_worst:.0%}", _wide(row)),
+            )
+    for title, rungs_ in compared.items():
+        found.append(_table(f"Vehicles, {title}", *_ABOUT, "crossed", "mean |d|", "travel", "stopped"))
+        for row in rungs_.itertuples():
+            found[-1].add_row(
+                *(*_about(row), f"{row.crossed:+.1%}", f"{row.crossed_mean_abs:.1%}"),
+                *(f"{row.travel_time:+.1%}", f"{row.stopped:+.1%}"),
+            )
+    benefit = _table("Benefit over human driving, not gated", *_ABOUT[:3], "SUMO", "twin", "points", "SUMO's own")
     for row in gained.itertuples():
-        benefit.add_row(row.policy, f"{row.sumo:+.2%}", f"{row.twin:+.2%}", f"{100 * row.difference:+.2f}")
-    return [steps, co2, others, benefit]
+        own_points = "" if np.isnan(row.own) else f"{100 * row.own:.2f}"
+        points = f"{100 * row.difference:+.2f}"
+        benefit.add_row(*_about(row)[:3], f"{row.sumo:+.2%}", f"{row.twin:+.2%}", points, own_points)
+    return [*found, benefit]
+
+
+_ABOUT = ("policy", "CVs", "demand", "lanes")
+"""First columns of the tables."""
+
+
+def _about(row: Any) -> tuple[str, ...]:
+    lanes = {"one": "1", "several": "2+"}.get(getattr(row, "lanes", ""), "")
+    return row.policy, f"{row.adoption:.0%}", row.demand, lanes
+
+
+def _wide(row: Any) -> str:
+    """How many approaches differ by more than 5 %, and how many beyond SUMO's own spread where that are fewer."""
+    return f"{row.co2_wide}" if row.co2_wide == row.co2_beyond else f"{row.co2_wide} ({row.co2_beyond})"
 
 
 def _table(title: str, *columns: str) -> Table:
     shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for column in columns:
-        words = column in ("policy", "demand", "approaches")
-        shown.add_column(column, justify="left" if words else "right", no_wrap=True)
+        words = column in ("policy", "demand", "approaches", "lanes")
+        shown.add_column(column, justify="left" if words else "right", no_wrap=column != "policy", overflow="fold")
     return shown
 
 
@@ -197,7 +272,7 @@ def plot(table: pd.DataFrame, path: Path, title: str) -> None:
         largest = 1.05 * float(np.nanmax(group[["co2_g_sumo", "co2_g_twin"]].to_numpy(float), initial=1.0))
         axes.fill_between([0, largest], [0, 0.95 * largest], [0, 1.05 * largest], color="#e2e8f0", label="within 5 %")
         for one_lane, colour, label in ((True, "#2b6cb0", "one lane"), (False, "#c05621", "several lanes")):
-            chosen = group[(group["lanes"] == 1) == one_lane]
+            chosen = group[(group["lane_count"] == 1) == one_lane]
             axes.scatter(chosen["co2_g_sumo"], chosen["co2_g_twin"], s=12, color=colour, alpha=0.7, label=label)
         axes.set(xlim=(0, largest), ylim=(0, largest), title=policy, xlabel="SUMO: CO2 per vehicle (g)")
         axes.set_aspect("equal")

@@ -26,7 +26,9 @@ class LadderConfig:
         demand: ``given`` as the contexts say, ``all`` with vehicles from all approaches.
         policies: drivers, or ``module:function``.
         exact: of which of them to compare every vehicle in every step, in the first episode of each context.
-        seeds: episodes per context; SUMO's spread over them is what differences are judged against.
+        seeds: episodes per context.
+        late: how often SUMO plays everything again, with another vehicle of every approach a step late. How far it is
+            from itself then is what differences are judged against.
         seed: base of the episode seeds and of the drawn contexts.
         num_workers: worker processes that play SUMO.
         out: folder of the results; a comparison that was interrupted goes on there.
@@ -41,6 +43,7 @@ class LadderConfig:
     policies: tuple[str, ...] = ("uncommanded", "glide", "random")
     exact: tuple[str, ...] = ("uncommanded", "glide")
     seeds: int = 3
+    late: int = 1
     seed: int = 0
     num_workers: int = 2
     out: str = "twin-ladder"
@@ -51,6 +54,9 @@ class LadderConfig:
         check_episodes(self)
         for adoption in self.adoptions:
             check_range("adoptions", adoption, 0.0, 1.0)
+        check_range("late", self.late, 0, 1000)
+        if self.late and self.env.late_vehicle:
+            raise IzooError("late=0 or env.late_vehicle=0: the comparison sets env.late_vehicle itself.")
         for demand in self.demand:
             check_choice("demand", demand, ("given", "all"))
         for policy in {*self.policies, *self.exact}:

@@ -2,13 +2,15 @@
 
 ``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both. For some
 policies every vehicle is compared in every step, up to where the two part; for all of them CO2, vehicles that crossed,
-travel and stopped times per approach, and what each policy gains over human driving. The folder ``out`` gets
-``ladder.json``, ``approaches.csv``, ``exact.csv``, ``ladder.png`` and the two evaluations; the same command goes on
-where it was stopped.
+travel and stopped times per approach, and what each policy gains over human driving. SUMO plays everything once more
+with one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far the
+twin is. The folder ``out`` gets ``ladder.json``, ``approaches.csv``, ``own.csv``, ``exact.csv``, ``ladder.png`` and the
+evaluations; the same command goes on where it was stopped.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -24,11 +26,10 @@ if TYPE_CHECKING:
     from izoo.contexts.context import Context
     from izoo.evaluation.selection import EpisodeSeeds
 
-SIMULATORS = ("sumo", "twin")
-
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
+    import pandas as pd
     from rich.console import Console
 
     from izoo.benchmarks import ladder
@@ -42,38 +43,51 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     contexts = variants(base, config)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
-    tables = {}
-    for simulator in SIMULATORS:
+    # Earlier results of a folder are left out of what is compared.
+    kept = {context.content_hash for context in contexts}
+
+    def evaluated(simulator: str, late_vehicle: int) -> pd.DataFrame:
+        folder = f"{simulator}-late-{late_vehicle}" if late_vehicle else simulator
         for policy in config.policies:
-            print(f"{simulator}: {policy}", flush=True)
-            tables[simulator] = evaluate_policy(
+            print(f"{folder}: {policy}", flush=True)
+            table = evaluate_policy(
                 policy,
                 contexts,
                 seeds,
-                config.env,
+                dataclasses.replace(config.env, late_vehicle=late_vehicle or config.env.late_vehicle),
                 num_workers=config.num_workers,
-                out_dir=out / simulator,
+                out_dir=out / folder,
                 cache=config.cache,
                 simulator=simulator,
             )
+        return table[table["context_hash"].isin(kept)]
+
+    sumo, played = evaluated("sumo", 0), evaluated("twin", 0)
+    late = [evaluated("sumo", number) for number in range(1, config.late + 1)]
     exact = compare_steps(contexts, seeds, config, out / "exact.csv")
-    compared = ladder.approaches(tables["sumo"], tables["twin"])
-    rungs, gained = ladder.rungs(compared), ladder.gains(tables["sumo"], tables["twin"])
+    own = ladder.own_spread(sumo, late)
+    compared = ladder.with_spread(ladder.approaches(sumo, played), own)
+    rungs, gained = ladder.rungs(compared), ladder.gains(sumo, played, late)
+    own_rungs = pd.DataFrame() if own.empty else ladder.rungs(own, "late")
     write_text(out / "approaches.csv", compared.to_csv(index=False))
+    if len(own):
+        write_text(out / "own.csv", own.to_csv(index=False))
     write_json(
         out / "ladder.json",
         {
             "contexts": len(contexts),
             "seeds": len(seeds),
+            "late": config.late,
             "exact": _records(ladder.exactness(exact)),
             "approaches": _records(rungs),
+            "own": _records(own_rungs),
             "gains": _records(gained),
             "same_order": ladder.same_order(gained),
         },
     )
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
     ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
-    for shown in ladder.tables(ladder.exactness(exact), rungs, gained):
+    for shown in ladder.tables(ladder.exactness(exact), rungs, gained, own_rungs):
         Console().print(shown)
     print(f"Results: {out}", flush=True)
     return out

@@ -21,6 +21,7 @@ from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import INSIDE, RoadNet, read_road
+from izoo.traffic.sampling import Traffic, sample_traffic, with_late_vehicle
 
 
 class Play(NamedTuple):
@@ -29,6 +30,12 @@ class Play(NamedTuple):
     context: Context
     seed: int
     number: int
+
+
+def episode_traffic(config: EnvConfig, context: Context, road: RoadNet, seed: int) -> Traffic:
+    """Return the vehicles of an episode, the same for every simulator."""
+    traffic = sample_traffic(context, road, seed, config.horizon_s)
+    return with_late_vehicle(traffic, config.late_vehicle, config.step_s)
 
 
 class Backend(Protocol):

@@ -44,6 +44,9 @@ class EnvConfig:
         recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
         watchdog_s: a worker that does not answer for this long is replaced.
         gui: open sumo-gui (one environment, in this process).
+        late_vehicle: this vehicle of every approach, counted from 1 in the order of departure, departs a step later
+            than drawn; 0: none. What such a change makes of an episode is the simulator's own spread
+            (``izoo.benchmarks.twin`` measures it).
     """
 
     step_s: float = 0.5
@@ -62,6 +65,7 @@ class EnvConfig:
     recycle_episodes: int = 1000
     watchdog_s: float = 60.0
     gui: bool = False
+    late_vehicle: int = 0
 
     def __post_init__(self) -> None:
         check_types("env", self)
@@ -83,6 +87,7 @@ class EnvConfig:
         check_range("num_vehicles", self.num_vehicles, 1, 8192)
         check_range("num_approaches", self.num_approaches, 1, 26)
         check_range("recycle_episodes", self.recycle_episodes, 1, 10**9)
+        check_range("late_vehicle", self.late_vehicle, 0, 10**6)
         check_range("watchdog_s", self.watchdog_s, 0.1, 86400.0, "s")
         if self.sensor_range_m is not None:
             check_range("sensor_range_m", self.sensor_range_m, 1.0, 1e5, "m")

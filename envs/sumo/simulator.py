@@ -14,7 +14,7 @@ import numpy as np
 from izoo.compiling import compiling_once
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.backend import Play, entry_edges
+from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
 from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
@@ -26,7 +26,7 @@ from izoo.envs.sumo.session import SumoSession, sumo_arguments
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.sampling import sample_traffic, write_routes
+from izoo.traffic.sampling import write_routes
 
 
 class SumoSimulator:
@@ -69,7 +69,7 @@ class SumoSimulator:
         config = self.config
         net = build_net(context.intersection)
         road = read_road(net)
-        traffic = sample_traffic(context, road, seed, config.horizon_s)
+        traffic = episode_traffic(config, context, road, seed)
         episode = Episode(config, self.frame, self._weights, context, seed, number, road, traffic)
         self._episode = None  # until this one has been loaded, none is running
         self._load(net, episode)

@@ -164,10 +164,10 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
     foe_arrival, foe_speed = float(other[ITEM_ARRIVAL_MS]), state.item_floats[foe, ITEM_BRAKED_SPEED]
     impatience = min(1.0, state.ints[v, WAITING_MS] / IMPATIENT_AFTER_MS)
     if impatience > 0.0 and foe_arrival > arrival:
-        # The foe goes on as it drives now until the arrival, and brakes then.
-        foe_speed = state.floats[w, SPEED]
-        ahead_s = 0.001 * (arrival - (state.clock[NOW_MS] - step_ms))
-        way = state.item_floats[foe, ITEM_DISTANCE] - foe_speed * ahead_s
+        # The foe is taken to come at an even speed, and to brake from when the vehicle is there.
+        now = state.clock[NOW_MS] - step_ms
+        foe_speed = state.item_floats[foe, ITEM_DISTANCE] / (0.001 * (foe_arrival - now))
+        way = 0.001 * (foe_arrival - arrival) * foe_speed
         braking_s, foe_speed = _braking_for(way, foe_speed, impatience * traffic.floats[w, DECEL])
         foe_arrival = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
     if foe_arrival > leave + MARGIN_MS:

@@ -19,6 +19,7 @@ from izoo.envs.twin.arrays import (
     LINK_CONT,
     LINK_ENTRY,
     LINK_FROM,
+    MAX_ACCEL,
     MIN_GAP,
     NEVER_MS,
     SPEED,
@@ -27,10 +28,10 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import (
     CONFLICT_BEHIND,
+    CONFLICT_ENTRY,
     CONFLICT_FOE_BEHIND,
     CONFLICT_FOE_SIZE,
     CONFLICT_FOE_WAITS,
-    CONFLICT_FOE_YIELDS,
     CONFLICT_KIND,
     CONFLICT_LANE,
     CONFLICT_RADIUS,
@@ -41,8 +42,9 @@ from izoo.envs.twin.conflicts import (
     NOWHERE,
     PARTING,
 )
-from izoo.envs.twin.crossing import POSITION_EPS, STANDING_MPS, is_lingering
-from izoo.envs.twin.following import follow_speed, stop_speed
+from izoo.envs.twin.crossing import POSITION_EPS, STANDING_MPS
+from izoo.envs.twin.following import brake_gap, follow_speed, stop_speed
+from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
 from izoo.envs.twin.order import back_on
 
 
@@ -77,7 +79,7 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
 
 
 @compiled
-def _gap_before(net, traffic, state, v, w, link, row, distance_m):  # type: ignore[no-untyped-def]
+def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``v`` heeds ``w`` on the way of conflict ``row``, and how far it is.
 
     Returns:
@@ -111,8 +113,9 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m):  # type: igno
         return False, 0.0, 0.0
     if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
-    heeds = outside or in_the_way or _goes_first(net, state, v, w, link, row, to_conflict)
-    return heeds, to_conflict, to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, gap - foe_size, step_s)
+    return heeds, to_conflict, gap
 
 
 @compiled
@@ -126,7 +129,7 @@ def _is_before_wait(net, row):  # type: ignore[no-untyped-def]
 @compiled
 def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
-    heeds, to_conflict, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m)
+    heeds, to_conflict, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
     if not heeds:
         return best, passing, request
     crosses, before_wait = net.conflict_ints[row, CONFLICT_KIND] == CROSSING, _is_before_wait(net, row)
@@ -185,7 +188,7 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
             else:
                 w = state.tails[lane, k]
                 k += 1
-            heeds, _, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m)
+            heeds, _, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
             if not heeds:
                 continue
             if _is_before_wait(net, row):
@@ -216,23 +219,45 @@ def _swing(traffic, v, radius):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _goes_first(net, state, v, w, link, row, to_conflict):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``."""
+def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``.
+
+    Whoever came first does: of those with the right of way that is by the time at which they entered the junction, of
+    those who have to yield by the time at which they came into conflict, past their waiting point.
+    """
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         foe = state.ints[w, JUNCTION_MS]
-    elif to_conflict > 0.0 and state.ints[v, CONFLICT_MS] != NEVER_MS:
-        # Past its waiting point, but not where the ways meet.
+    elif _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):
         own = state.ints[v, CONFLICT_MS]
-    if net.conflict_ints[row, CONFLICT_YIELDS] and state.ints[v, CONFLICT_MS] == NEVER_MS:
-        # At a waiting point one goes after everybody, but leaves before those whose signal has changed to green.
-        lingers = net.conflict_ints[row, CONFLICT_FOE_YIELDS] and is_lingering(net, state, link)
-        own = own if lingers else NEVER_MS
     if own != foe:
         return own > foe
     if state.floats[v, SPEED] != state.floats[w, SPEED]:
         return state.floats[v, SPEED] < state.floats[w, SPEED]
     return _named_before(v, w)
+
+
+@compiled
+def _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):  # type: ignore[no-untyped-def]
+    """Return whether ``v``, inside the junction, has to yield to ``w`` there, by what the signals behind them show now.
+
+    Args:
+        link, row: the link at the end of the way of ``v``, and the conflict.
+        gap: from ``v`` to the rear of ``w`` (m), below 0 where ``v`` would be at the conflict before.
+    """
+    own = state.link_letter[net.link_ints[link, LINK_ENTRY]]
+    other = state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]
+    if own == RED or other == RED:
+        if other != RED and state.floats[w, SPEED] > STANDING_MPS and gap < 0.0:
+            # Who is left over from an earlier phase goes, unless the other could not brake any more.
+            soon = state.floats[w, SPEED] + traffic.floats[w, MAX_ACCEL] * step_s
+            return -gap - traffic.floats[w, LENGTH] < brake_gap(soon, traffic.floats[w, DECEL], 0.0, step_s)
+        return state.ints[v, CONFLICT_MS] == NEVER_MS
+    if is_major(own) != is_major(other):
+        return not is_major(own)
+    if own in (YELLOW, OFF_YELLOW) and other in (YELLOW, OFF_YELLOW):
+        return state.floats[w, SPEED] >= state.floats[v, SPEED]
+    return net.conflict_ints[row, CONFLICT_YIELDS] == 1
 
 
 @compiled

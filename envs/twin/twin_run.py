@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.backend import Play, entry_edges
+from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.episode import Ending, Episode, Reading
 from izoo.envs.mdp.frame import frame_fields
@@ -41,7 +41,7 @@ from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, to_ms, twin_tra
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
-from izoo.traffic.sampling import Traffic, sample_traffic
+from izoo.traffic.sampling import Traffic
 
 
 class Prepared(NamedTuple):
@@ -72,7 +72,7 @@ def prepare(config: EnvConfig, play: Play, desk: Desk) -> Prepared:
         names = read_twin_world(road, path)
     except IzooError as error:
         raise IzooError(f"context {context.name}: {error}") from error
-    traffic = sample_traffic(context, road, play.seed, config.horizon_s)
+    traffic = episode_traffic(config, context, road, play.seed)
     driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s), desk)
     addresses = np.zeros((1, PARTS_BYTES + 1), np.int64)
     addresses[0, NET_AT : STATE_AT + 1] = driving.addresses

@@ -81,8 +81,6 @@ _KEEP_RIGHT_S, _ACCEPTANCE_S = 5.0, 7.0
 _REMAINING_S = 20.0
 _FORESIGHT_S = 8.0
 _EQUAL_MPS = 5e-6
-_LEAST_MEMORY = 5.3e-7
-"""A memory of speed gain that has decayed below this is nothing to SUMO."""
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
 """Values of ``CHANGE_MODE``: as SUMO has it; what the route needs, and commands."""
@@ -328,7 +326,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
         to_best
         and offset == net.best_offset[variant, lane]
         and gain >= 0.0
-        and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > _LEAST_MEMORY
+        and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
     ):
         request = flags | toward | STRATEGIC
         if _is_granted(net, state, v, request):

@@ -118,6 +118,23 @@ def sample_traffic(context: Context, road: Roads, seed: int, duration_s: float) 
     return Traffic(**{name: column[order] for name, column in columns.items()}, cv_vehicle=context.cv_vehicle)
 
 
+def with_late_vehicle(traffic: Traffic, number: int, late_s: float) -> Traffic:
+    """Return the traffic in which one vehicle of every approach departs later.
+
+    Args:
+        traffic: as drawn.
+        number: which vehicle of each approach, counted from 1 in the order of departure; approaches with fewer vehicles
+            are left as they are, and 0 changes nothing.
+        late_s: how much later.
+    """
+    depart_s = traffic.depart_s.copy()
+    for approach in np.unique(traffic.approach) if number else ():
+        depart_s[np.flatnonzero(traffic.approach == approach)[number - 1 : number]] += late_s
+    order = np.argsort(depart_s, kind="stable")
+    columns = {name: getattr(traffic, name)[order] for name in _COLUMNS}
+    return dataclasses.replace(traffic, **{**columns, "depart_s": depart_s[order]})
+
+
 _EMPTY: dict[str, np.ndarray] = {
     **{name: np.zeros(0, np.int64) for name in ("approach", "exit", "source", "depart_lane")},
     **{name: np.zeros(0, np.int64) for name in ("source_type", "moves_class")},

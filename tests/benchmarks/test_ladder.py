@@ -16,17 +16,20 @@ from rich.console import Console
 
 from izoo.benchmarks import ladder, twin
 from izoo.benchmarks.ladder_options import LadderConfig
-from izoo.benchmarks.side_by_side import parting
+from izoo.benchmarks.side_by_side import SideBySide, parting
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
+from izoo.evaluation.policies import as_candidate
+from izoo.evaluation.table import COLUMNS, make_table
 
 
 def episode(
-    policy: str, approach: str, seed: int, crossed: float, emission_g: float, lanes: int = 1
+    policy: str, approach: str, seed: int, crossed: float, emission_g: float, lanes: int = 1, adoption: float = 0.5
 ) -> dict[str, object]:
-    about = {"policy": policy, "context": "c", "context_hash": "h", "approach": approach, "seed": seed}
+    about = {"policy": policy, "context": "c", "context_hash": f"h{adoption}", "approach": approach, "seed": seed}
+    about |= {"adoption": adoption, "demand": "all"}
     sums = {"crossed": crossed, "emission_g": emission_g, "travel_time_s": 10.0 * crossed, "stopped_time_s": 0.0}
     return {**about, **sums, "lane_count": lanes}
 
@@ -37,8 +40,8 @@ def test_an_approach_is_compared_by_hand() -> None:
     row = ladder.approaches(pd.DataFrame(sumo), pd.DataFrame(twin_rows)).iloc[0]
     assert row["co2_g_sumo"] == pytest.approx(110.0) and row["co2_g_twin"] == pytest.approx(110.0)
     assert row["co2_g_difference"] == pytest.approx(0.0) and row["crossed_difference"] == pytest.approx(0.5)
-    assert row["co2_g_spread"] == pytest.approx(10.0 / 110.0)  # the standard error of 100 and 120, relative
-    assert np.isnan(row["stopped_s_difference"]) and row["lanes"] == 1
+    assert np.isnan(row["stopped_s_difference"]) and row["lane_count"] == 1
+    assert row["adoption"] == 0.5 and row["demand"] == "all"
 
 
 def test_an_approach_that_nobody_crosses_has_no_difference() -> None:
@@ -48,13 +51,33 @@ def test_an_approach_that_nobody_crosses_has_no_difference() -> None:
     assert ladder.rungs(table)["approaches"].iloc[0] == 0
 
 
+def everybody(**emission_g: float) -> pd.DataFrame:
+    """Return an evaluation of two seeds in which 10 vehicles cross each approach; CO2 (g) by approach."""
+    return pd.DataFrame([episode("glide", name, seed, 10, g) for name, g in emission_g.items() for seed in (1, 2)])
+
+
 def test_differences_beyond_sumos_own_spread_are_counted() -> None:
-    sumo = [episode("glide", name, seed, 10, 1000.0) for name in "AB" for seed in (1, 2)]
-    played = [episode("glide", "A", seed, 10, 1040.0) for seed in (1, 2)]
-    played += [episode("glide", "B", seed, 10, 900.0) for seed in (1, 2)]
-    row = ladder.rungs(ladder.approaches(pd.DataFrame(sumo), pd.DataFrame(played))).iloc[0]
-    assert row["co2_mean_abs"] == pytest.approx(0.07) and row["co2_bias"] == pytest.approx(-0.03)
-    assert row["co2_beyond"] == 1 and row["co2_worst"] == pytest.approx(0.1)
+    sumo, played = everybody(A=1000.0, B=1000.0, C=1000.0), everybody(A=1040.0, B=900.0, C=1070.0)
+    late = [everybody(A=1000.0, B=1010.0, C=1020.0), everybody(A=1000.0, B=990.0, C=960.0)]
+    own = ladder.own_spread(sumo, late)
+    compared = ladder.with_spread(ladder.approaches(sumo, played), own)
+    assert compared["co2_g_own"].tolist() == pytest.approx([0.0, 0.01, 0.03])  # sizes, which do not cancel
+    row = ladder.rungs(compared).iloc[0]
+    assert row["co2_mean_abs"] == pytest.approx(0.07) and row["co2_bias"] == pytest.approx(0.01 / 3)
+    assert row["co2_wide"] == 2 and row["co2_beyond"] == 1 and row["co2_worst"] == pytest.approx(0.1)
+    assert row["co2_own"] == pytest.approx(0.04 / 3) and row["crossed_own"] == 0.0
+    itself = ladder.rungs(own, "late").iloc[0]
+    assert itself["approaches"] == 6 and itself["co2_mean_abs"] == pytest.approx(0.04 / 3)
+    assert itself["co2_bias"] == pytest.approx(-0.01 / 3)
+    without = ladder.rungs(ladder.with_spread(ladder.approaches(sumo, played), ladder.own_spread(sumo, []))).iloc[0]
+    assert without["co2_beyond"] == without["co2_wide"] == 2 and np.isnan(without["co2_own"])
+
+
+def test_human_driving_is_compared_once_whatever_the_share_of_cvs() -> None:
+    rows = [episode(policy, "A", 1, 10, 1000.0, adoption=a) for policy in ("human", "glide") for a in (0.5, 1.0)]
+    summed = ladder.rungs(ladder.approaches(pd.DataFrame(rows), pd.DataFrame(rows)))
+    found = sorted(zip(summed["policy"], summed["adoption"], summed["approaches"], strict=True))
+    assert found == [("glide", 0.5, 1), ("glide", 1.0, 1), ("human", 0.0, 1)]
 
 
 def test_kolmogorov_smirnov_distance() -> None:
@@ -65,8 +88,21 @@ def test_kolmogorov_smirnov_distance() -> None:
 
 def test_the_same_order() -> None:
     gained = pd.DataFrame({"policy": ["a", "b"], "sumo": [0.1, 0.2], "twin": [0.0, 0.01]})
+    gained = gained.assign(adoption=1.0, demand="all")
     assert ladder.same_order(gained)
     assert not ladder.same_order(gained.assign(twin=[0.3, 0.01]))
+    # Policies at different shares of CVs are not ranked against each other.
+    assert ladder.same_order(gained.assign(twin=[0.3, 0.01], adoption=[0.5, 1.0]))
+
+
+def test_what_late_vehicles_change_of_a_gain() -> None:
+    def table(human_g: float, glide_g: float) -> pd.DataFrame:
+        rows = [episode("human", "A", 1, 10, human_g), episode("glide", "A", 1, 10, glide_g)]
+        return make_table([{**dict.fromkeys(COLUMNS, 0), "due": 10, "entered": 10, **row} for row in rows])
+
+    row = ladder.gains(table(1000.0, 900.0), table(1000.0, 930.0), [table(1000.0, 910.0), table(1000.0, 880.0)]).iloc[0]
+    assert row["sumo"] == pytest.approx(0.1) and row["difference"] == pytest.approx(-0.03)
+    assert row["own"] == pytest.approx(0.015) and row["adoption"] == 0.5 and row["demand"] == "all"
 
 
 def test_where_two_scenes_part() -> None:
@@ -87,6 +123,21 @@ def test_where_two_scenes_part() -> None:
     assert gone is not None and gone.twin[0] == "" and "outside" in str(gone)
 
 
+@pytest.mark.slow
+def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
+    context = procedural_context(inflow_vph_per_lane=400.0, lane_count=1, adoption=0.5)
+    seen = {}
+    for late_vehicle in (0, 3):
+        both = SideBySide(EnvConfig(horizon_s=120.0, warmup_s=30.0, emit=(), late_vehicle=late_vehicle))
+        try:
+            parted, _, motions = both.play(as_candidate("uncommanded", EnvConfig()).policy, context, 1)
+        finally:
+            both.close()
+        assert parted is None, str(parted)
+        seen[late_vehicle] = motions
+    assert all(not np.array_equal(one.speed, late.speed) for one, late in zip(seen[0], seen[3], strict=True))
+
+
 def test_the_options_file_is_the_dataclass() -> None:
     assert compose.compose_config("benchmarks.twin", LadderConfig, []) == LadderConfig()
 
@@ -98,6 +149,8 @@ def test_the_options_file_is_the_dataclass() -> None:
         ({"policies": ("glid",)}, "glide"),
         ({"adoptions": (1.5,)}, r"\[0, 1\]"),
         ({"adoptions": ()}, "each need one entry"),
+        ({"late": -1}, "late"),
+        ({"env": EnvConfig(late_vehicle=2)}, "env.late_vehicle=0"),
     ],
 )
 def test_bad_options(options: dict[str, tuple[object, ...]], said: str) -> None:
@@ -114,6 +167,9 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     first = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")}
     found = json.loads((tmp_path / "ladder" / "ladder.json").read_text())
     assert found["contexts"] == 1 and {row["policy"] for row in found["approaches"]} == {"human", "uncommanded"}
+    played = [[row["policy"] for row in found[kind]] for kind in ("own", "approaches")]
+    assert found["late"] == 1 and played[0] == played[1]
+    assert any(row["co2_mean_abs"] > 0.0 for row in found["own"])  # the late vehicle did come late
     assert found["exact"][0]["episodes"] == 1 and (tmp_path / "ladder" / "ladder.png").stat().st_size > 10_000
     assert twin.main(words) == 0  # nothing is left to be played
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")} == first
@@ -123,9 +179,12 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
 def test_tables_fit_a_terminal_of_80_columns() -> None:
     rows = [episode("uncommanded", "A", 1, 10, 1000.0, lanes=lanes) | {"context": f"c{lanes}"} for lanes in (1, 2)]
     table = pd.DataFrame(rows)
-    rungs = ladder.rungs(ladder.approaches(table, table))
+    table = pd.concat([table, table.assign(policy="zoo:measured_search")], ignore_index=True)
+    own = ladder.own_spread(table, [table])
+    rungs = ladder.rungs(ladder.with_spread(ladder.approaches(table, table), own))
     gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-0.1], "twin": [-0.2], "difference": [-0.1]})
-    for shown in ladder.tables(pd.DataFrame(), rungs, gained):
+    gained = gained.assign(adoption=1.0, demand="all", own=0.01)
+    for shown in ladder.tables(pd.DataFrame(), rungs, gained, ladder.rungs(own, "late")):
         out = io.StringIO()
         Console(file=out, width=80).print(shown)
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())

@@ -17,7 +17,7 @@ from izoo.contexts.spec import Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.networks.road import read_road
 from izoo.traffic import Traffic, sample_traffic, write_routes
-from izoo.traffic.sampling import PAPER_CV
+from izoo.traffic.sampling import PAPER_CV, with_late_vehicle
 from tests.traffic.worlds import LEGS, Roads, make_context
 
 ROAD = Roads()
@@ -38,6 +38,25 @@ def test_the_same_arguments_give_the_same_vehicles():
     one, other = (sample_traffic(make_context(), ROAD, 7, 600.0) for _ in range(2))
     assert_same(one, other, COLUMNS)
     assert len(one) != len(sample_traffic(make_context(), ROAD, 8, 600.0))
+
+
+def test_one_vehicle_of_every_approach_is_late():
+    drawn = sample_traffic(make_context(approach=None), ROAD, 7, 600.0)
+    late = with_late_vehicle(drawn, 3, 5.0)
+    assert (np.diff(late.depart_s) >= 0.0).all()
+    others = [name for name in COLUMNS if name != "depart_s"]
+    overtaken = 0
+    for approach in np.unique(drawn.approach):
+        before, after = (np.flatnonzero(traffic.approach == approach) for traffic in (drawn, late))
+        expected = drawn.depart_s[before].copy()
+        expected[2] += 5.0
+        order = np.argsort(expected, kind="stable")
+        overtaken += not np.array_equal(order, np.arange(len(order)))
+        np.testing.assert_array_equal(late.depart_s[after], expected[order])
+        np.testing.assert_array_equal(rows(late, after, others), rows(drawn, before, others)[:, order])
+    assert overtaken, "5 s are long enough to come after somebody else"
+    assert_same(with_late_vehicle(drawn, 0, 5.0), drawn, COLUMNS)
+    assert_same(with_late_vehicle(drawn, 10**6, 5.0), drawn, COLUMNS)
 
 
 def test_a_seed_means_the_same_vehicles_forever():

@@ -184,8 +184,8 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
             waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
         if ints[v, JUNCTION_MS] == NEVER_MS:
             ints[v, JUNCTION_MS] = entered_ms
-        if not waits:
-            ints[v, CONFLICT_MS] = entered_ms
+        # Before its waiting point nobody has come into conflict, also one whom the twin had further on.
+        ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
 
 
 @compiled

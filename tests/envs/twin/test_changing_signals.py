@@ -70,7 +70,7 @@ def test_measured_junctions_are_not_blocked(dataset: ContextList, name: str) -> 
     case = measured(dataset, name)
     theirs, ours = passed(case, play_sumo(case, 1200)), passed(case, play_twin(case, 1200))
     assert theirs > 200
-    assert abs(ours - theirs) <= 0.04 * theirs
+    assert abs(ours - theirs) <= 0.02 * theirs
 
 
 def test_nearly_every_step_of_every_vehicle_is_the_same(dataset: ContextList) -> None:

@@ -92,9 +92,11 @@ def test_who_enters_the_junction_is_waited_for_to_the_end_of_the_step(nets: dict
     assert departure is None, str(departure)
 
 
-@pytest.mark.parametrize(("first_s", "second_s"), [(1.0, 30.0), (2.0, 20.0), (2.0, 26.0), (3.0, 23.0)])
-def test_who_has_waited_waits_for_who_drives_fast_from_afar(tmp_path: Path, first_s: float, second_s: float) -> None:
-    """He takes the other, who will stop before his right on red, to come as fast as he drives now."""
+@pytest.mark.parametrize(
+    ("first_s", "second_s"), [(1.0, 14.0), (1.0, 17.0), (1.0, 30.0), (2.0, 20.0), (2.0, 26.0), (3.0, 23.0)]
+)
+def test_who_has_waited_waits_for_who_comes_from_afar(tmp_path: Path, first_s: float, second_s: float) -> None:
+    """He takes the other, who will stop before his right on red, to come at an even speed."""
     net = build_crossroads(tmp_path, LEFT_AND_RIGHT_ON_RED, length_m=400.0)
     case = meet(net, [(first_s, "CB"), (first_s + second_s, "CB")], "AB", 0.0)
     departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
