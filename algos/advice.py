@@ -179,9 +179,8 @@ class Advised:
         self.learned, self.translator, self.depth = learned, translator, depth
         self.expert, self.applied = expert, applied
         self.policy = AdvisedPolicy(learned.policy, translator)
-        own = base.reads(learned)
-        looks = own is None or expert is not None or applied is not None
-        self.reads: base.Keys | None = None if looks else (*own, ADVICE, DEFER, base.MASK)
+        own, looks = base.reads(learned), expert is not None or applied is not None
+        self.reads: base.Keys | None = None if own is None or looks else (*own, ADVICE, DEFER, base.MASK)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Hand the batch on with the advice in the place of the action; the batch itself stays as it is."""
