@@ -256,7 +256,7 @@ def _wide(row: Any) -> str:
 
 
 def _table(title: str, *columns: str) -> Table:
-    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
         words = column in ("policy", "demand", "approaches", "lanes")
         shown.add_column(column, justify="left" if words else "right", no_wrap=column != "policy", overflow="fold")

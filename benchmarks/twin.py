@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from izoo.benchmarks.ladder_options import LadderConfig
     from izoo.contexts.context import Context
+    from izoo.envs.config import EnvConfig
     from izoo.evaluation.selection import EpisodeSeeds
 
 
@@ -38,6 +39,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
 
+    config = dataclasses.replace(config, env=env_of(config, given))
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)
@@ -91,6 +93,20 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
         Console().print(shown)
     print(f"Results: {out}", flush=True)
     return out
+
+
+def env_of(config: LadderConfig, given: frozenset[str]) -> EnvConfig:
+    """Return the environment that everybody is played in.
+
+    It is that of a policy that ships with izoo, if there is one among them, but for what ``given`` names.
+    """
+    from izoo import zoo
+    from izoo.conf.mapping import with_given
+
+    env = config.env
+    for name in filter(None, map(zoo.named, config.policies)):
+        env = with_given(zoo.load(name).env, config.env, given, "env")
+    return env
 
 
 def _records(table: pd.DataFrame) -> Any:

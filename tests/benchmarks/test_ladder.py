@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from izoo import zoo
 from izoo.benchmarks import ladder, twin
 from izoo.benchmarks.ladder_options import LadderConfig
 from izoo.benchmarks.side_by_side import SideBySide, parting
@@ -188,6 +189,7 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
         out = io.StringIO()
         Console(file=out, width=80).print(shown)
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
+        assert "uncommanded" in out.getvalue() or not shown.row_count  # not folded into a column of letters
         assert all(str(column.header) in out.getvalue() for column in shown.columns)
 
 
@@ -214,6 +216,15 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path: Path) -> None:
         _, errors = child.communicate(timeout=120)
     assert child.returncode == 130, errors
     assert "the same command goes on" in errors and "Traceback" not in errors
+
+
+def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:
+    config = LadderConfig(policies=("glide", "zoo:measured_search"), env=EnvConfig(horizon_s=90.0))
+    env = twin.env_of(config, frozenset({"env.horizon_s"}))
+    own = zoo.load("measured_search").env
+    assert (env.hold_s, env.observed, env.horizon_s) == (own.hold_s, own.observed, 90.0)
+    assert own.hold_s != EnvConfig().hold_s
+    assert twin.env_of(LadderConfig(), frozenset()) == EnvConfig()
 
 
 def test_policies_that_one_side_has_not_played_yet_have_no_gain() -> None:
