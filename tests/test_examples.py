@@ -143,6 +143,7 @@ def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from izoo.contexts.procedural import procedural_context
     from izoo.docs.examples import adoption

@@ -209,17 +209,18 @@ def test_held_up_is_who_has_not_come_though_it_could(tmp_path: Path) -> None:
         could_s = traffic.depart_s[number] + 2.0 * road.lane_length_m[p] / road.speed_limit_mps[p]
         until_s = min(came.get(number, np.inf), config.horizon_s)
         expected[p] += max(until_s - max(could_s, config.warmup_s), 0.0)
-    sums = final(run(full, defer, config))
+    frames = run(full, defer, config)
+    sums = final(frames)
     held_s = sums["held_up_s"][: len(expected)].numpy()
     assert expected.min() > 300.0
     steps = np.bincount(traffic.approach) * config.step_s  # a vehicle comes between two steps
     assert (abs(held_s - expected) <= steps).all()
     standing_gps = sums["held_up_emission_g"][: len(expected)].numpy() / held_s
-    still = frames_of_standing(run(full, defer, config))
+    still = rates_of_standing(frames)
     assert still.min() <= standing_gps.min() and standing_gps.max() <= still.max()
 
 
-def frames_of_standing(frames: TensorDict) -> np.ndarray:
+def rates_of_standing(frames: TensorDict) -> np.ndarray:
     """CO2 rates, in g/s, of those who stand on an approach."""
     vehicles = frames["next", "vehicles"]
     stands = vehicles["present"] & (vehicles["speed_mps"] < 0.01) & (vehicles["accel_mps2"].abs() < 0.01)

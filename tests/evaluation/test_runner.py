@@ -53,6 +53,7 @@ def test_one_row_per_policy_context_seed_and_approach(table: pd.DataFrame, conte
     assert (table.loc[table["policy"] == "policy", "agent_steps"] > 0).any()
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_workers(table: pd.DataFrame, contexts: list[Context], tmp_path: Path) -> None:
     """Two processes and a cold cache against one process."""
     other = evaluate_policy(

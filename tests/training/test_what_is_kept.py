@@ -30,7 +30,7 @@ SEARCHES = {
 }
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("name", ["glide_search", pytest.param("cmaes", marks=pytest.mark.slow)])
 def test_a_search_keeps_no_observations_and_finds_the_same(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
