@@ -85,16 +85,16 @@ def test_table_sorts_and_filters(chromium, page: Path) -> None:
     assert sheet.locator("#filter-count").inner_text() == "4 of 4 rows"
     head = sheet.get_by_role("button", name="no gate (%)", exact=True)
     head.click()
-    values = [float(text) for text in column(sheet, 5)]
+    values = [float(text) for text in column(sheet, 6)]
     assert values == sorted(values)
     assert sheet.locator("#rows th[aria-sort=ascending]").inner_text() == "no gate (%)"
     head.press("Enter")
-    assert [float(text) for text in column(sheet, 5)] == values[::-1]
+    assert [float(text) for text in column(sheet, 6)] == values[::-1]
     sheet.get_by_label("Filter").fill(f"no_gate>9999 benefit<{values[-1] + 1}")
     assert sheet.locator("#filter-count").inner_text() == "0 of 4 rows"  # "no_gate>9999" names no column: a word
     bound = 0.5 * (values[1] + values[2])
     sheet.get_by_label("Filter").fill(f"benefit_ungated<{bound}")
-    assert [float(text) for text in column(sheet, 5)] == [value for value in values[::-1] if value < bound]
+    assert [float(text) for text in column(sheet, 6)] == [value for value in values[::-1] if value < bound]
     sheet.get_by_label("Filter").fill("q600")
     assert len(column(sheet, 0)) == 2
     sheet.get_by_label("Filter").fill("")
