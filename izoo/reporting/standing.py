@@ -22,7 +22,7 @@ PANELS = (
     ("exact", "ratio_of_sums", "benefit over human driving, ratio of sums (%):\nthe paper's form"),
 )
 """Part and name of :data:`izoo.evaluation.aggregates.FIGURES`, and what the axis says."""
-FORMS = (
+FORMS: tuple[tuple[str, str, FillStyleType, str], ...] = (
     ("over_uncommanded", "o", "full", "to the stop line"),
     ("region_over_uncommanded", "o", "none", "whole region"),
     ("demand_over_uncommanded", "s", "none", "whole demand"),
