@@ -266,7 +266,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
 def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: ignore[no-untyped-def]
     """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room.
 
-    It keeps its speed where the gap is secure after the step, and slows down otherwise.
+    It keeps its speed where the gap is secure after the step, and otherwise slows down as much as it comfortably can.
     """
     left = gap + (planned - most_speed(helper, speed, step_s)) * step_s
     faster = follow_speed(helper, left, speed, planned, limit, step_s)
@@ -275,7 +275,8 @@ def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: 
     left = gap + (planned - speed) * step_s
     if left >= secure_gap(helper, speed, planned):
         return speed
-    return follow_speed(helper, left, speed, planned, limit, step_s)
+    braked = max(0.0, speed - helper[DECEL] * step_s)
+    return max(braked, follow_speed(helper, left, speed, planned, limit, step_s))
 
 
 @compiled
