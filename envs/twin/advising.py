@@ -256,8 +256,8 @@ def inform_follower(  # type: ignore[no-untyped-def]
         # Slow enough that later ones can help, still fast enough to pass.
         passing = max(braked if other > speed else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        if other <= speed:
-            # It takes its time to pass.
+        if other <= speed or other - helper[DECEL] * remaining_s > planned:
+            # It cannot drop back in time, and takes its time to pass.
             way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
             add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
 
