@@ -54,7 +54,6 @@ from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import read_road
 from tests.envs.twin.oracle import Case, Trace, play_sumo
 
-
 ROUNDING = 1e-9
 """Differences (m, m/s) up to this are rounding."""
 

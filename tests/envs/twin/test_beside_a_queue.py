@@ -39,3 +39,20 @@ def test_falling_back_goes_on(net: Path, queue: int) -> None:
     case = meeting(net, vehicles)
     departure = first_departure(case, play_sumo(case, 220), play_twin(case, 220))
     assert departure is None, str(departure)
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    red_but_for_right_turns = [(200.0, "G" + "r" * 15)]
+    return build_crossroads(tmp_path_factory.mktemp("turning"), red_but_for_right_turns, lanes=2, length_m=200.0)
+
+
+@pytest.mark.parametrize("first_s", [11.4, 12.1, 12.8, 13.5])
+def test_beside_a_faster_follower(turning: Path, first_s: float) -> None:
+    """Who cannot make a follower drop back in time slows down for it; one who need not wait slows down comfortably."""
+    decel_mps2 = 1.7434
+    vehicles = [{"depart": 10.0, "way": "AD", "lane": 1, "decel_mps2": decel_mps2, "accel_mps2": 0.75, "length_m": 6.0}]
+    vehicles += [{"depart": first_s + 2.5 * k, "way": "AD", "lane": 0, "decel_mps2": decel_mps2} for k in range(2)]
+    case = meeting(turning, vehicles)
+    departure = first_departure(case, play_sumo(case, 120), play_twin(case, 120))
+    assert departure is None, str(departure)
