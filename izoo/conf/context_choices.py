@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
@@ -17,7 +17,7 @@ from izoo.contexts.procedural import (
     SYSTEMATICITY_TRAIN,
     ProceduralSource,
 )
-from izoo.contexts.source import ContextSource
+from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError, check_choice, check_types
 
 PRESETS = {
@@ -112,7 +112,40 @@ class PcgContexts:
         return with_own_drivers(whole, self.drivers)
 
 
-ContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts
+SingleContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts
+
+
+@dataclass(frozen=True)
+class MixedContexts:
+    """Several sets of contexts at once: every episode draws the set first, each as likely, then a context of it.
+
+    Attributes:
+        name: the source.
+        sources: two or more of the other choices, each with options of its own:
+            ``[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]``.
+    """
+
+    name: Literal["mixed"] = "mixed"
+    sources: list[SingleContextsConfig] = field(default_factory=list)
+
+    def check(self) -> None:
+        """Raise :class:`IzooError` where there are fewer than two sources, or a folder is missing; reads nothing."""
+        if len(self.sources) < 2:
+            raise IzooError(
+                f"contexts.sources has {len(self.sources)} entries; contexts=mixed needs two or more, like "
+                "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
+            )
+        for source in self.sources:
+            if isinstance(source, (DatasetContexts, OsmContexts)):
+                source.check()
+
+    def build(self) -> ContextSource:
+        """Return the mixture; raises :class:`IzooError` where one of its sources cannot be built."""
+        self.check()
+        return MixedSource([source.build() for source in self.sources])
+
+
+ContextsConfig: TypeAlias = SingleContextsConfig | MixedContexts
 
 
 def _setting(name: str, value: Any) -> Any:

@@ -49,6 +49,21 @@ class ContextList(Sequence[Context]):
         return self[int(generator.integers(len(self)))]
 
 
+class MixedSource:
+    """Several CMDPs at once: a draw chooses one of them, each as likely, and draws from it.
+
+    Args:
+        sources: the CMDPs.
+    """
+
+    def __init__(self, sources: Sequence[ContextSource]) -> None:
+        self.sources = tuple(sources)
+
+    def sample(self, generator: np.random.Generator) -> Context:
+        """Draw one context."""
+        return self.sources[int(generator.integers(len(self.sources)))].sample(generator)
+
+
 class _WithDrivers:
     """A source whose contexts have other drivers."""
 

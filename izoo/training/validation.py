@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from izoo.conf.built_in import CityContexts
-from izoo.conf.context_choices import ContextsConfig
+from izoo.conf.context_choices import ContextsConfig, MixedContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.source import ContextSource
+from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
 from izoo.metrics.benefit import SIGNIFICANCE
@@ -204,6 +204,8 @@ def shown_worse(new: dict[str, Any], old: dict[str, Any], chosen_of: int) -> boo
 
 def held_out(config: ContextsConfig) -> ContextSource:
     """Return what to validate on: the validation split, or, of contexts without splits, the same distribution."""
+    if isinstance(config, MixedContexts):
+        return MixedSource([held_out(source) for source in config.sources])
     if isinstance(config, (CityContexts, DatasetContexts, OsmContexts)) and config.split in ("train", "all"):
         with contextlib.suppress(IzooError):  # sets of a few intersections are for training alone
             return dataclasses.replace(config, split="validation").build()

@@ -7,7 +7,7 @@ import pytest
 
 from izoo.conf import compose
 from izoo.conf.built_in import CatalogueContexts, CityContexts
-from izoo.conf.context_choices import PcgContexts
+from izoo.conf.context_choices import MixedContexts, PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
@@ -16,6 +16,7 @@ from izoo.contexts.cities.rebuilt import SIZES
 from izoo.contexts.procedural import SYSTEMATICITY_TEST
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError
+from izoo.training.validation import held_out
 
 CHOICES = {
     "pcg": PcgContexts(),
@@ -25,6 +26,7 @@ CHOICES = {
     "catalogue": CatalogueContexts(),
     "dataset": DatasetContexts(),
     "osm": OsmContexts(),
+    "mixed": MixedContexts(),
 }
 
 
@@ -46,6 +48,7 @@ def test_every_file_is_the_default_of_its_dataclass():
         CatalogueContexts(ids=(3, "100..199")),
         PcgContexts(lane_count={1: 0.25, 2: 0.75}, exclude=[{"green_s": "20..24"}]),
         OsmContexts(path="/town", split="test"),
+        MixedContexts(sources=[CityContexts(city="boston"), PcgContexts(lane_count=2)]),
     ],
 )
 def test_options_survive_being_saved(config):
@@ -192,3 +195,36 @@ def test_dataset_splits_share_out_the_intersections(dataset):
 def test_bad_input_names_the_value_and_what_is_legal(words, message):
     with pytest.raises(IzooError, match=message):
         chosen(*words).build()
+
+
+MIXED = "contexts.sources=[{name:city,city:atlanta,split:train},{name:pcg,preset:easy}]"
+
+
+def test_a_mixture_draws_from_each_of_its_sources_alike():
+    source = chosen("contexts=mixed", MIXED).build()
+    drawn = [source.sample(np.random.default_rng([7, episode])).intersection.source for episode in range(200)]
+    assert set(drawn) == {"city", "procedural"}
+    assert 70 <= drawn.count("city") <= 130  # 100 +- 4 standard deviations of 7.1
+
+
+def test_a_mixture_is_validated_on_the_validation_split_of_those_that_have_one():
+    city, procedural = held_out(chosen("contexts=mixed", MIXED)).sources
+    assert list(city) == list(CityContexts(city="atlanta", split="validation").build())
+    assert procedural.sample(np.random.default_rng(0)).intersection.source == "procedural"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "0 entries; contexts=mixed needs two or more"),
+        (("contexts.sources=[{name:city}]",), "1 entries; contexts=mixed needs two or more"),
+        (("contexts.sources=[{name:city},{name:dataset}]",), "contexts=dataset needs a folder"),
+        (("contexts.sources=[{name:city},{name:cty}]",), "contexts.sources[1].name"),
+        (("contexts.sources=[{name:city},{name:mixed}]",), "contexts.sources[1].name"),
+        (("contexts.sources=[{name:city},{name:pcg,lanes:2}]",), "contexts.sources[1].lanes"),
+    ],
+)
+def test_a_mixture_that_cannot_be_made_is_refused(words, said):
+    with pytest.raises(IzooError) as refused:
+        chosen("contexts=mixed", *words).check()
+    assert said in str(refused.value)
