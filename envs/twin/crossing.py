@@ -42,7 +42,7 @@ from izoo.envs.twin.arrays import (
     WILL_PASS,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.lights import is_major
+from izoo.envs.twin.lights import YELLOW, is_major
 
 RED, STOP = ord("r"), ord("s")
 STANDING_MPS = 0.1
@@ -68,6 +68,15 @@ def is_protected(net, state, link):  # type: ignore[no-untyped-def]
     """Whether ``link`` is a waiting point behind a signal that gives priority now: nobody need wait there."""
     entry = net.link_ints[link, LINK_ENTRY]
     return entry != link and net.link_ints[entry, LINK_PROGRAM] >= 0 and is_major(state.link_letter[entry])
+
+
+@compiled
+def slows_before(net, state, link):  # type: ignore[no-untyped-def]
+    """Whether a vehicle slows down before ``link`` until it sees all who may come: not behind a yellow signal."""
+    if is_major(state.link_letter[link]) or is_protected(net, state, link):
+        return False
+    entry = net.link_ints[link, LINK_ENTRY]
+    return entry == link or state.link_letter[entry] != YELLOW
 
 
 @compiled

@@ -111,7 +111,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     )
     if kind != MERGING and past:
         return False, 0.0, 0.0
-    if kind == CROSSING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
+    if kind != PARTING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
     gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
     heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, gap - foe_size, step_s)

@@ -41,9 +41,9 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import is_protected, may_pass, note_request, pass_link
+from izoo.envs.twin.crossing import may_pass, note_request, pass_link, slows_before
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
-from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
+from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
 
@@ -77,7 +77,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             safe, waits = values[ITEM_WAIT], True
             break
         if yellow or may_pass(net, traffic, state, item, step_ms):
-            if not (is_major(letter) or net.link_ints[link, LINK_CONT] or is_protected(net, state, link)):
+            if not net.link_ints[link, LINK_CONT] and slows_before(net, state, link):
                 if distance > VISIBILITY_M and (can_brake or not yellow):
                     safe, waits = values[ITEM_WAIT], True
                     break

@@ -50,7 +50,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import is_protected
+from izoo.envs.twin.crossing import slows_before
 from izoo.envs.twin.following import (
     EPS,
     arrival_time_s,
@@ -170,7 +170,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
         arrival_speed = passing
-        if not (is_major(letter) or is_protected(net, state, link)) and braking < seen and seen > VISIBILITY_M:
+        if slows_before(net, state, link) and braking < seen and seen > VISIBILITY_M:
             top = safe_stop_speed(VISIBILITY_M, driver[DECEL], 0.0, step_s)
             arrival_speed = min(passing, speed_after(VISIBILITY_M, top, driver[MAX_ACCEL]))
             slowed_for_minor = True
