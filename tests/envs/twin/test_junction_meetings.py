@@ -25,6 +25,8 @@ CHANGING = [
 ALL_AT_ONCE = [(1000.0, "GGgGGgGGgGGg")]
 ONE_RIGHT_ON_RED = [(1000.0, "GGGrrrrrrsrr")]
 LEFT_AND_RIGHT_ON_RED = [(1000.0, "rrgrrrsrrrrr")]
+LEG_AFTER_LEG = [(9.0, "GGGrrrrrrrrr"), (7.0, "rrrGGGrrrrrr"), (2.0, "rrryyyrrrrrr"), (18.0, "rrrrrrGGGGGG")]
+BRIEF = [(11.0, "GGgsrrGGgsrr"), (8.0, "srrGGgsrrGGg"), (3.0, "srryyysrryyy"), (14.0, "GGgsrrGGgsrr")]
 
 MEETINGS: list[tuple[list[tuple[float, str]], list[tuple[float, str]], str, tuple[float, float]]] = [
     (PERMISSIVE, [(0.0, "AB")], "CA", (-4.0, 6.0)),
@@ -113,3 +115,22 @@ def test_a_left_turn_waits_for_every_oncoming_vehicle(nets: dict[str, Path]) -> 
         through = [int(np.flatnonzero(names[trace.lane[:, v]] == "TL2A_0")[0]) for v in range(9) if v != turner]
         assert np.flatnonzero(names[trace.lane[:, turner]] == "TL2B_0")[0] > max(through) - 2
         assert np.nanmin(trace.speed_mps[:, turner]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("plan", "way", "driver"),
+    [
+        (LEG_AFTER_LEG, "BC", {"depart": 0.8, "length_m": 6.0, "tau_s": 1.48, "accel_mps2": 2.11, "decel_mps2": 3.27}),
+        (BRIEF, "BC", {"depart": 1.5, "length_m": 6.0, "tau_s": 0.86, "accel_mps2": 1.21, "decel_mps2": 2.23}),
+    ],
+)
+def test_who_comes_by_a_yellow_does_not_slow_down_for_the_waiting_point(
+    tmp_path: Path, plan: list[tuple[float, str]], way: str, driver: dict[str, float]
+) -> None:
+    case = meeting(build_crossroads(tmp_path, plan), [{"way": way, **driver}])
+    sumo = play_sumo(case, STEPS)
+    departure = first_departure(case, sumo, play_twin(case, STEPS))
+    assert departure is None, str(departure)
+    # He is in the junction while his signal is yellow, and drives through it.
+    inside = [name.startswith(":TL_5") for name in np.array([*case.world.lane_ids, ""])[sumo.lane[:, 0]]]
+    assert any(inside) and np.nanmin(sumo.speed_mps[inside, 0]) > 4.0
