@@ -10,6 +10,7 @@ from izoo.envs.twin.arrays import (
     DECEL,
     JUNCTION_MS,
     LANE,
+    LANE_EDGE,
     LANE_FRONT,
     LANE_INSIDE,
     LANE_LENGTH,
@@ -176,6 +177,11 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
     found, found_gap, least = -1, 0.0, math.inf
+    ahead = net.link_ints[link, LINK_FROM]
+    beside = (
+        ahead != state.ints[v, LANE]
+        and net.lane_ints[ahead, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
+    )
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
         lane = net.conflict_ints[row, CONFLICT_LANE]
@@ -189,9 +195,10 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
                 w = state.tails[lane, k]
                 k += 1
             heeds, _, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
-            if not heeds:
+            abreast = beside and _have_not_parted(net, traffic, state, v, w, row, distance_m)
+            if not heeds and not abreast:
                 continue
-            if _is_before_wait(net, row):
+            if abreast or _is_before_wait(net, row):
                 gap = -1.0
             elif net.conflict_ints[row, CONFLICT_KIND] == CROSSING:
                 gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
@@ -203,6 +210,20 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
             if safe < least:
                 found, found_gap, least = w, gap, safe
     return found, found_gap
+
+
+@compiled
+def _have_not_parted(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-untyped-def]
+    """Return whether ``v``, on a way that parts from that of ``w``, would be abreast of it: neither rear is past there.
+
+    Then ``v`` may not change to its way, even if it is ahead of ``w`` and would go first.
+    """
+    lane = net.conflict_ints[row, CONFLICT_LANE]
+    if w == v or net.conflict_ints[row, CONFLICT_KIND] != PARTING:
+        return False
+    behind, foe_behind = net.conflict_floats[row, CONFLICT_BEHIND], net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
+    return distance_m - behind + traffic.floats[v, LENGTH] > 0.0 and back_left > 0.0
 
 
 @compiled

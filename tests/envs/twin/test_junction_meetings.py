@@ -134,3 +134,38 @@ def test_who_comes_by_a_yellow_does_not_slow_down_for_the_waiting_point(
     # He is in the junction while his signal is yellow, and drives through it.
     inside = [name.startswith(":TL_5") for name in np.array([*case.world.lane_ids, ""])[sumo.lane[:, 0]]]
     assert any(inside) and np.nanmin(sumo.speed_mps[inside, 0]) > 4.0
+
+
+@pytest.mark.parametrize(
+    ("turning", "through"),
+    [
+        (
+            {"depart": 3.7, "way": "DC", "lane": 0, "tau_s": 1.1, "accel_mps2": 1.73, "decel_mps2": 2.37},
+            {"depart": 3.1, "way": "DB", "lane": 1, "tau_s": 0.96, "accel_mps2": 2.98, "decel_mps2": 2.64},
+        ),
+        (
+            {
+                "depart": 3.7,
+                "way": "DC",
+                "lane": 0,
+                "length_m": 7.1,
+                "tau_s": 1.1,
+                "accel_mps2": 2.2,
+                "decel_mps2": 2.4,
+            },
+            {"depart": 3.1, "way": "DB", "lane": 1, "tau_s": 0.96, "accel_mps2": 1.98, "decel_mps2": 2.64},
+        ),
+    ],
+)
+def test_nobody_changes_inside_to_a_way_that_parts_from_one_beside_it(
+    tmp_path: Path, turning: dict[str, float], through: dict[str, float]
+) -> None:
+    """The way to the left of the one who turns right is free, but its begin is not until he has turned."""
+    net = build_crossroads(tmp_path, [(25.0, "r" * 16), (60.0, "r" * 12 + "GGGg")], lanes=2)
+    case = meeting(net, [turning, through])
+    sumo = play_sumo(case, STEPS)
+    departure = first_departure(case, sumo, play_twin(case, STEPS))
+    assert departure is None, str(departure)
+    names = np.array([*case.world.lane_ids, ""])
+    # He who goes through, the first to depart, changes to the right inside the junction.
+    assert {":TL_13_0", ":TL_13_1"} <= set(names[sumo.lane[:, 0]])
