@@ -178,12 +178,17 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
     wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
     found, found_gap, least = -1, 0.0, math.inf
     ahead = net.link_ints[link, LINK_FROM]
+    inside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1
+    closed = state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED
     beside = (
         ahead != state.ints[v, LANE]
         and net.lane_ints[ahead, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
     )
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
+        # From before the junction only those count who part from the own way, and they only while the signal is not red.
+        if not inside and (closed or net.conflict_ints[row, CONFLICT_KIND] != PARTING):
+            continue
         lane = net.conflict_ints[row, CONFLICT_LANE]
         front, tails = state.lanes[lane, LANE_FRONT], state.lanes[lane, LANE_TAILS]
         k = 0

@@ -106,10 +106,9 @@ def _leader_beyond(net, traffic, state, v, lane, step_s):  # type: ignore[no-unt
         link = net.best_link[variant, lane]
         if link < 0:
             return -1, 0.0
-        if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
-            leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
-            if leader >= 0:
-                return leader, gap
+        leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
+        if leader >= 0:
+            return leader, gap
         lane = net.link_ints[link, LINK_NEXT]
         leader = last_on(net, traffic, state, lane, v)
         if leader >= 0:

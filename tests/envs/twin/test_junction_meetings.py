@@ -169,3 +169,25 @@ def test_nobody_changes_inside_to_a_way_that_parts_from_one_beside_it(
     names = np.array([*case.world.lane_ids, ""])
     # He who goes through, the first to depart, changes to the right inside the junction.
     assert {":TL_13_0", ":TL_13_1"} <= set(names[sumo.lane[:, 0]])
+
+
+def test_who_turns_is_in_the_way_until_his_rear_has_parted(tmp_path: Path) -> None:
+    """The one behind him drives straight on, and changes lanes to pass him while he is in the junction."""
+    turning = {
+        "depart": 1.3,
+        "way": "DC",
+        "lane": 0,
+        "length_m": 6.0,
+        "tau_s": 1.71,
+        "accel_mps2": 1.9,
+        "decel_mps2": 2.8,
+    }
+    passing = {"depart": 4.6, "way": "DB", "lane": 0, "length_m": 7.1, "tau_s": 0.81, "accel_mps2": 1.41}
+    net = build_crossroads(tmp_path, [(60.0, "r" * 12 + "GGGg")], lanes=2)
+    case = meeting(net, [{**turning, "decel_mps2": 2.8}, {**passing, "decel_mps2": 3.98}])
+    sumo = play_sumo(case, STEPS)
+    departure = first_departure(case, sumo, play_twin(case, STEPS))
+    assert departure is None, str(departure)
+    names = np.array([*case.world.lane_ids, ""])
+    change = np.flatnonzero((names[sumo.lane[:-1, 1]] == "D2TL_0") & (names[sumo.lane[1:, 1]] == "D2TL_1"))
+    assert len(change) == 1 and names[sumo.lane[change[0] + 1, 0]] == ":TL_12_0"
