@@ -186,7 +186,7 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
     )
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
-        # From before the junction only those count who part from the own way, and they only while the signal is not red.
+        # From before the junction only those count whose way parts from the own, and only while the signal is not red.
         if not inside and (closed or net.conflict_ints[row, CONFLICT_KIND] != PARTING):
             continue
         lane = net.conflict_ints[row, CONFLICT_LANE]
