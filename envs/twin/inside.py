@@ -24,6 +24,7 @@ from izoo.envs.twin.arrays import (
     MIN_GAP,
     NEVER_MS,
     SPEED,
+    WAITING_MS,
     WILL_PASS,
 )
 from izoo.envs.twin.compiled import compiled
@@ -47,6 +48,9 @@ from izoo.envs.twin.crossing import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.following import brake_gap, follow_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
 from izoo.envs.twin.order import back_on
+
+BLOCKED_AFTER_MS = 5000
+"""Who stands behind a vehicle that has stood for longer than this does not ask to pass."""
 
 
 @compiled
@@ -128,6 +132,23 @@ def _is_before_wait(net, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _is_stuck(net, state, v, w):  # type: ignore[no-untyped-def]
+    """Whether vehicle ``w`` comes from where ``v`` comes from or is, or has stood for long."""
+    if state.ints[w, WAITING_MS] > BLOCKED_AFTER_MS:
+        return True
+    before_w = _lane_before(net, state.ints[w, LANE])
+    return before_w >= 0 and (before_w == state.ints[v, LANE] or before_w == _lane_before(net, state.ints[v, LANE]))
+
+
+@compiled
+def _lane_before(net, lane):  # type: ignore[no-untyped-def]
+    """Return the lane that leads to ``lane`` inside a junction, -1 for other lanes."""
+    if net.lane_ints[lane, LANE_INSIDE] == 0:
+        return -1
+    return net.link_ints[net.incoming_links[net.incoming_start[lane]], LINK_FROM]
+
+
+@compiled
 def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
     heeds, to_conflict, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
@@ -162,7 +183,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     # It may always drive up to the link before and stop there.
     best = max(min(best, safe), floor)
     passing = min(passing, safe)
-    if best < STANDING_MPS and state.floats[w, SPEED] < STANDING_MPS:
+    if best < STANDING_MPS and _is_stuck(net, state, v, w):
         request = False
     return best, passing, request
 
