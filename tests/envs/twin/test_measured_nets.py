@@ -27,9 +27,9 @@ CASES = {
     "who has waited at a green light": ("289", 160, 5),
     "who yields inside a junction": ("110", 400, 27),
 }
-"""Net, steps, and differences at most. There are 115, 7, 18, 137, 235, 0 and 24; without the rule, when it was new, 169,
-9, 24, 166, 413, 35 and 37. Who does not ask to pass beside one that has stood for long: 27, 165 and 34 of the third,
-fourth and last without it."""
+"""Net, steps, and differences at most. There are 115, 7, 18, 137, 235, 0 and 24; without the rule, when it was new, it
+was 169, 9, 24, 166, 413, 35 and 37. Without asking or not asking to pass beside one that stands: 27, 165 and 34 of the
+third, the fourth and the last."""
 
 
 @pytest.mark.parametrize("rule", CASES)
