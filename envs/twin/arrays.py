@@ -214,14 +214,16 @@ lane changing's memories. The first eight are a line of the processor's cache.""
     CONFLICT_MS,
     WILL_PASS,
     STOOD_FOR,
-) = range(27)
+    ROOM_SEEN_FROM,
+) = range(28)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; row of the best
 lanes' tables, set when it enters an edge; lanes behind its own that its tail is on; its items in ``item_*``; how long
 it has stood (ms); 1 where something keeps it from going on; speeds advised; lane changing: commanded change of this
 step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, until when it is commanded to a lane; SUMO's
 signals; index of the lane that it is commanded to; time of the last change, changes by reason; when it entered the
 junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass the link at the end of
-its lane in the last plan, the link with ``s`` that it stood before. The first sixteen are a line of the cache."""
+its lane in the last plan, the link with ``s`` that it stood before, the lane inside a junction from which it saw
+``room_seen``. The first sixteen are a line of the cache."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -264,6 +266,9 @@ NEVER_MS = (1 << 31) - 1
 MAX_ADVICES = 12
 """Speeds that lane changing advises to one vehicle within a step."""
 
+MAX_LANES_SEEN = 8
+"""Lanes side by side inside a junction of which a driver remembers how full the roads behind them were."""
+
 (
     CHANGER_NEXT,
     CHANGER_LEADER,
@@ -294,6 +299,7 @@ class TwinState(NamedTuple):
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
+        room_seen: ``[N, MAX_LANES_SEEN]`` float64, road (m) taken behind the junction, for each lane inside it.
         active: ``[L, 4]`` int32, the order in which lanes are served.
 
     The others are working memory of a step (:data:`WORKING`), which environments share: nothing in it lasts.
@@ -319,6 +325,7 @@ class TwinState(NamedTuple):
     program_phase: Long1
     program_switch_ms: Long1
     advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
+    room_seen: Annotated[np.ndarray, "float64", 2, MAX_LANES_SEEN]
     active: Annotated[np.ndarray, "int32", 2, 4]
     link_first: Int1
     item_floats: Annotated[np.ndarray, "float64", 2, 8]

@@ -22,12 +22,14 @@ from izoo.envs.twin.arrays import (
     LENGTH,
     MAX_ADVICES,
     MAX_ITEMS_PER_VEHICLE,
+    MAX_LANES_SEEN,
     MAX_TAIL_LANES,
     MIN_GAP,
     NEVER_MS,
     NOT_ACTIVE,
     NOW_MS,
     ON_ROAD,
+    ROOM_SEEN_FROM,
     STATE,
     STEP_COUNT,
     STOOD_FOR,
@@ -78,6 +80,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "tail_lane": (count, MAX_TAIL_LANES),
         "waiting_next": count,
         "advice": (count, MAX_ADVICES),
+        "room_seen": (count, MAX_LANES_SEEN),
     }
     working: Shapes = {
         "link_first": links,
@@ -95,7 +98,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         getattr(state, name)[:] = -1
     state.program_phase[:] = state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
-    state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
+    state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR, ROOM_SEEN_FROM]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     state.active[:, ACTIVE_NEXT] = NOT_ACTIVE

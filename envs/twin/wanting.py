@@ -26,6 +26,7 @@ from izoo.envs.twin.arrays import (
     CHANGER_FIRST_BLOCKED,
     CHANGER_LAST_BLOCKED,
     DECEL,
+    EDGE_FIRST_LANE,
     EDGE_LANES,
     KEEP_RIGHT,
     LANE,
@@ -37,9 +38,11 @@ from izoo.envs.twin.arrays import (
     LENGTH,
     LOOK_AHEAD_SPEED,
     MAX_ACCEL,
+    MAX_LANES_SEEN,
     MIN_GAP,
     NOW_MS,
     POSITION,
+    ROOM_SEEN_FROM,
     SPEED,
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
@@ -111,8 +114,31 @@ def _is_granted(net, state, v, request):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def room_taken(net, state, variant, lane):  # type: ignore[no-untyped-def]
-    """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route, inside lanes left out."""
+def look_behind_junction(net, state, v):  # type: ignore[no-untyped-def]
+    """Note how full the roads are behind a junction that ``v`` is inside of, once on every lane there."""
+    lane = state.ints[v, LANE]
+    if net.lane_ints[lane, LANE_INSIDE] == 0 or state.ints[v, ROOM_SEEN_FROM] == lane:
+        return
+    state.ints[v, ROOM_SEEN_FROM] = lane
+    edge = net.lane_ints[lane, LANE_EDGE]
+    first = net.edge_ints[edge, EDGE_FIRST_LANE]
+    for k in range(min(net.edge_ints[edge, EDGE_LANES], MAX_LANES_SEEN)):
+        state.room_seen[v, k] = _room_taken_now(net, state, state.ints[v, VARIANT], first + k)
+
+
+@compiled
+def room_taken(net, state, v, lane):  # type: ignore[no-untyped-def]
+    """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route of ``v``.
+
+    Lanes inside junctions are left out. Inside one, it is what ``v`` saw when it came to its lane.
+    """
+    if net.lane_ints[lane, LANE_INSIDE] and net.lane_ints[lane, LANE_INDEX] < MAX_LANES_SEEN:
+        return state.room_seen[v, net.lane_ints[lane, LANE_INDEX]]
+    return _room_taken_now(net, state, state.ints[v, VARIANT], lane)
+
+
+@compiled
+def _room_taken_now(net, state, variant, lane):  # type: ignore[no-untyped-def]
     taken = 0.0
     lane = net.best_road[variant, lane]
     while lane >= 0:
@@ -162,15 +188,16 @@ def want(  # type: ignore[no-untyped-def]
     needed = ahead_speed * _LOOK_AHEAD_S * (1.0 if right else _LOOK_AHEAD_LEFT)
     needed += 2.0 * (driver[LENGTH] + driver[MIN_GAP])
 
-    own_jam = state.changer_density[lane] + room_taken(net, state, variant, lane)
-    other_jam = state.changer_density[other] + room_taken(net, state, variant, other)
+    look_behind_junction(net, state, v)
+    own_jam = state.changer_density[lane] + room_taken(net, state, v, lane)
+    other_jam = state.changer_density[other] + room_taken(net, state, v, other)
     best = lane + offset
     best_jam = (
         own_jam
         if offset == 0
         else other_jam
         if offset == side
-        else state.changer_density[best] + room_taken(net, state, variant, best)
+        else state.changer_density[best] + room_taken(net, state, v, best)
     )
     usable = length - position - best_jam
     other_left = max(0.0, other_length - position - max(own_jam, other_jam))
