@@ -214,16 +214,14 @@ lane changing's memories. The first eight are a line of the processor's cache.""
     CONFLICT_MS,
     WILL_PASS,
     STOOD_FOR,
-    ROOM_SEEN_FROM,
-) = range(28)
+) = range(27)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; row of the best
 lanes' tables, set when it enters an edge; lanes behind its own that its tail is on; its items in ``item_*``; how long
 it has stood (ms); 1 where something keeps it from going on; speeds advised; lane changing: commanded change of this
 step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, until when it is commanded to a lane; SUMO's
 signals; index of the lane that it is commanded to; time of the last change, changes by reason; when it entered the
 junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass the link at the end of
-its lane in the last plan, the link with ``s`` that it stood before, the lane inside a junction from which it saw
-``room_seen``. The first sixteen are a line of the cache."""
+its lane in the last plan, the link with ``s`` that it stood before. The first sixteen are a line of the cache."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -308,7 +306,7 @@ class TwinState(NamedTuple):
         changer: ``[L, 8]`` int32. changer_density: ``[L]`` float64. changer_queue: ``[32]`` int32. changer_way:
             ``[32]`` float64: of lane changing.
         lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m; set when
-            lanes are changed.
+            lanes are changed. lane_room_before: the same as the step begins.
         moved: ``[N]`` int32, who has left his lane.
     """
 
@@ -335,6 +333,7 @@ class TwinState(NamedTuple):
     changer_queue: Int1
     changer_way: Float1
     lane_room: Float1
+    lane_room_before: Float1
     moved: Int1
 
 

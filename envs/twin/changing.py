@@ -62,6 +62,7 @@ from izoo.envs.twin.lane_flags import (
 )
 from izoo.envs.twin.nearby import follower_beside, leader_beside
 from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
+from izoo.envs.twin.outlook import look_behind_junction
 from izoo.envs.twin.wanting import obey, want
 
 
@@ -215,6 +216,7 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
     drop_tail(state, v)
     take_out(state, v)
     place(state, v, lane)
+    look_behind_junction(net, state, v, lane)
     if tails > 0:
         _lay_tail_behind(net, traffic, state, v, lane, tails)
     if flags & COMMANDED:

@@ -45,6 +45,7 @@ from izoo.envs.twin.crossing import may_pass, note_request, pass_link, slows_bef
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
+from izoo.envs.twin.outlook import look_behind_junction
 from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
 
 STANDING_MPS = 0.1
@@ -199,5 +200,6 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
         if not net.lane_ints[lane, LANE_INSIDE]:
             ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     ints[v, LANE] = lane
+    look_behind_junction(net, state, v, lane)
     lay_tail(net, traffic, state, v, kept)
     return lane

@@ -29,7 +29,6 @@ from izoo.envs.twin.arrays import (
     NOT_ACTIVE,
     NOW_MS,
     ON_ROAD,
-    ROOM_SEEN_FROM,
     STATE,
     STEP_COUNT,
     STOOD_FOR,
@@ -91,6 +90,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "changer_queue": 32,
         "changer_way": 32,
         "lane_room": lanes,
+        "lane_room_before": lanes,
         "moved": count,
     }
     state = TwinState(**zeros(STATE, lengths), **(desk or Desk()).spread(STATE, working))
@@ -98,7 +98,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         getattr(state, name)[:] = -1
     state.program_phase[:] = state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
-    state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR, ROOM_SEEN_FROM]] = -1
+    state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     state.active[:, ACTIVE_NEXT] = NOT_ACTIVE
@@ -121,6 +121,8 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
     activate_busy(net, state)
     forget_empty(state)
     lines = lines_for_each(ranges, state.clock[ON_ROAD])
+    for lane in range(state.lane_room.shape[0]):
+        state.lane_room_before[lane] = 0.0
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
@@ -132,6 +134,7 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
             keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)
             in_front_m += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
             v = state.ints[v, BEHIND]
+        state.lane_room_before[lane] = in_front_m
         lane = state.active[lane, ACTIVE_NEXT]
     register_approaches(state)
     count = 0

@@ -26,7 +26,6 @@ from izoo.envs.twin.arrays import (
     CHANGER_FIRST_BLOCKED,
     CHANGER_LAST_BLOCKED,
     DECEL,
-    EDGE_FIRST_LANE,
     EDGE_LANES,
     KEEP_RIGHT,
     LANE,
@@ -38,11 +37,9 @@ from izoo.envs.twin.arrays import (
     LENGTH,
     LOOK_AHEAD_SPEED,
     MAX_ACCEL,
-    MAX_LANES_SEEN,
     MIN_GAP,
     NOW_MS,
     POSITION,
-    ROOM_SEEN_FROM,
     SPEED,
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
@@ -68,6 +65,7 @@ from izoo.envs.twin.lane_flags import (
     WANTS_CHANGE_OR_STAY,
 )
 from izoo.envs.twin.nearby import HALTING_MPS
+from izoo.envs.twin.outlook import room_taken
 
 EPS = 0.001
 _FORGETTING = 0.1
@@ -114,40 +112,6 @@ def _is_granted(net, state, v, request):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def look_behind_junction(net, state, v):  # type: ignore[no-untyped-def]
-    """Note how full the roads are behind a junction that ``v`` is inside of, once on every lane there."""
-    lane = state.ints[v, LANE]
-    if net.lane_ints[lane, LANE_INSIDE] == 0 or state.ints[v, ROOM_SEEN_FROM] == lane:
-        return
-    state.ints[v, ROOM_SEEN_FROM] = lane
-    edge = net.lane_ints[lane, LANE_EDGE]
-    first = net.edge_ints[edge, EDGE_FIRST_LANE]
-    for k in range(min(net.edge_ints[edge, EDGE_LANES], MAX_LANES_SEEN)):
-        state.room_seen[v, k] = _room_taken_now(net, state, state.ints[v, VARIANT], first + k)
-
-
-@compiled
-def room_taken(net, state, v, lane):  # type: ignore[no-untyped-def]
-    """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route of ``v``.
-
-    Lanes inside junctions are left out. Inside one, it is what ``v`` saw when it came to its lane.
-    """
-    if net.lane_ints[lane, LANE_INSIDE] and net.lane_ints[lane, LANE_INDEX] < MAX_LANES_SEEN:
-        return state.room_seen[v, net.lane_ints[lane, LANE_INDEX]]
-    return _room_taken_now(net, state, state.ints[v, VARIANT], lane)
-
-
-@compiled
-def _room_taken_now(net, state, variant, lane):  # type: ignore[no-untyped-def]
-    taken = 0.0
-    lane = net.best_road[variant, lane]
-    while lane >= 0:
-        taken += state.lane_room[lane]
-        lane = net.best_road[variant, lane]
-    return taken
-
-
-@compiled
 def want(  # type: ignore[no-untyped-def]
     net, traffic, state, v, side, leader, gap, beside, beside_gap, follower, follower_gap, blocked, step_s
 ):
@@ -188,7 +152,6 @@ def want(  # type: ignore[no-untyped-def]
     needed = ahead_speed * _LOOK_AHEAD_S * (1.0 if right else _LOOK_AHEAD_LEFT)
     needed += 2.0 * (driver[LENGTH] + driver[MIN_GAP])
 
-    look_behind_junction(net, state, v)
     own_jam = state.changer_density[lane] + room_taken(net, state, v, lane)
     other_jam = state.changer_density[other] + room_taken(net, state, v, other)
     best = lane + offset

@@ -48,6 +48,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.order import lay_tail, place, take_out
+from izoo.envs.twin.outlook import look_behind_junction
 from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.dataset.intersections import load_dataset
@@ -176,6 +177,7 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     if speed > 0.1:
         ints[v, WAITING_MS] = 0
     place(state, v, lane)
+    look_behind_junction(net, state, v, lane)
     lay_tail(net, traffic, state, v, tails)
     entered_ms = state.clock[NOW_MS] - step_ms
     if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
