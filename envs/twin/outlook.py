@@ -16,7 +16,7 @@ from izoo.envs.twin.compiled import compiled
 
 @compiled
 def look_behind_junction(net, state, v, lane):  # type: ignore[no-untyped-def]
-    """Let ``v``, which comes to ``lane`` inside a junction, remember how full the roads behind it were before this step.
+    """Let ``v``, which comes to ``lane`` inside a junction, remember how full the roads behind it were before.
 
     On other lanes nothing happens. It does not look again before it comes to another lane.
     """
