@@ -11,6 +11,7 @@ import math
 from izoo.envs.twin.arrays import (
     CONFLICT_MS,
     DECEL,
+    ENTERED_MS,
     FIRST_ITEM,
     ITEM_ARRIVAL_MS,
     ITEM_ARRIVAL_SPEED,
@@ -87,16 +88,19 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
     inside_after = net.lane_ints[net.link_ints[link, LINK_NEXT], LANE_INSIDE] == 1
     now_ms = state.clock[NOW_MS]
     if not inside_before and inside_after:
-        ints[v, JUNCTION_MS] = now_ms
+        ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = now_ms
     if inside_after and (inside_before or not net.link_ints[link, LINK_CONT]):
         ints[v, CONFLICT_MS] = now_ms
     if not inside_after:
-        ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
+        ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
 
 
 @compiled
 def note_request(net, state, v):  # type: ignore[no-untyped-def]
-    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane."""
+    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane.
+
+    If not, it forgets when it came: everybody who has come goes first.
+    """
     lane = state.ints[v, LANE]
     if net.lane_ints[lane, LANE_INSIDE] == 0:
         return
@@ -106,6 +110,8 @@ def note_request(net, state, v):  # type: ignore[no-untyped-def]
         link = state.item_ints[item, ITEM_LINK]
         if link >= 0 and net.link_ints[link, LINK_FROM] == lane:
             state.ints[v, WILL_PASS] = state.item_ints[item, ITEM_REQUEST]
+            if state.ints[v, WILL_PASS] == 0:
+                state.ints[v, JUNCTION_MS] = state.ints[v, CONFLICT_MS] = NEVER_MS
 
 
 @compiled

@@ -8,6 +8,7 @@ from izoo.envs.twin.arrays import (
     BEHIND,
     CONFLICT_MS,
     DECEL,
+    ENTERED_MS,
     JUNCTION_MS,
     LANE,
     LANE_EDGE,
@@ -270,11 +271,12 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``.
 
     Whoever came first does: of those with the right of way that is by the time at which they entered the junction, of
-    those who have to yield by the time at which they came into conflict, past their waiting point.
+    those who have to yield by the time at which they came into conflict, past their waiting point. Who stood and did
+    not ask to pass has lost both times; on ways that part the time of entry always counts.
     """
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
-        foe = state.ints[w, JUNCTION_MS]
+        own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
     elif _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):
         own = state.ints[v, CONFLICT_MS]
     if own != foe:

@@ -14,6 +14,7 @@ from izoo.envs.twin.arrays import (
     CHANGE_UNTIL_MS,
     COMMAND,
     CONFLICT_MS,
+    ENTERED_MS,
     ITEM_TOTAL,
     JUNCTION_MS,
     LANE,
@@ -99,7 +100,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
     state.program_phase[:] = state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
-    state.ints[:, [JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
+    state.ints[:, [ENTERED_MS, JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     state.active[:, ACTIVE_NEXT] = NOT_ACTIVE
     state.clock[[ACTIVE_FIRST, ACTIVE_LAST]] = -1

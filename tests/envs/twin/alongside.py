@@ -22,6 +22,7 @@ from izoo.envs.twin.arrays import (
     DEPART_LANE,
     DRIVING,
     DROPPED,
+    ENTERED_MS,
     JUNCTION_MS,
     LANE,
     LANE_EDGE,
@@ -184,14 +185,14 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
         if before != lane:
             clear_memories(state, v)
     elif not net.lane_ints[lane, LANE_INSIDE]:
-        ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
+        ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
         ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     else:
         waits = False
         for k in range(net.incoming_start[lane], net.incoming_start[lane + 1]):
             waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
-        if ints[v, JUNCTION_MS] == NEVER_MS:
-            ints[v, JUNCTION_MS] = entered_ms
+        if ints[v, ENTERED_MS] == NEVER_MS:
+            ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = entered_ms
         # Before its waiting point nobody has come into conflict, also one whom the twin had further on.
         ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
 
