@@ -99,7 +99,7 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
 def note_request(net, state, v):  # type: ignore[no-untyped-def]
     """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane.
 
-    If not, it forgets when it came: everybody who has come goes first.
+    If not, it forgets when it came, and everybody who has come goes first, unless it came past a waiting point.
     """
     lane = state.ints[v, LANE]
     if net.lane_ints[lane, LANE_INSIDE] == 0:
@@ -110,7 +110,7 @@ def note_request(net, state, v):  # type: ignore[no-untyped-def]
         link = state.item_ints[item, ITEM_LINK]
         if link >= 0 and net.link_ints[link, LINK_FROM] == lane:
             state.ints[v, WILL_PASS] = state.item_ints[item, ITEM_REQUEST]
-            if state.ints[v, WILL_PASS] == 0:
+            if state.ints[v, WILL_PASS] == 0 and state.ints[v, JUNCTION_MS] == state.ints[v, CONFLICT_MS]:
                 state.ints[v, JUNCTION_MS] = state.ints[v, CONFLICT_MS] = NEVER_MS
 
 
