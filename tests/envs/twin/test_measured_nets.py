@@ -29,9 +29,9 @@ CASES = {
     "room behind a junction": ("25", 350, 20),
     "who stood inside a junction": ("126", 420, 40),
 }
-"""Net, steps, and differences at most. There are 94, 7, 18, 137, 235, 0, 27, 15 and 28; without the rule, when it was new, there
-were 169, 9, 24, 166, 413, 35, 37, 58 and 191. Without asking or not asking to pass beside one that stands: 27, 165 and
-34 of the third, the fourth and the seventh."""
+"""Net, steps, and differences at most. There are 94, 7, 18, 137, 235, 0, 27, 15 and 28; without the rule, when it was
+new, there were 169, 9, 24, 166, 413, 35, 37, 58 and 191. Without asking or not asking to pass beside one that stands:
+27, 165 and 34 of the third, the fourth and the seventh."""
 
 
 @pytest.mark.parametrize("rule", CASES)
