@@ -68,7 +68,13 @@ def changed(values: dict[str, Any], path: tuple[str, ...], value: Any) -> dict[s
     return values
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name.startswith("train ") and name != "train ppo" else ())
+        for name in CONFIGS
+    ],
+)
 def test_every_option_refuses_what_its_type_cannot_be(name: str) -> None:
     values, cls = to_mapping(CONFIGS[name]), type(CONFIGS[name])
     taken, walked = [], 0

@@ -69,6 +69,7 @@ def leaves(config: Any, prefix: str = "") -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_options() -> None:
     """Every option of every command in every choice is on the page, with a default and a meaning."""
     page = options_page()

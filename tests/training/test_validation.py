@@ -121,6 +121,7 @@ def wait_for(validator: Validator) -> dict[str, float]:
     raise AssertionError("the validation did not end")
 
 
+@pytest.mark.slow
 def test_a_failed_validation_is_reported_once_and_training_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
