@@ -275,6 +275,8 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     not ask to pass has lost both times; on ways that part the time of entry always counts.
     """
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
+    if state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
+        own = state.ints[v, ENTERED_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
     elif _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):
