@@ -276,6 +276,7 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     """
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
     if state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
+        # Left over from an earlier phase: those who can still brake do.
         own = state.ints[v, ENTERED_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
