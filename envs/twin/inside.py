@@ -272,16 +272,16 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
 
     Whoever came first does: of those with the right of way that is by the time at which they entered the junction, of
     those who have to yield by the time at which they came into conflict, past their waiting point. Who stood and did
-    not ask to pass has lost both times; on ways that part the time of entry always counts.
+    not ask to pass has lost both times; on ways that part, and to one left over by a red signal, that of entry stays.
     """
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
-    if state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
-        # Left over from an earlier phase: those who can still brake do.
-        own = state.ints[v, ENTERED_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
     elif _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):
         own = state.ints[v, CONFLICT_MS]
+    elif state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
+        # Left over from an earlier phase: those who can still brake do.
+        own = state.ints[v, ENTERED_MS]
     if own != foe:
         return own > foe
     if state.floats[v, SPEED] != state.floats[w, SPEED]:

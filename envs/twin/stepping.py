@@ -122,7 +122,7 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
     activate_busy(net, state)
     forget_empty(state)
     lines = lines_for_each(ranges, state.clock[ON_ROAD])
-    for lane in range(state.lane_room.shape[0]):
+    for lane in range(state.lane_room_before.shape[0]):
         state.lane_room_before[lane] = 0.0
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
