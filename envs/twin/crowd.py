@@ -2,7 +2,7 @@
 
 A step has two halves where CO2 comes in between, for the vehicles of all environments at once: :func:`drive_all` takes
 the orders, drives, and says who is where; :func:`conclude_all` counts, pays, and writes the frames. With the compiled
-surrogate :func:`play_all` does all of it, one environment after the other, as many steps as a decision lasts.
+surrogate :func:`play_all` does all of it, some environments after the other, as many steps as a decision lasts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from izoo.envs.mdp.state import (
     SPEED,
     YIELDING,
 )
-from izoo.envs.mdp.step import conclude, emit_one, settle, take_orders
+from izoo.envs.mdp.step import conclude, settle, take_orders
 from izoo.envs.mdp.world import MEMBERS, SUSPECTS
 from izoo.envs.twin.arrays import (
     ACCEL as TWIN_ACCEL,
@@ -45,7 +45,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.arrays import (
     SPEED as TWIN_SPEED,
 )
-from izoo.envs.twin.emitting import count_classes
+from izoo.envs.twin.emitting import GROUP, count_classes, emit_group
 from izoo.envs.twin.fetching import (
     GUESTS_AT,
     LINES,
@@ -55,7 +55,6 @@ from izoo.envs.twin.fetching import (
     WORLD_AT,
     fetch_next,
     fetch_some,
-    lines_for_each,
     list_next,
 )
 from izoo.envs.twin.guests import open_guests
@@ -97,27 +96,42 @@ def conclude_all(addresses, like, ranges):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def play_all(addresses, steps, step_ms, lane_change, like, ranges):  # type: ignore[no-untyped-def]
-    """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment."""
-    for k in range(addresses.shape[0]):
-        world = world_at(addresses[k, WORLD_AT], like)
-        for played in range(steps[k]):
-            _drive(world, addresses, k, step_ms, lane_change, ranges)
-            if played == steps[k] - 1:
-                list_next(addresses, k, like, True, ranges)
-            _emit_and_fetch(world, ranges)
-            _conclude(world, addresses, k)
+def play_all(addresses, steps, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
+    """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment.
+
+    Args:
+        rows: a :class:`~izoo.envs.twin.emitting.Rows` for the vehicles of any :data:`GROUP` environments.
+    """
+    count = addresses.shape[0]
+    for first in range(0, count, GROUP):
+        last = min(first + GROUP, count)
+        most = 0
+        for k in range(first, last):
+            most = max(most, steps[k])
+        for played in range(most):
+            n = 0
+            for k in range(first, last):
+                if steps[k] > played:
+                    rows.chosen[n] = addresses[k]
+                    n += 1
+            # Behind them, for its memory, who is played next.
+            rows.chosen[n] = rows.chosen[0] if played + 1 < most else addresses[last % count]
+            _play_group(rows.chosen[: n + 1], n, step_ms, lane_change, like, rows, ranges)
 
 
 @compiled(borrows=True)
-def _emit_and_fetch(world, ranges):  # type: ignore[no-untyped-def]
-    """Compute CO2, and ask for what is listed meanwhile."""
-    members = world.tables.cursor[MEMBERS]
-    lines = lines_for_each(ranges, members)
-    for j in range(members):
-        fetch_some(ranges, lines)
-        emit_one(world, world.tables.members[j])
-    fetch_some(ranges, lines)
+def _play_group(addresses, count, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
+    """Play a step of the first ``count`` environments."""
+    rows.by_class[:] = 0
+    for k in range(count):
+        list_next(addresses, k, like, True, ranges)
+        world = world_at(addresses[k, WORLD_AT], like)
+        _drive(world, addresses, k, step_ms, lane_change, ranges)
+        fetch_some(ranges, ranges[LINES, 0])
+        count_classes(world, rows.by_class)
+    emit_group(addresses[:count], like, rows)
+    for k in range(count):
+        _conclude(world_at(addresses[k, WORLD_AT], like), addresses, k)
 
 
 @compiled(nogil=True)

@@ -1,25 +1,50 @@
-"""CO2 of many environments' vehicles in one call of the torch surrogate.
+"""CO2 of many environments' vehicles, class by class: in one call of the torch surrogate, or compiled.
 
 Vehicles that emit something else than in the step before are counted by class while they drive, and their inputs then
-written straight into the tiles in which :meth:`~izoo.emissions.moves.MovesSurrogate.tiled_rates` takes them. Nothing is
-sorted, and no tensor but those of the layers is made.
+written straight to where their class is worked on: for torch into the tiles in which
+:meth:`~izoo.emissions.moves.MovesSurrogate.tiled_rates` takes them. Nothing is sorted, and no tensor but those of the
+layers is made. The weights of a class are 18 kB, and those of all classes more than what is close to the processor.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from izoo.compiling import compiled
 from izoo.emissions.classes import CLASSES
+from izoo.emissions.kernel import emission_rate
 from izoo.emissions.moves import MovesSurrogate, tile_rows
 from izoo.emissions.weights import INPUTS
 from izoo.envs.mdp.state import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
 from izoo.envs.mdp.world import MEMBERS
-from izoo.envs.twin.fetching import WORLD_AT
+from izoo.envs.twin.fetching import PARTS_BYTES, WORLD_AT
 from izoo.envs.twin.handles import world_at
+
+
+GROUP = 16
+"""So many environments are played side by side with the compiled surrogate: enough to use the weights of a class for
+several vehicles, and so few that what a step of them touches stays in the cache."""
+
+
+class Rows(NamedTuple):
+    """Working memory of the compiled surrogate.
+
+    Attributes:
+        chosen: ``[GROUP + 1, 7]`` int64, addresses of the environments that are played.
+        by_class: ``[C]`` int64, how many vehicles of each class emit something new.
+        place: ``[C]`` int64, the row of the next of them.
+        inputs: ``[n, 5]`` float32, one row per vehicle.
+        rates_gps: ``[n]`` float32.
+    """
+
+    chosen: np.ndarray
+    by_class: np.ndarray
+    place: np.ndarray
+    inputs: np.ndarray
+    rates_gps: np.ndarray
 
 
 class Emitter:
@@ -38,6 +63,14 @@ class Emitter:
         self._place = np.zeros(len(CLASSES), np.int64)
         self._inputs = np.zeros((0, INPUTS), np.float32)
         self._tile_class = np.zeros(0, np.int64)
+        self._rates_gps = np.zeros(0, np.float32)
+        self._chosen = np.zeros((GROUP + 1, PARTS_BYTES + 1), np.int64)
+
+    def rows(self, vehicles: int) -> Rows:
+        """Return working memory for the compiled surrogate, of so many vehicles; what is not used takes no memory."""
+        if vehicles > len(self._rates_gps):
+            self._inputs, self._rates_gps = np.zeros((vehicles, INPUTS), np.float32), np.zeros(vehicles, np.float32)
+        return Rows(self._chosen, self.by_class, self._place, self._inputs, self._rates_gps)
 
     def emit(self, addresses: np.ndarray, like: Any) -> None:
         """Write the CO2 of the environments at ``addresses`` into their tables."""
@@ -91,6 +124,33 @@ def count_classes(world, by_class):  # type: ignore[no-untyped-def]
         row = tables.members[j]
         if burns_anew(tables, row):
             by_class[tables.ints[row, MOVES_CLASS]] += 1
+
+
+@compiled(borrows=True)
+def emit_group(addresses, like, rows):  # type: ignore[no-untyped-def]
+    """Write the CO2 of some environments into their tables, as the compiled surrogate computes it.
+
+    Args:
+        addresses, like: as for :func:`~izoo.envs.twin.crowd.drive_all`.
+        rows: a :class:`Rows` whose ``by_class`` is filled.
+    """
+    _, by_class, place, inputs, rates_gps = rows
+    _make_room(by_class, place)
+    gather(addresses, like, place, inputs)
+    _make_room(by_class, place)
+    for c in range(by_class.shape[0]):
+        for at in range(place[c], place[c] + by_class[c]):
+            x = inputs[at]
+            rates_gps[at] = emission_rate(x[2], x[3], x[4], c, x[0], x[1], like.surrogate)
+    scatter(addresses, like, place, rates_gps)
+
+
+@compiled(borrows=True)
+def _make_room(by_class, place):  # type: ignore[no-untyped-def]
+    first = 0
+    for c in range(by_class.shape[0]):
+        place[c] = first
+        first += by_class[c]
 
 
 @compiled(nogil=True)

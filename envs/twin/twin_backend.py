@@ -22,7 +22,7 @@ from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
 from izoo.envs.twin.desk import Desk
-from izoo.envs.twin.emitting import Emitter
+from izoo.envs.twin.emitting import GROUP, Emitter
 from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
@@ -62,6 +62,7 @@ class TwinBackend:
         self._runs: list[TwinRun | None] = [None] * num_envs
         self._addresses = np.zeros((num_envs, PARTS_BYTES + 1), np.int64)
         self._left = np.zeros(num_envs, np.int64)
+        self._most_vehicles = 0
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
         module = MovesSurrogate(self._weights)
@@ -117,6 +118,7 @@ class TwinBackend:
                 prepared = self._take(index, play, desk)
                 run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
                 self._runs[index] = run
+                self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
                 self._addresses[index], self._left[index] = run.addresses, self.config.control_steps
 
     def pack(self) -> list[np.ndarray]:
@@ -203,7 +205,8 @@ class TwinBackend:
         self, addresses: np.ndarray, steps: np.ndarray, emitter: Emitter, ranges: np.ndarray, like: Any
     ) -> None:
         if self.surrogate == "compiled":
-            play_all(addresses, steps, self._step_ms, self.config.lane_change, like, ranges)
+            rows = emitter.rows(GROUP * self._most_vehicles)
+            play_all(addresses, steps, self._step_ms, self.config.lane_change, like, rows, ranges)
             return
         for step in range(int(steps.max())):
             # From here on, those that have been played are left out.
