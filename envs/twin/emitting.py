@@ -23,7 +23,6 @@ from izoo.envs.mdp.world import MEMBERS
 from izoo.envs.twin.fetching import PARTS_BYTES, WORLD_AT
 from izoo.envs.twin.handles import world_at
 
-
 GROUP = 16
 """So many environments are played side by side with the compiled surrogate: enough to use the weights of a class for
 several vehicles, and so few that what a step of them touches stays in the cache."""
