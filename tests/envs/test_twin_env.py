@@ -14,6 +14,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.twin.emitting import GROUP
 from izoo.errors import IzooError
 from tests.envs.test_determinism import by_episode, schedule
 from tests.envs.test_env import VARIANTS
@@ -279,7 +280,7 @@ def test_golden(expected: dict[int, str]) -> None:
 
 @pytest.mark.parametrize("hold_s", [None, 2.0])
 def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
-    """With one of them all environments take a step together, with the other each plays its decision to the end."""
+    """With one of them all environments take a step together, with the other a few play a decision to the end."""
     config = short(hold_s=hold_s, emit=EMIT_GROUPS)
     parts = [
         play(make(3, surrogate=name, config=config), config.decisions + 5)["next"] for name in ("torch", "compiled")
@@ -289,6 +290,31 @@ def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
     for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
         assert torch.equal(parts[0][key], parts[1][key]), key
     assert parts[0]["done"].any() and parts[0]["vehicles", "emission_g"].sum() > 1.0
+
+
+@pytest.mark.parametrize(("num_envs", "threads"), [(GROUP + 3, 1), (3 * GROUP, 2)])
+def test_the_compiled_surrogate_groups_environments_without_a_trace(make: Make, num_envs: int, threads: int) -> None:
+    """Those of a group are in other phases of their episodes, and have played as many decisions to get there."""
+    config, phases = short(hold_s=2.0), [7 * index % 11 for index in range(num_envs)]
+    envs = [make(num_envs, schedule(), threads=threads, surrogate="compiled", config=config)]
+    envs += [make(1, schedule(), surrogate="compiled", config=config) for _ in range(num_envs)]
+    together, alone = envs[0], envs[1:]
+    together.reset(episode=[index % EPISODES for index in range(num_envs)])
+    state = together.advance(phases)
+    states = []
+    for index, env in enumerate(alone):
+        env.reset(episode=index % EPISODES)
+        states.append(env.advance([phases[index]]))
+    assert config.decisions - max(phases) > 3
+    for _ in range(config.decisions - max(phases)):
+        following = together.step_lean(steer(state))
+        for index, env in enumerate(alone):
+            one = env.step_lean(steer(states[index]))
+            for key, value in one.items(True, True):
+                assert torch.equal(following.get(key)[index], value[0]), (index, key)
+            states[index] = one.exclude(("agents", "reward"))
+        state = following.exclude(("agents", "reward"))
+    assert following["done"].any() and not following["done"].all()
 
 
 # -- what is counted ---------------------------------------------------------------------------------------------------

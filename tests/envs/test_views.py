@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-import izoo.envs
+import izoo.envs.views.gymnasium
+import izoo.envs.views.pettingzoo
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
