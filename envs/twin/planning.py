@@ -74,7 +74,8 @@ POSITION_EPS = 0.1
 STOP_LINE_GAP_M = 1.0
 YELLOW_DECEL_MPS2 = 3.0
 VISIBILITY_M = 4.5
-LOOK_BEYOND_M = 5.0
+LOOK_BEYOND_LENGTHS = 5.0
+"""A driver sees so many lengths of his vehicle of road behind junctions, and room for one more than there is inside."""
 SPEED_EPS = 1e-4
 """A speed (m/s) below this times the step (s) counts as 0."""
 
@@ -94,7 +95,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     reach = fastest * step_s + brake_gap(fastest, driver[DECEL], driver[TAU], step_s)
     seen = net.lane_floats[lane, LANE_LENGTH] - floats[v, POSITION]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
-    seen_roads = 0.0 if inside else seen
+    seen_roads, seen_inside = 0.0, seen if inside else 0.0
     best = min(fastest, wish)
     command = floats[v, COMMAND]
     if not math.isnan(command):
@@ -187,8 +188,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         numbers[ITEM_ARRIVAL_MS], numbers[ITEM_REQUEST] = enter_ms, request
         if count == MAX_ITEMS_PER_VEHICLE:
             break
-        if (not request or best <= 0.0 or seen > reach) and beyond and seen_roads > LOOK_BEYOND_M:
-            break
+        if not request or best <= 0.0 or seen > reach:
+            length = driver[LENGTH]
+            if beyond and seen_roads > max(seen_inside + length, LOOK_BEYOND_LENGTHS * length):
+                break
         beyond = beyond or net.link_ints[link, LINK_VIA] < 0
         lane = next_lane
         inside = net.lane_ints[lane, LANE_INSIDE] == 1
@@ -199,7 +202,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
                 free_limit, freely = lane_limit, free_core(driver, speed, lane_limit, wish, step_s)
             free = limited(driver, seen, freely, lane_limit)
         best = min(best, max(free, slowest - EPS))
-        if not inside:
+        if inside:
+            seen_inside += next_length
+        else:
             seen_roads += next_length
         seen += next_length
         passing = min(speed_after(next_length, best, driver[MAX_ACCEL]), lane_limit)
