@@ -322,7 +322,12 @@ def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float,
     )
     common = min(common, float(_lengths(one)[-1]), float(_lengths(two)[-1]))
     own, theirs = (common * _scale(ways, k) for k in (lane, other))
-    return (ends[0] - common, ends[1] - common) if at_begin else (own, theirs)
+    if not at_begin:
+        return own, theirs
+    if ways.lane_ints[lane, LANE_EDGE] == ways.lane_ints[other, LANE_EDGE]:
+        # Neighbours that part into the lanes of one road are as far along in the same metres.
+        own = theirs = common
+    return ends[0] - own, ends[1] - theirs
 
 
 def _apart(shape: np.ndarray, other: np.ndarray) -> float:
