@@ -164,7 +164,9 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
             beside = net.conflict_ints[row, CONFLICT_LANE]
             follower = state.lanes[beside, LANE_FRONT]
             parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-            if follower >= 0 and follower != v and state.floats[follower, POSITION] < parting:
+            if follower < 0 or follower == v:
+                continue
+            if state.floats[follower, POSITION] - traffic.floats[follower, LENGTH] < parting:
                 gap = way - state.floats[follower, POSITION] + back - traffic.floats[follower, MIN_GAP]
                 other = state.floats[follower, SPEED]
                 lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
