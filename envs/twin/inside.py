@@ -104,10 +104,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
         return False, 0.0, 0.0
     outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
     nowhere = foe_behind == NOWHERE
-    entry = net.link_ints[link, LINK_ENTRY]
-    merges = net.conflict_floats[row, CONFLICT_BEHIND] == 0.0 and net.link_ints[entry, LINK_CONT] == 0
-    first = state.ints[v, JUNCTION_MS] <= state.ints[w, ENTERED_MS]
-    if nowhere and not outside and (state.link_letter[entry] != RED or not merges or first):
+    if nowhere and not outside:
         return False, 0.0, 0.0
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane
@@ -174,11 +171,10 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     else:
         safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
     if before_wait:
-        left_over = to_way < 0.0 and net.conflict_floats[row, CONFLICT_FOE_BEHIND] == NOWHERE
-        if to_conflict >= 0.0 and (left_over or state.ints[w, LANE] != net.conflict_ints[row, CONFLICT_LANE]):
+        if state.ints[w, LANE] != net.conflict_ints[row, CONFLICT_LANE] and to_conflict >= 0.0:
             # It has passed the waiting point but for its tail: up to the conflict, and not behind it.
             stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
-            safe = max(safe, min(speed, stop) if left_over else stop)
+            safe = max(safe, stop)
     elif crosses and to_conflict >= 0.0:
         stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
         leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
