@@ -100,6 +100,7 @@ def play_all(addresses, steps, step_ms, lane_change, like, rows, ranges):  # typ
     """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment.
 
     Args:
+        addresses, step_ms, lane_change, like, ranges: as for :func:`drive_all`.
         rows: a :class:`~izoo.envs.twin.emitting.Rows` for the vehicles of any :data:`GROUP` environments.
     """
     count = addresses.shape[0]

@@ -35,6 +35,7 @@ class Rows(NamedTuple):
         chosen: ``[GROUP + 1, 7]`` int64, addresses of the environments that are played.
         by_class: ``[C]`` int64, how many vehicles of each class emit something new.
         place: ``[C]`` int64, the row of the next of them.
+        moves_class: ``[n]`` int64, class of each row.
         inputs: ``[n, 5]`` float32, one row per vehicle.
         rates_gps: ``[n]`` float32.
     """
@@ -42,6 +43,7 @@ class Rows(NamedTuple):
     chosen: np.ndarray
     by_class: np.ndarray
     place: np.ndarray
+    moves_class: np.ndarray
     inputs: np.ndarray
     rates_gps: np.ndarray
 
@@ -69,7 +71,8 @@ class Emitter:
         """Return working memory for the compiled surrogate, of so many vehicles; what is not used takes no memory."""
         if vehicles > len(self._rates_gps):
             self._inputs, self._rates_gps = np.zeros((vehicles, INPUTS), np.float32), np.zeros(vehicles, np.float32)
-        return Rows(self._chosen, self.by_class, self._place, self._inputs, self._rates_gps)
+            self._tile_class = np.zeros(vehicles, np.int64)
+        return Rows(self._chosen, self.by_class, self._place, self._tile_class, self._inputs, self._rates_gps)
 
     def emit(self, addresses: np.ndarray, like: Any) -> None:
         """Write the CO2 of the environments at ``addresses`` into their tables."""
@@ -133,23 +136,14 @@ def emit_group(addresses, like, rows):  # type: ignore[no-untyped-def]
         addresses, like: as for :func:`~izoo.envs.twin.crowd.drive_all`.
         rows: a :class:`Rows` whose ``by_class`` is filled.
     """
-    _, by_class, place, inputs, rates_gps = rows
-    _make_room(by_class, place)
+    _, by_class, place, moves_class, inputs, rates_gps = rows
+    count = lay_out(by_class, 1, place, moves_class)
     gather(addresses, like, place, inputs)
-    _make_room(by_class, place)
-    for c in range(by_class.shape[0]):
-        for at in range(place[c], place[c] + by_class[c]):
-            x = inputs[at]
-            rates_gps[at] = emission_rate(x[2], x[3], x[4], c, x[0], x[1], like.surrogate)
+    for at in range(count):
+        x = inputs[at]
+        rates_gps[at] = emission_rate(x[2], x[3], x[4], moves_class[at], x[0], x[1], like.surrogate)
+    lay_out(by_class, 1, place, moves_class)
     scatter(addresses, like, place, rates_gps)
-
-
-@compiled(borrows=True)
-def _make_room(by_class, place):  # type: ignore[no-untyped-def]
-    first = 0
-    for c in range(by_class.shape[0]):
-        place[c] = first
-        first += by_class[c]
 
 
 @compiled(nogil=True)

@@ -2,7 +2,7 @@
 
 A step touches some sixty kilobytes, and the tables of a hundred environments do not stay in the cache. Read one after
 the other, as the step needs them, its lines come at the pace of the memory's latency; asked for ahead they are there.
-A few lines are asked for with each vehicle that is driven, or whose CO2 is computed.
+A few lines are asked for with each vehicle that is driven.
 """
 
 from __future__ import annotations
