@@ -202,6 +202,10 @@ def _conflict(
         sizes = own_size, their_size
         if own > 0.0 and theirs == 0.0 and not _intersections(ways.shapes[lane], ways.shapes[other]):
             theirs = NOWHERE
+            roads = ways.lane_ints[links[[entry, foe], LINK_FROM], LANE_EDGE]
+            if roads[0] == roads[1]:
+                # Beside a way of the same road it only comes to an end there: no conflict.
+                own = theirs = 0.0
         elif own == theirs == 0.0 and last and waits and yields and links[entry, LINK_TO] == links[foe, LINK_TO]:
             # Before its waiting point somebody who will merge.
             theirs = NOWHERE

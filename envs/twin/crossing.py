@@ -27,6 +27,7 @@ from izoo.envs.twin.arrays import (
     JUNCTION_MS,
     LANE,
     LANE_INSIDE,
+    LANE_JUNCTION,
     LINK_CONT,
     LINK_ENTRY,
     LINK_FIRST_RESPONSE,
@@ -91,16 +92,24 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
         ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = now_ms
     if inside_after and (inside_before or not net.link_ints[link, LINK_CONT]):
         ints[v, CONFLICT_MS] = now_ms
+        # Who had lost its turn has one again.
+        ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], now_ms)
     if not inside_after:
         ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
 
 
 @compiled
-def note_request(net, state, v):  # type: ignore[no-untyped-def]
-    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane.
+def lose_turn(net, state, v, link):  # type: ignore[no-untyped-def]
+    """Note that vehicle ``v`` does not ask to pass ``link``; if both are in one junction, others go first."""
+    lane, before = state.ints[v, LANE], net.link_ints[link, LINK_FROM]
+    inside = net.lane_ints[lane, LANE_INSIDE] == 1 and net.lane_ints[before, LANE_INSIDE] == 1
+    if inside and net.lane_ints[lane, LANE_JUNCTION] == net.lane_ints[before, LANE_JUNCTION]:
+        state.ints[v, JUNCTION_MS] = state.ints[v, CONFLICT_MS] = NEVER_MS
 
-    If not, it forgets when it came, and everybody who has come goes first, unless it came past a waiting point.
-    """
+
+@compiled
+def note_request(net, state, v):  # type: ignore[no-untyped-def]
+    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane."""
     lane = state.ints[v, LANE]
     if net.lane_ints[lane, LANE_INSIDE] == 0:
         return
@@ -110,8 +119,6 @@ def note_request(net, state, v):  # type: ignore[no-untyped-def]
         link = state.item_ints[item, ITEM_LINK]
         if link >= 0 and net.link_ints[link, LINK_FROM] == lane:
             state.ints[v, WILL_PASS] = state.item_ints[item, ITEM_REQUEST]
-            if state.ints[v, WILL_PASS] == 0 and state.ints[v, JUNCTION_MS] == state.ints[v, CONFLICT_MS]:
-                state.ints[v, JUNCTION_MS] = state.ints[v, CONFLICT_MS] = NEVER_MS
 
 
 @compiled

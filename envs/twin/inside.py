@@ -23,8 +23,8 @@ from izoo.envs.twin.arrays import (
     LINK_FROM,
     MAX_ACCEL,
     MIN_GAP,
-    NEVER_MS,
     SPEED,
+    TAU,
     WAITING_MS,
     WILL_PASS,
 )
@@ -35,6 +35,7 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_FOE_BEHIND,
     CONFLICT_FOE_SIZE,
     CONFLICT_FOE_WAITS,
+    CONFLICT_FOE_YIELDS,
     CONFLICT_KIND,
     CONFLICT_LANE,
     CONFLICT_RADIUS,
@@ -120,8 +121,19 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     if kind != PARTING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
     gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    is_first = to_conflict < -POSITION_EPS and not outside and not in_the_way
+    if is_first and (kind == CROSSING or (kind == MERGING and not _never_apart(net, link, row))):
+        # It is in the conflict, and nobody else is there.
+        return False, 0.0, 0.0
     heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, gap - foe_size, step_s)
     return heeds, to_conflict, gap
+
+
+@compiled
+def _never_apart(net, link, row):  # type: ignore[no-untyped-def]
+    """Whether the way before ``link`` is in the conflict of ``row`` as soon as it begins."""
+    length = net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+    return net.conflict_floats[row, CONFLICT_BEHIND] > length - POSITION_EPS
 
 
 @compiled
@@ -166,6 +178,9 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
             gap += to_way - to_conflict
             to_conflict = to_way
         gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
+    elif net.conflict_ints[row, CONFLICT_KIND] == MERGING and to_conflict < -POSITION_EPS and gap < 0.0:
+        # It is in the conflict since its way began, and waits where that ends.
+        crosses, to_conflict = True, distance_m
     if gap >= 0.0 and not before_wait:
         safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
     else:
@@ -271,17 +286,30 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     """Return whether vehicle ``w``, inside the junction, goes before vehicle ``v``.
 
     Whoever came first does: of those with the right of way that is by the time at which they entered the junction, of
-    those who have to yield by the time at which they came into conflict, past their waiting point. Who stood and did
-    not ask to pass has lost both times; on ways that part, and to one left over by a red signal, that of entry stays.
+    those who have to yield by the time at which they came into conflict, past their waiting point. Who did not ask to
+    pass has lost both times; on ways that part, that of entry goes on counting. While one of the two signals is red,
+    who comes by the other waits for those left over if it can still brake.
+
+    Args:
+        link, row: the link at the end of the way of ``v``, and the conflict.
+        gap: from ``v`` to the rear of ``w`` (m), below 0 where ``v`` would be at the conflict before.
     """
+    own_letter = state.link_letter[net.link_ints[link, LINK_ENTRY]]
+    other_letter = state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]
     own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
-    elif _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):
-        own = state.ints[v, CONFLICT_MS]
-    elif state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
-        # Left over from an earlier phase: those who can still brake do.
-        own = state.ints[v, ENTERED_MS]
+    elif own_letter == RED or other_letter == RED:
+        if other_letter == RED:
+            own = state.ints[v, CONFLICT_MS]
+        elif state.floats[w, SPEED] > STANDING_MPS and gap < 0.0 and _can_brake(traffic, state, v, w, gap, step_s):
+            return False
+    else:
+        yields, gives = _who_yields(net, state, v, w, row, own_letter, other_letter)
+        if yields:
+            own = state.ints[v, CONFLICT_MS]
+            if not gives:
+                foe = state.ints[w, JUNCTION_MS]
     if own != foe:
         return own > foe
     if state.floats[v, SPEED] != state.floats[w, SPEED]:
@@ -290,26 +318,23 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
 
 
 @compiled
-def _has_to_yield(net, traffic, state, v, w, link, row, gap, step_s):  # type: ignore[no-untyped-def]
-    """Return whether ``v``, inside the junction, has to yield to ``w`` there, by what the signals behind them show now.
+def _can_brake(traffic, state, v, w, gap, step_s):  # type: ignore[no-untyped-def]
+    """Whether ``w``, ``gap`` (m) before vehicle ``v`` (below 0: behind it), could brake for it after this step."""
+    driver = traffic.floats[w]
+    soon = state.floats[w, SPEED] + driver[MAX_ACCEL] * step_s
+    room = -gap - driver[LENGTH] - 2.0 * traffic.floats[v, MIN_GAP]
+    return brake_gap(soon, driver[DECEL], driver[TAU], step_s) < room
 
-    Args:
-        link, row: the link at the end of the way of ``v``, and the conflict.
-        gap: from ``v`` to the rear of ``w`` (m), below 0 where ``v`` would be at the conflict before.
-    """
-    own = state.link_letter[net.link_ints[link, LINK_ENTRY]]
-    other = state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]
-    if own == RED or other == RED:
-        if other != RED and state.floats[w, SPEED] > STANDING_MPS and gap < 0.0:
-            # Who is left over from an earlier phase goes, unless the other could not brake any more.
-            soon = state.floats[w, SPEED] + traffic.floats[w, MAX_ACCEL] * step_s
-            return -gap - traffic.floats[w, LENGTH] < brake_gap(soon, traffic.floats[w, DECEL], 0.0, step_s)
-        return state.ints[v, CONFLICT_MS] == NEVER_MS
-    if is_major(own) != is_major(other):
-        return not is_major(own)
-    if own in (YELLOW, OFF_YELLOW) and other in (YELLOW, OFF_YELLOW):
-        return state.floats[w, SPEED] >= state.floats[v, SPEED]
-    return net.conflict_ints[row, CONFLICT_YIELDS] == 1
+
+@compiled
+def _who_yields(net, state, v, w, row, own_letter, other_letter):  # type: ignore[no-untyped-def]
+    """Return whether ``v`` has to yield to ``w``, and ``w`` to ``v``, by what the signals behind them show now."""
+    if is_major(own_letter) != is_major(other_letter):
+        return not is_major(own_letter), not is_major(other_letter)
+    if own_letter in (YELLOW, OFF_YELLOW) and other_letter in (YELLOW, OFF_YELLOW):
+        own, other = state.floats[v, SPEED], state.floats[w, SPEED]
+        return other >= own, own >= other
+    return net.conflict_ints[row, CONFLICT_YIELDS] == 1, net.conflict_ints[row, CONFLICT_FOE_YIELDS] == 1
 
 
 @compiled

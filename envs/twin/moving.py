@@ -41,7 +41,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.crossing import may_pass, note_request, pass_link, slows_before
+from izoo.envs.twin.crossing import lose_turn, may_pass, note_request, pass_link, slows_before
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
@@ -70,6 +70,8 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         if link < 0 or not numbers[ITEM_REQUEST]:
             safe = values[ITEM_WAIT]
             waits = waits or (link >= 0 and safe < speed)
+            if link >= 0:
+                lose_turn(net, state, v, link)
             break
         letter = state.link_letter[link]
         can_brake = distance > comfortable
