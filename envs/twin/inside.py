@@ -48,7 +48,7 @@ from izoo.envs.twin.conflicts import (
 )
 from izoo.envs.twin.crossing import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.following import brake_gap, follow_speed, stop_speed
-from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_major
+from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
 from izoo.envs.twin.order import back_on
 
 BLOCKED_AFTER_MS = 5000
@@ -105,7 +105,8 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
         return False, 0.0, 0.0
     outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
     nowhere = foe_behind == NOWHERE
-    if nowhere and not outside:
+    if nowhere and (not outside or is_green(state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]])):
+        # Only who is left over on the way to a waiting point is waited for there, and only from outside.
         return False, 0.0, 0.0
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane

@@ -19,6 +19,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.compiled import compiled
 
 RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
+GREEN, PRIORITY_GREEN = ord("g"), ord("G")
 
 
 @compiled
@@ -56,6 +57,12 @@ def begin_signals(net: TwinNet, state: TwinState) -> None:
 def stops_all(letter):  # type: ignore[no-untyped-def]
     """Whether a link that shows ``letter`` is red or yellow."""
     return letter in (RED, YELLOW, OFF_YELLOW)
+
+
+@compiled
+def is_green(letter):  # type: ignore[no-untyped-def]
+    """Whether a signal shows green, with priority or without."""
+    return letter in (GREEN, PRIORITY_GREEN)
 
 
 @compiled
