@@ -50,7 +50,8 @@ class ThroughputConfig:
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round; a multiple of 200, as collectors are timed in such
             batches.
-        twin_envs: environments on the twin, a row for each number; empty: no such rows.
+        twin_envs: environments on the twin, a row for each number; the last also with compiled CO2, with a policy, and
+            with resets; empty: no such rows.
         twin_threads: threads of the twin, rows for each number.
         out: also write the rows as JSON to this file.
     """
@@ -58,7 +59,7 @@ class ThroughputConfig:
     scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
     workers: int = 2
     steps: int = 400
-    twin_envs: tuple[int, ...] = (1, 16, 64, 256)
+    twin_envs: tuple[int, ...] = (1, 16, 256, 64)
     twin_threads: tuple[int, ...] = (1, 2)
     out: str | None = None
 
