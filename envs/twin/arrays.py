@@ -220,10 +220,11 @@ lane changing's memories. The first eight are a line of the processor's cache.""
 lanes' tables, set when it enters an edge; lanes behind its own that its tail is on; its items in ``item_*``; how long
 it has stood (ms); 1 where something keeps it from going on; speeds advised; lane changing: commanded change of this
 step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, until when it is commanded to a lane; SUMO's
-signals; index of the lane that it is commanded to; time of the last change, changes by reason; when it entered the
-junction that it is in and that junction's conflicts (NEVER_MS before), 1 where it asked to pass the link at the end of
-its lane in the last plan, the link with ``s`` that it stood before; when it entered the junction, whoever it gave way
-to since. The first sixteen are a line of the cache."""
+signals; index of the lane that it is commanded to; time of the last change, changes by reason; since when it has
+its turn in the junction that it is in, and is in that junction's conflicts (NEVER_MS before, and when it has lost its
+turn, which it has again past its waiting point), 1 where it asked to pass the link at the end of
+its lane in the last plan, the link with ``s`` that it stood before; when it entered the junction, whatever became
+of its turn. The first sixteen are a line of the cache."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many

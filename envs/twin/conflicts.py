@@ -201,11 +201,12 @@ def _conflict(
         theirs, their_size = _crossing(ways, other, lane)
         sizes = own_size, their_size
         if own > 0.0 and theirs == 0.0 and not _intersections(ways.shapes[lane], ways.shapes[other]):
-            theirs = NOWHERE
-            roads = ways.lane_ints[links[[entry, foe], LINK_FROM], LANE_EDGE]
-            if roads[0] == roads[1]:
+            own_road, their_road = (ways.lane_ints[links[row, LINK_FROM], LANE_EDGE] for row in (entry, foe))
+            if own_road == their_road:
                 # Beside a way of the same road it only comes to an end there: no conflict.
                 own = theirs = 0.0
+            else:
+                theirs = NOWHERE
         elif own == theirs == 0.0 and last and waits and yields and links[entry, LINK_TO] == links[foe, LINK_TO]:
             # Before its waiting point somebody who will merge.
             theirs = NOWHERE

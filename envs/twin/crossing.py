@@ -100,7 +100,7 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
 
 @compiled
 def lose_turn(net, state, v, link):  # type: ignore[no-untyped-def]
-    """Note that vehicle ``v`` does not ask to pass ``link``; if both are in one junction, others go first."""
+    """Take the turn of ``v``, which does not ask to pass ``link``, if it and the link are inside the same junction."""
     lane, before = state.ints[v, LANE], net.link_ints[link, LINK_FROM]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1 and net.lane_ints[before, LANE_INSIDE] == 1
     if inside and net.lane_ints[lane, LANE_JUNCTION] == net.lane_ints[before, LANE_JUNCTION]:

@@ -106,7 +106,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
     nowhere = foe_behind == NOWHERE
     if nowhere and (not outside or is_green(state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]])):
-        # Only who is left over on the way to a waiting point is waited for there, and only from outside.
+        # Only from outside is one on the way to a waiting point waited for, and only while its signal is not green.
         return False, 0.0, 0.0
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane
@@ -124,7 +124,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
     is_first = to_conflict < -POSITION_EPS and not outside and not in_the_way
     if is_first and (kind == CROSSING or (kind == MERGING and not _never_apart(net, link, row))):
-        # It is in the conflict, and nobody else is there.
+        # It is in the conflict already: it goes on, where ways merge unless the other is ahead.
         return False, 0.0, 0.0
     heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, gap - foe_size, step_s)
     return heeds, to_conflict, gap
@@ -168,7 +168,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     heeds, to_conflict, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
     if not heeds:
         return best, passing, request
-    crosses, before_wait = net.conflict_ints[row, CONFLICT_KIND] == CROSSING, _is_before_wait(net, row)
+    kind, before_wait = net.conflict_ints[row, CONFLICT_KIND], _is_before_wait(net, row)
+    crosses = kind == CROSSING
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
     wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
@@ -179,8 +180,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
             gap += to_way - to_conflict
             to_conflict = to_way
         gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    elif net.conflict_ints[row, CONFLICT_KIND] == MERGING and to_conflict < -POSITION_EPS and gap < 0.0:
-        # It is in the conflict since its way began, and waits where that ends.
+    elif kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _never_apart(net, link, row):
+        # It is in the conflict since its way began, and waits where that ends, as before a crossing there.
         crosses, to_conflict = True, distance_m
     if gap >= 0.0 and not before_wait:
         safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
@@ -293,7 +294,8 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
 
     Args:
         link, row: the link at the end of the way of ``v``, and the conflict.
-        gap: from ``v`` to the rear of ``w`` (m), below 0 where ``v`` would be at the conflict before.
+        gap: from ``v`` to the rear of ``w`` (m), less the standstill gap and, on ways that cross, the conflict's
+            length; below 0 where ``v`` would be at the conflict before.
     """
     own_letter = state.link_letter[net.link_ints[link, LINK_ENTRY]]
     other_letter = state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]

@@ -53,7 +53,10 @@ STANDING_MPS = 0.1
 
 @compiled
 def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
-    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow, and the least to get over one."""
+    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow, and the least to get over one.
+
+    Notes whether it has to wait, and that it loses its turn in a junction where it does not ask to go on.
+    """
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]

@@ -39,7 +39,7 @@ CASES = {
 """Net, steps, and differences at most. There are 94, 7, 18, 117, 235, 0, 17, 15, 39, 2, 1 and 39; without the rule,
 when it was new, there were 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60 and 103. Without asking or not asking to pass
 beside one that stands: 27, 165 and 34 of the third, the fourth and the seventh. The last three: 24, 39 and 11, and
-without all three rules 44, 64 and 35."""
+with none of the three rules 44, 64 and 35."""
 
 
 @pytest.mark.parametrize("rule", CASES)
