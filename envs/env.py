@@ -24,7 +24,7 @@ from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
 from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
-from izoo.envs.reader import FrameReader
+from izoo.envs.reader import FrameReader, set_entry
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError, check_choice, check_seed, check_whole
@@ -181,7 +181,7 @@ class EcoDrivingBase(EnvBase):
     def step_lean(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Step, and return what is set under ``"next"``: ``step`` without its checks."""
         following = self._step(tensordict)
-        _set(tensordict, "next", following)
+        set_entry(tensordict, "next", following)
         return following
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -191,7 +191,7 @@ class EcoDrivingBase(EnvBase):
         """
         self._simulate(tensordict)
         following, state = self.reader.read(stepped=True)
-        _set(tensordict, "next", following)
+        set_entry(tensordict, "next", following)
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun
 
@@ -224,11 +224,6 @@ def _warn_of_doubles(seed: int) -> None:
             "episodes. Give worker=k and num_workers=N, or worker=0 if that is meant.",
             seed,
         )
-
-
-def _set(tensordict: TensorDictBase, key: str, value: Any) -> None:
-    """Set an entry whose shape is known to be right."""
-    tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
 def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -18,18 +19,83 @@ from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change")}
 """What can be commanded: the key of each array of a frame that the parent writes."""
-_AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent_vehicle"}
-"""Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``."""
-_OBSERVATION = list(_AGENT_LEAVES).index("observation")
-"""Number of the observations among the leaves: by far the largest."""
+_AGENT_LEAVES = {"mask": "mask", "vehicle": "agent_vehicle"}
+"""Arrays of a frame by their key under ``"agents"``, ``[*B, A]``."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
 
 
+class Observations(Protocol):
+    """Where the observations of a frame go, by far the largest of its arrays.
+
+    A step calls :meth:`begin`, perhaps :meth:`prepare` and :meth:`take`, and :meth:`read`.
+    """
+
+    def begin(self) -> None:
+        """Begin a step."""
+        ...
+
+    def prepare(self) -> None:
+        """Do what does not need the frame, while the frame is waited for."""
+        ...
+
+    def take(self, rows: slice) -> None:
+        """Take the observations of some environments. Threads that wrote them do so side by side, each for its own."""
+        ...
+
+    def read(self, stepped: bool) -> tuple[Tensor, Tensor]:
+        """Return the observations ``[*B, A, F]`` that a step led to, and those to act on next.
+
+        Args:
+            stepped: a step has just ended, and no frame changed since: what was taken is not taken again.
+        """
+        ...
+
+
+class Copies:
+    """Observations that own their memory, copied whole in every step.
+
+    Args:
+        source: ``[*B, A, F]`` those of the frames.
+    """
+
+    def __init__(self, source: np.ndarray) -> None:
+        self._source = source
+        self._blank: np.ndarray | None = None
+        self._taken: list[slice] = []
+
+    def begin(self) -> None:
+        """Begin a step."""
+
+    def prepare(self) -> None:
+        """Ask for the memory of the next copy."""
+        self._taken = []
+        if self._blank is None:
+            self._blank = np.empty_like(self._source)
+
+    def take(self, rows: slice) -> None:
+        """Copy those of some environments, if there is memory for them."""
+        blank, taken = self._blank, self._taken
+        if blank is not None:
+            np.copyto(blank[rows], self._source[rows])
+            taken.append(rows)
+
+    def read(self, stepped: bool) -> tuple[Tensor, Tensor]:
+        """Return the copy, twice."""
+        blank, self._blank = self._blank, None
+        if blank is None:
+            blank = self._source.copy()
+        elif not (stepped and sum(rows.stop - rows.start for rows in self._taken) == len(blank)):
+            np.copyto(blank, self._source)
+        copy = torch.from_numpy(blank)
+        return copy, copy
+
+
 class FrameReader:
-    """Turns the arrays of frames into TensorDicts that own their memory.
+    """Turns the arrays of frames into TensorDicts that own their memory, unless :attr:`observations` says otherwise.
 
     Attributes:
+        observations: where these go.
         vehicle_names: entries of the group of vehicles that are emitted; ``None``: all.
 
     Args:
@@ -60,7 +126,7 @@ class FrameReader:
         self.action_shape = torch.Size((*self.agents_batch, 1))
         self._action = self.tensors["action"].unsqueeze(-1)
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
-        self._taken: list[slice] = []
+        self.observations: Observations = Copies(arrays["observation"])
 
     def _check_action(self, tensordict: TensorDictBase) -> None:
         """Check the action keys.
@@ -104,6 +170,7 @@ class FrameReader:
         self._write_defer(None if defer is None else defer.reshape(self.agents_batch).numpy())
         if self.config.lane_change:
             self.tensors["lane_change"].copy_(agents.get("lane_change", None))
+        self.observations.begin()
 
     def _write_defer(self, defer: np.ndarray | None) -> None:
         if defer is not None:
@@ -114,20 +181,14 @@ class FrameReader:
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
-        self._taken = []
+        self.observations.prepare()
         if self._prepared is None:
             blanks = [np.empty_like(source) for source in self._sources]
             self._prepared = blanks, *self._assemble([torch.from_numpy(blank) for blank in blanks])
 
     def take(self, rows: slice) -> None:
-        """Copy the observations of some environments for the next :meth:`read`, which has been prepared.
-
-        Threads that have written them do so side by side, each for its own environments.
-        """
-        taken, prepared = self._taken, self._prepared
-        if prepared is not None:
-            np.copyto(prepared[0][_OBSERVATION][rows], self._sources[_OBSERVATION][rows])
-            taken.append(rows)
+        """Take the observations of some environments for the next :meth:`read`: see :class:`Observations`."""
+        self.observations.take(rows)
 
     def read(self, stepped: bool = False) -> tuple[TensorDict, TensorDict]:
         """Return what a step leads to, with the reward, and the same without it: the state to act on next.
@@ -135,23 +196,23 @@ class FrameReader:
         Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
 
         Args:
-            stepped: a step has just ended, and no frame changed since: what :meth:`take` copied is not copied again.
+            stepped: a step has just ended, and no frame changed since.
         """
         if self._prepared is None:
             following, state = self._assemble([torch.from_numpy(source.copy()) for source in self._sources])
         else:
             blanks, following, state = self._prepared
             self._prepared = None
-            taken = sum(rows.stop - rows.start for rows in self._taken) == len(self._sources[_OBSERVATION])
-            for number, (blank, source) in enumerate(zip(blanks, self._sources, strict=True)):
-                if not (stepped and taken and number == _OBSERVATION):
-                    np.copyto(blank, source)
+            for blank, source in zip(blanks, self._sources, strict=True):
+                np.copyto(blank, source)
+        for frame, observation in zip((following, state), self.observations.read(stepped), strict=True):
+            set_entry(frame["agents"], "observation", observation)
         if self.config.emit:
             self._add_groups(following, state)
         return following, state
 
     def _assemble(self, leaves: Sequence[Tensor]) -> tuple[TensorDict, TensorDict]:
-        """Return the two TensorDicts of a step, without the groups of ``config.emit``, from copies of the sources."""
+        """Return the two TensorDicts of a step from copies of the sources; observations and groups are to be added."""
         count = len(self._agent_keys)
         agents = dict(zip(self._agent_keys, leaves[:count], strict=True))
         root: dict[str, Tensor | TensorDict] = dict(zip(self._root_keys, leaves[count:], strict=True))
@@ -177,7 +238,7 @@ class FrameReader:
             groups["metrics"] = self.metrics()
         for name, group in groups.items():
             for tensordict in (following, state):
-                tensordict._set_str(name, group, validated=True, inplace=False, non_blocking=False)
+                set_entry(tensordict, name, group)
 
     def context(self) -> TensorDict:
         """Read the context group."""
@@ -202,6 +263,11 @@ class FrameReader:
         episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
         p = torch.Size((*self.batch, self.config.num_approaches))
         return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
+
+
+def set_entry(tensordict: TensorDictBase, key: str, value: Any) -> None:
+    """Set an entry whose shape is known to be right."""
+    tensordict._set_str(key, value, validated=True, inplace=False, non_blocking=False)
 
 
 def _new(columns: dict[str, Tensor] | dict[str, TensorDict | Tensor], batch: torch.Size) -> TensorDict:

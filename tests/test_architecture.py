@@ -40,7 +40,7 @@ ENV_FLOORS = (
     {"config", "mdp"},
     {"backend"},
     {"sumo", "twin"},
-    {"specs", "reader", "picture", "env", "twin_env"},
+    {"specs", "reader", "tape", "picture", "env", "twin_env"},
     {"views"},
 )
 """The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""

@@ -20,6 +20,7 @@ from izoo.envs.backend import Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
+from izoo.envs.twin.crew import Crew
 from izoo.envs.twin.crowd import conclude_all, drive_all, play_all
 from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import GROUP, Emitter
@@ -76,10 +77,9 @@ class TwinBackend:
         self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
         # Where several threads share the environments out, each does what torch does for its own share, alone.
-        begin = _use_one_torch_thread if self.threads > 1 else None
-        self._pool = ThreadPoolExecutor(max(self.threads - 1, 1), "izoo-twin", begin)
+        self._crew = Crew(self.threads, _use_one_torch_thread)
         self._preparer = ThreadPoolExecutor(1, "izoo-prepare")
-        self._finalizer = weakref.finalize(self, _close, self._pool, self._preparer)
+        self._finalizer = weakref.finalize(self, _close, self._crew, self._preparer)
 
     @property
     def started(self) -> bool:
@@ -123,7 +123,8 @@ class TwinBackend:
 
     def pack(self) -> list[np.ndarray]:
         """Return the state of every environment as compressed bytes, uint8."""
-        return list(self._pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
+        with ThreadPoolExecutor(self.threads) as pool:
+            return list(pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
 
     def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
         """Go on from the states of all environments, which play ``plays``."""
@@ -182,16 +183,8 @@ class TwinBackend:
     def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
         """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads."""
         like = self._run(0).episode.world
-        others = [self._pool.submit(self._play_share, thread, steps, like) for thread in range(1, self.threads)]
-        if meanwhile is not None and others:
-            meanwhile()
-        try:
-            with _one_torch_thread(self.threads > 1):
-                self._play_share(0, steps, like)
-        finally:
-            wait(others)
-        for other in others:
-            other.result()
+        with _one_torch_thread(self.threads > 1):
+            self._crew.work(lambda thread: self._play_share(thread, steps, like), meanwhile)
         self._left -= steps
 
     def _play_share(self, thread: int, steps: np.ndarray, like: Any) -> None:
@@ -251,6 +244,6 @@ def _use_one_torch_thread() -> None:
     torch.set_num_threads(1)
 
 
-def _close(pool: ThreadPoolExecutor, preparer: ThreadPoolExecutor) -> None:
+def _close(crew: Crew, preparer: ThreadPoolExecutor) -> None:
     preparer.shutdown(cancel_futures=True)
-    pool.shutdown()
+    crew.close()

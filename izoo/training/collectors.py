@@ -173,8 +173,7 @@ class BatchSource:
             if config.simulator == "twin":
                 self._twin = _on_twin(config, schedule, twin, keeps)
                 # TorchRL's buffers are made for whole steps.
-                whole = keeps is None
-                self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=whole)
+                self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=False)
             else:
                 self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
@@ -182,6 +181,8 @@ class BatchSource:
     def next(self) -> TensorDictBase:
         """Return the next batch ``[N, T]``, which is valid until the one after it."""
         batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
+        if self._twin is not None:
+            return self._twin.complete(batch)
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
@@ -276,6 +277,7 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], 
         state=state,
         phases=random_phases(count, config.env.decisions, config.seed) if config.staggered else None,
         keeps=keeps,
+        batch_steps=frames_per_batch(config) // count,
     )
 
 
