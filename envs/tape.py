@@ -45,8 +45,9 @@ class Tape:
     def take(self, rows: slice) -> None:
         """Write the observations of some environments: what a step led to, and what is acted on next."""
         at, taken = self._at, self._taken
-        write(self._observation[rows], self._mask[rows], self._led_to[at, rows], self._led_to_held[at, rows])
-        write(self._observation[rows], self._mask[rows], self._acted_on[at + 1, rows], self._acted_on_held[at + 1, rows])
+        observation, mask = self._observation[rows], self._mask[rows]
+        write(observation, mask, self._led_to[at, rows], self._led_to_held[at, rows])
+        write(observation, mask, self._acted_on[at + 1, rows], self._acted_on_held[at + 1, rows])
         taken.append(rows)
 
     def read(self, stepped: bool) -> tuple[Tensor, Tensor]:
