@@ -27,6 +27,7 @@ from izoo.envs.twin.arrays import (
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
     TAU,
+    VARIANT,
     WAITING_MS,
 )
 from izoo.envs.twin.compiled import compiled
@@ -54,6 +55,8 @@ OVERTAKING_MPS = 10.0 / 3.6
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
 _DAWDLING_MPS2 = 1.0
 _CONGESTED_MPS = 60.0 / 3.6
+_RAMP_M = 200.0
+"""A lane that ends sooner may be a ramp; seen between 110 and 268 m."""
 _PATIENCE_MS = 5000
 """A leader that has stood for longer is passed."""
 
@@ -256,8 +259,9 @@ def inform_follower(  # type: ignore[no-untyped-def]
         # Slow enough that later ones can help, still fast enough to pass.
         passing = max(braked if other > speed else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        if other <= speed or other - helper[DECEL] * remaining_s > planned:
-            # It cannot drop back in time, and takes its time to pass.
+        ramp = leftward and net.best_length[state.ints[v, VARIANT], state.ints[v, LANE]] < _RAMP_M
+        if other <= speed or other - helper[DECEL] * remaining_s > planned or ramp:
+            # It cannot drop back in time, and takes its time to pass; or this may be a ramp, where one lets others by.
             way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
             add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
 
