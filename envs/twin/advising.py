@@ -16,10 +16,12 @@ from izoo.envs.twin.arrays import (
     KEEP_RIGHT,
     LANE,
     LANE_EDGE,
+    LANE_INSIDE,
     LANE_LIMIT,
     LEFT_SPACE,
     LENGTH,
     LOOK_AHEAD_SPEED,
+    MAX_ACCEL,
     MAX_ADVICES,
     MIN_GAP,
     POSITION,
@@ -217,6 +219,11 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
         return planned
     decel = min(driver[DECEL], max(_FALLING_BEHIND_MPS2, (speed - target) / remaining_s))
     target = min(planned, max(0.0, speed - decel * step_s))
+    creeping = driver[MAX_ACCEL] * step_s
+    if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] and speed <= creeping:
+        # Who is so slow inside a junction does not stop there to fall behind.
+        add_advice(state, v, creeping)
+        return min(planned, creeping)
     add_advice(state, v, target)
     return target
 
