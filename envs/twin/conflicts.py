@@ -304,9 +304,11 @@ def _parting(
     own, theirs = lanes_of[entry], lanes_of[foe]
     if lane == own[0] and other == theirs[0]:
         return _together(ways, lane, other, at_begin=True)
-    # Ways behind a waiting point count as never parting: up to the end of the shorter.
+    # Ways behind a waiting point count as never parting: up to the end of the shorter. Two such are taken to begin side
+    # by side, whatever the ways before them.
+    behind = lane != own[0] and other != theirs[0]
     lengths = [
-        sum(float(ways.lane_floats[k, LANE_LENGTH]) for k in chain[: chain.index(end) + 1])
+        sum(float(ways.lane_floats[k, LANE_LENGTH]) for k in chain[int(behind) : chain.index(end) + 1])
         for chain, end in ((own, lane), (theirs, other))
     ]
     return lengths[0] - min(lengths), lengths[1] - min(lengths)
