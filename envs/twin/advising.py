@@ -17,6 +17,7 @@ from izoo.envs.twin.arrays import (
     LANE,
     LANE_EDGE,
     LANE_INSIDE,
+    LANE_LENGTH,
     LANE_LIMIT,
     LEFT_SPACE,
     LENGTH,
@@ -29,7 +30,6 @@ from izoo.envs.twin.arrays import (
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
     TAU,
-    VARIANT,
     WAITING_MS,
 )
 from izoo.envs.twin.compiled import compiled
@@ -58,7 +58,7 @@ _FALLING_BEHIND_MPS2 = 7.0 / 3.6
 _DAWDLING_MPS2 = 1.0
 _CONGESTED_MPS = 60.0 / 3.6
 _RAMP_M = 200.0
-"""A lane that ends sooner may be a ramp; seen between 110 and 268 m."""
+"""A road that is shorter may be a ramp; seen between 118 and 268 m."""
 _PATIENCE_MS = 5000
 """A leader that has stood for longer is passed."""
 
@@ -263,12 +263,14 @@ def inform_follower(  # type: ignore[no-untyped-def]
     elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))
     else:
-        # Slow enough that later ones can help, still fast enough to pass.
-        passing = max(braked if other > speed else other, speed + OVERTAKING_MPS)
+        # On a short road, which may be a ramp, one lets others on the left by; elsewhere a faster one brakes, so far
+        # that later ones can help and that it still passes.
+        short = leftward and net.lane_floats[state.ints[v, LANE], LANE_LENGTH] < _RAMP_M
+        yields = other > speed and not short
+        passing = max(braked if yields else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        ramp = leftward and net.best_length[state.ints[v, VARIANT], state.ints[v, LANE]] < _RAMP_M
-        if other <= speed or other - helper[DECEL] * remaining_s > planned or ramp:
-            # It cannot drop back in time, and takes its time to pass; or this may be a ramp, where one lets others by.
+        if not yields or other - helper[DECEL] * remaining_s > planned:
+            # It takes its time to pass: the changer waits for it.
             way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
             add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
 
