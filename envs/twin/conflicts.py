@@ -40,6 +40,8 @@ conflict on it; the same on the other way (:data:`NOWHERE` where that way ends b
 NOWHERE = 10000.0
 PARTED_M = 2.5
 """Two ways that come from one lane, or lead to one, are in conflict up to this distance between them."""
+_PARTED_BEFORE_M = 0.1
+"""Ways that are so far apart earlier than this before a waiting point are not in conflict behind it."""
 _LEAST_SINE = 0.2
 
 
@@ -109,7 +111,7 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
             first[row] = len(rows)
             for other in dict.fromkeys([*crossed, *siblings]):
                 foe = entry_of[other]
-                if foe != entry:
+                if foe != entry and not _have_parted_before(ways, lanes_of, entry, lane, foe, other):
                     conflict = _conflict(ways, lanes_of, entry, lane, foe, other)
                     ints, floats = conflict
                     crosses = floats[CONFLICT_BEHIND] > 0.0 or floats[CONFLICT_FOE_BEHIND] == NOWHERE
@@ -312,6 +314,17 @@ def _parting(
         for chain, end in ((own, lane), (theirs, other))
     ]
     return lengths[0] - min(lengths), lengths[1] - min(lengths)
+
+
+def _have_parted_before(
+    ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
+) -> bool:
+    """Whether two ways that come from one lane, of which one or both lie behind waiting points, have parted before."""
+    if ways.link_ints[entry, LINK_FROM] != ways.link_ints[foe, LINK_FROM]:
+        return False
+    own, theirs = lanes_of[entry], lanes_of[foe]
+    behind = _together(ways, own[0], theirs[0], at_begin=True)
+    return (lane != own[0] or other != theirs[0]) and min(behind) > _PARTED_BEFORE_M
 
 
 def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float, float]:
