@@ -59,7 +59,7 @@ class ThroughputConfig:
     scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
     workers: int = 2
     steps: int = 400
-    twin_envs: tuple[int, ...] = (1, 16, 256, 64)
+    twin_envs: tuple[int, ...] = (1, 16, 256, 128)
     twin_threads: tuple[int, ...] = (1, 2)
     out: str | None = None
 

@@ -117,7 +117,7 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
     Args:
         plan: what is played.
         twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate,
-            with a policy, and with whole episodes and the resets between them.
+            with a policy, and with whole episodes and the resets between them (with either surrogate).
     """
     lean = plan.env(emit=())
     last = {threads: (envs, threads) for envs, threads in twins}.values()
@@ -136,6 +136,10 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
         **{f"{_twin_label(*twin)}, compiled CO2": OnTwin(plan, *twin, "compiled", FullAcceleration()) for twin in last},
         **{f"{_twin_label(*twin)}, PPO": OnTwin(plan, *twin) for twin in last},
         **{f"{_twin_label(*twin)}, with resets": OnTwinWithResets(plan, *twin) for twin in last},
+        **{
+            f"{_twin_label(*twin)}, compiled CO2, with resets": OnTwinWithResets(plan, *twin, "compiled")
+            for twin in last
+        },
     }
 
 
@@ -350,11 +354,13 @@ class OnTwinWithResets:
     Args:
         plan: whose contexts are played.
         envs, threads: of the twin.
+        surrogate: what computes CO2.
     """
 
     plan: Plan
     envs: int
     threads: int
+    surrogate: Literal["torch", "compiled"] = "torch"
 
     def play(self, scenario: int) -> Sample:
         """Time the episodes after the first reset up to the last one's end."""
@@ -362,7 +368,8 @@ class OnTwinWithResets:
         action = torch.full((self.envs, config.num_agents, 1), ACTION_HIGH_MPS2)
         agents = vehicle_steps = before = 0.0
         steps = 0
-        with contextlib.closing(TwinEnv(self.envs, context, config=config, threads=self.threads)) as env:
+        made = TwinEnv(self.envs, context, config=config, threads=self.threads, surrogate=self.surrogate)
+        with contextlib.closing(made) as env:
             state = env.reset()
             totals = env.frames["episode_metrics"]
             begin = time.perf_counter()

@@ -41,8 +41,8 @@ CASES = {
 """Net, steps, and differences at most. There are 94, 7, 18, 117, 235, 0, 17, 15, 39, 2, 1 and 39; without the rule,
 when it was new, there were 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60 and 103. Without asking or not asking to pass
 beside one that stands: 27, 165 and 34 of the third, the fourth and the seventh. The next three: 24, 39 and 11, and
-with none of the three rules 44, 64 and 35. The last two: 28 and 9, and without their rules 155 and 47; with them there are
-56 of the fifth."""
+with none of the three rules 44, 64 and 35. The last two: 28 and 9, and without their rules 155 and 47;
+with them there are 56 of the fifth."""
 
 
 @pytest.mark.parametrize("rule", CASES)
