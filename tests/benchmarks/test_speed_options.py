@@ -50,7 +50,7 @@ def test_throughput_compares_like_with_like(
     result = json.loads(out.read_text())
     rows = {row["variant"]: row for row in result["rows"]}
     bare = rows["bare libsumo"]
-    assert result["workers"] == 1 and len(rows) == 18 and bare["ratio_to_bare"] == 1.0
+    assert result["workers"] == 1 and len(rows) == 20 and bare["ratio_to_bare"] == 1.0
     assert all(row["env_steps_per_s"] > 0.0 and row["ratio_to_bare"] > 0.0 for row in rows.values())
     # The same episode everywhere: what nobody commands looks the same in any process, what is commanded alike, too.
     one, stepped = rows["one environment"], rows["one environment, step()"]
