@@ -28,15 +28,11 @@ _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}
 class Observations(Protocol):
     """Where the observations of a frame go, by far the largest of its arrays.
 
-    A step calls :meth:`begin`, perhaps :meth:`prepare` and :meth:`take`, and :meth:`read`.
+    A step calls :meth:`begin`, perhaps :meth:`take`, and :meth:`read`.
     """
 
     def begin(self) -> None:
         """Begin a step."""
-        ...
-
-    def prepare(self) -> None:
-        """Do what does not need the frame, while the frame is waited for."""
         ...
 
     def take(self, rows: slice) -> None:
@@ -65,16 +61,13 @@ class Copies:
         self._taken: list[slice] = []
 
     def begin(self) -> None:
-        """Begin a step."""
-
-    def prepare(self) -> None:
-        """Ask for the memory of the next copy."""
+        """Begin a step: ask for the memory of its copy."""
         self._taken = []
         if self._blank is None:
             self._blank = np.empty_like(self._source)
 
     def take(self, rows: slice) -> None:
-        """Copy those of some environments, if there is memory for them."""
+        """Copy those of some environments, in a step that has begun."""
         blank, taken = self._blank, self._taken
         if blank is not None:
             np.copyto(blank[rows], self._source[rows])
@@ -181,7 +174,6 @@ class FrameReader:
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
-        self.observations.prepare()
         if self._prepared is None:
             blanks = [np.empty_like(source) for source in self._sources]
             self._prepared = blanks, *self._assemble([torch.from_numpy(blank) for blank in blanks])

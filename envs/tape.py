@@ -39,9 +39,6 @@ class Tape:
             self._at = 0
             write(self._acted_on[-1], self._mask, self._acted_on[0], self._acted_on_held[0])
 
-    def prepare(self) -> None:
-        """Do nothing: the memory is there."""
-
     def take(self, rows: slice) -> None:
         """Write the observations of some environments: what a step led to, and what is acted on next."""
         at, taken = self._at, self._taken

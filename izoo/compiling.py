@@ -31,7 +31,7 @@ SOURCES = {
     "izoo.algos": ("acting.py", "resting.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "mdp/*.py", "twin/*.py"),
+    "izoo.envs": ("config.py", "tape.py", "mdp/*.py", "twin/*.py"),
     "izoo.metrics": ("definitions.py",),
     "izoo.networks": ("clock.py", "road.py"),
 }

@@ -41,7 +41,7 @@ NOWHERE = 10000.0
 PARTED_M = 2.5
 """Two ways that come from one lane, or lead to one, are in conflict up to this distance between them."""
 _PARTED_BEFORE_M = 0.1
-"""Ways that are so far apart earlier than this before a waiting point are not in conflict behind it."""
+"""Ways that are :data:`PARTED_M` apart at least so far before a waiting point are not in conflict behind it."""
 _LEAST_SINE = 0.2
 
 

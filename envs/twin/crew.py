@@ -7,6 +7,8 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 Task = Callable[[int], None]
+_Reports = SimpleQueue[BaseException | None]
+_Order = tuple[Task, _Reports]
 
 
 class Crew:
@@ -21,12 +23,12 @@ class Crew:
     """
 
     def __init__(self, size: int, begin: Callable[[], None]) -> None:
-        self._orders: list[SimpleQueue[Task | None]] = [SimpleQueue() for _ in range(size - 1)]
-        self._reports: SimpleQueue[BaseException | None] = SimpleQueue()
-        for number, orders in enumerate(self._orders, 1):
-            helper = threading.Thread(
-                target=_help, args=(number, orders, self._reports, begin), name=f"izoo-twin-{number}", daemon=True
-            )
+        self._orders: list[SimpleQueue[_Order | None]] = [SimpleQueue() for _ in range(size - 1)]
+        self._helpers = [
+            threading.Thread(target=_help, args=(number, orders, begin), name=f"izoo-twin-{number}", daemon=True)
+            for number, orders in enumerate(self._orders, 1)
+        ]
+        for helper in self._helpers:
             helper.start()
 
     def work(self, task: Task, meanwhile: Callable[[], object] | None = None) -> None:
@@ -36,35 +38,40 @@ class Crew:
             task: what each does.
             meanwhile: called by this thread when it is done, if there are others.
         """
-        for orders in self._orders:
-            orders.put(task)
+        # A queue of its own: who is interrupted while it waits leaves reports behind, which are not the next task's.
+        reports: _Reports = SimpleQueue()
+        given = 0
         try:
+            for orders in self._orders:
+                orders.put((task, reports))
+                given += 1
             task(0)
             if meanwhile is not None and self._orders:
                 meanwhile()
         finally:
-            failures = [report for _ in self._orders if (report := self._reports.get()) is not None]
+            failures = [report for _ in range(given) if (report := reports.get()) is not None]
         if failures:
             raise failures[0]
 
     def close(self) -> None:
-        """Let the helpers end."""
+        """Let the helpers end what they do, and wait for that."""
         for orders in self._orders:
             orders.put(None)
+        for helper in self._helpers:
+            if helper is not threading.current_thread():
+                helper.join()
 
 
-def _help(
-    number: int,
-    orders: SimpleQueue[Task | None],
-    reports: SimpleQueue[BaseException | None],
-    begin: Callable[[], None],
-) -> None:
+def _help(number: int, orders: SimpleQueue[_Order | None], begin: Callable[[], None]) -> None:
     begin()
-    while (task := orders.get()) is not None:
+    while (order := orders.get()) is not None:
+        task, reports = order
         report: BaseException | None = None
         try:
             task(number)
         except BaseException as failure:
             report = failure
-        del task  # before the report: whoever has heard it may let everything go
+        # Whoever has heard the report may let everything go: nothing is held here until the next order.
+        del order, task
         reports.put(report)
+        del report, reports

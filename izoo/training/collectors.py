@@ -172,7 +172,7 @@ class BatchSource:
         with workers_ignore_interrupts():
             if config.simulator == "twin":
                 self._twin = _on_twin(config, schedule, twin, keeps)
-                # TorchRL's buffers are made for whole steps.
+                # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
                 self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=False)
             else:
                 self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)

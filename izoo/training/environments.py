@@ -114,8 +114,8 @@ class TrainingTwinEnv(_Training, TwinEnv):
 
     Args:
         keeps: keys of a step that are handed on when it is over; ``None``: all. The policy sees everything.
-        batch_steps: ``T`` of the batches that are collected: observations are then handed on for a whole batch
-            (:meth:`complete`), not with every step.
+        batch_steps: ``T`` of the batches that are collected: where all is kept, observations are then handed on for a
+            whole batch (:meth:`complete`), not with every step.
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
         phases: ``[N]`` decisions that nobody commands at the beginning of each environment's first episode; ``None``:
             episodes begin, and so end, together.
@@ -135,9 +135,7 @@ class TrainingTwinEnv(_Training, TwinEnv):
         super().__init__(*args, **options)
         self._left_at, self._phases = state, phases
         self._keeps, self._tape = keeps, None
-        self._observed = [key for key in OBSERVATIONS if keeps is None or key in keeps]
-        if batch_steps is not None and self._observed:
-            self._keeps = None if keeps is None else tuple(key for key in keeps if key not in OBSERVATIONS)
+        if batch_steps is not None and keeps is None:
             self._tape = Tape(batch_steps, self.frames["observation"], self.frames["mask"])
             self.reader.observations = self._tape
         self.observation_spec[NUMBERS] = Unbounded(self.reader.tensors[NUMBERS].shape, dtype=torch.int64)
@@ -153,14 +151,13 @@ class TrainingTwinEnv(_Training, TwinEnv):
         return stepped, state
 
     def complete(self, batch: TensorDictBase) -> TensorDictBase:
-        """Add the observations to a batch ``[N, T]`` of the last ``batch_steps`` steps, if they are to be kept.
+        """Add the observations to a batch ``[N, T]`` of the last ``batch_steps`` steps, where all is kept.
 
         The next step is written over them.
         """
         if self._tape is not None:
             for key, observation in zip(OBSERVATIONS, self._tape.batch(), strict=True):
-                if key in self._observed:
-                    batch.set(key, observation)
+                batch.set(key, observation)
         return batch
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:

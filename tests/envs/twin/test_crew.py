@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from queue import SimpleQueue
 
 import pytest
 
+from izoo.envs.twin import crew as crew_module
 from izoo.envs.twin.crew import Crew
 
 
@@ -63,3 +65,34 @@ def test_helpers_end_with_the_crew() -> None:
     for helper in helpers:
         helper.join(timeout=10.0)
     assert len(helpers) == 2 and not any(helper.is_alive() for helper in helpers)
+
+
+def test_what_an_interrupt_leaves_behind_is_not_the_next_report() -> None:
+    """Somebody who stops waiting must not take the late report of the first task for that of the second."""
+    made, late = Crew(2, lambda: None), threading.Event()
+    gone: list[int] = []
+
+    def slow(number: int) -> None:
+        if number:
+            late.wait(10.0)
+            gone.append(1)
+
+    class Interrupted(SimpleQueue):  # type: ignore[type-arg]
+        def get(self, *_: object, **__: object) -> None:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(crew_module, "SimpleQueue", Interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            made.work(slow)
+    threading.Timer(0.2, late.set).start()
+    made.work(lambda number: gone.append(2) if number else None)
+    assert gone == [1, 2]
+    late.clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(crew_module, "SimpleQueue", Interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            made.work(slow)
+    threading.Timer(0.2, late.set).start()
+    made.close()
+    assert gone == [1, 2, 1], "closing waits for what is still being done"
