@@ -73,9 +73,10 @@ for name in ("izoo.envs.mdp.step", "izoo.envs.tape", "izoo.envs.twin_env", "izoo
     importlib.import_module(name)
 known = {str(path) for path in compiling.sources()}
 import sys
-for name, module in list(sys.modules.items()):
+for name in [name for name in sys.modules if name.startswith("izoo")]:
+    module = sys.modules[name]
     kernels = [value.py_func for value in vars(module).values() if hasattr(value, "py_func")]
-    if name.startswith("izoo") and any(kernel.__module__ == name for kernel in kernels):
+    if any(kernel.__module__ == name for kernel in kernels):
         assert str(pathlib.Path(module.__file__)) in known, name
 print(len(known))
 """
