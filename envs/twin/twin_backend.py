@@ -32,6 +32,12 @@ from izoo.errors import IzooError, check_choice, check_range
 SURROGATES = ("torch", "compiled")
 
 
+def check_settings(config: EnvConfig) -> None:
+    """Raise :class:`IzooError` where settings ask for what the twin has not."""
+    if config.gui:
+        raise IzooError("env.gui shows SUMO, and the twin has no window; use simulator=sumo with one environment.")
+
+
 class TwinBackend:
     """A :class:`~izoo.envs.backend.Backend` of ``N`` environments on the twin.
 
@@ -55,8 +61,7 @@ class TwinBackend:
         check_range("num_envs", num_envs, 1, 65536)
         check_range("threads", threads, 1, 1024)
         check_choice("surrogate", surrogate, SURROGATES)
-        if config.gui:
-            raise IzooError("env.gui shows SUMO, and the twin has no window; use simulator=sumo with one environment.")
+        check_settings(config)
         self.config, self.num_envs, self.surrogate = config, num_envs, surrogate
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)

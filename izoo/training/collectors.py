@@ -25,6 +25,7 @@ from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
+from izoo.envs.twin.twin_backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
@@ -214,6 +215,8 @@ def check_collector(config: TrainConfig) -> None:
     """Raise :class:`IzooError` where the collector that ``config`` names cannot be had here, or does not suit its
     algorithm.
     """
+    if config.simulator == "twin":
+        check_settings(config.env)
     policies, envs = config.algo.candidates, num_envs(config)
     if policies > 1 and (config.simulator != "twin" or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(
