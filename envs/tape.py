@@ -70,8 +70,8 @@ class Tape:
         """
         if self._at != self.steps:
             raise RuntimeError(f"{self._at} of {self.steps} steps have been taken")
-        pair = (self._acted_on[:-1], self._led_to)
-        return tuple(torch.from_numpy(part).transpose(0, 1) for part in pair)
+        acted_on, led_to = torch.from_numpy(self._acted_on[:-1]), torch.from_numpy(self._led_to)
+        return acted_on.transpose(0, 1), led_to.transpose(0, 1)
 
 
 @compiled(nogil=True)
