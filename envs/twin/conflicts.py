@@ -320,11 +320,10 @@ def _have_parted_before(
     ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
 ) -> bool:
     """Whether two ways that come from one lane, of which one or both lie behind waiting points, have parted before."""
-    if ways.link_ints[entry, LINK_FROM] != ways.link_ints[foe, LINK_FROM]:
+    own, theirs = lanes_of[entry][0], lanes_of[foe][0]
+    if ways.link_ints[entry, LINK_FROM] != ways.link_ints[foe, LINK_FROM] or (lane == own and other == theirs):
         return False
-    own, theirs = lanes_of[entry], lanes_of[foe]
-    behind = _together(ways, own[0], theirs[0], at_begin=True)
-    return (lane != own[0] or other != theirs[0]) and min(behind) > _PARTED_BEFORE_M
+    return min(_together(ways, own, theirs, at_begin=True)) > _PARTED_BEFORE_M
 
 
 def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float, float]:

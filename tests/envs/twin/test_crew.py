@@ -81,18 +81,16 @@ def test_what_an_interrupt_leaves_behind_is_not_the_next_report() -> None:
         def get(self, *_: object, **__: object) -> None:
             raise KeyboardInterrupt
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crew_module, "SimpleQueue", Interrupted)
-        with pytest.raises(KeyboardInterrupt):
+    def interrupt() -> None:
+        late.clear()
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(crew_module, "SimpleQueue", Interrupted)
             made.work(slow)
-    threading.Timer(0.2, late.set).start()
+        threading.Timer(0.2, late.set).start()
+
+    interrupt()
     made.work(lambda number: gone.append(2) if number else None)
     assert gone == [1, 2]
-    late.clear()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crew_module, "SimpleQueue", Interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            made.work(slow)
-    threading.Timer(0.2, late.set).start()
+    interrupt()
     made.close()
     assert gone == [1, 2, 1], "closing waits for what is still being done"
