@@ -247,7 +247,8 @@ def _lay_tail_behind(net, traffic, state, v, lane, count):  # type: ignore[no-un
                 found = candidate
                 break
         if found < 0:
-            break
+            # No way leads from there to the new lane: the tail stays where it was.
+            found = state.tail_lane[v, k]
         state.tail_lane[v, known] = before = found
         known += 1
     lay_tail(net, traffic, state, v, known)

@@ -195,6 +195,9 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
             ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = entered_ms
         # Before its waiting point nobody has come into conflict, also one whom the twin had further on.
         ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
+        if net.lane_ints[before, LANE_INSIDE]:
+            # Who lost its turn has one again.
+            ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], entered_ms)
 
 
 @compiled
