@@ -91,7 +91,8 @@ def _measure(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-unt
             state.item_floats[item, ITEM_SPACE] = space
             continue
         inside, lane = net.link_ints[link, LINK_VIA], net.link_ints[link, LINK_TO]
-        if inside >= 0 and net.link_ints[link, LINK_FOES] > 0:
+        waiting_point = inside >= 0 and net.lane_ints[net.link_ints[link, LINK_FROM], LANE_INSIDE] == 1
+        if inside >= 0 and (waiting_point or net.link_ints[link, LINK_FOES] > 0):
             u = state.lanes[inside, LANE_BACK]
             while u >= 0:
                 space -= traffic.floats[u, LENGTH] + traffic.floats[u, MIN_GAP]
