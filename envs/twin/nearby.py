@@ -210,7 +210,8 @@ def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no
     if first < 0 or first == v:
         return -1, 0.0, False
     gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
-    if state.link_letter[link] >= LOWER_CASE and state.floats[first, SPEED] < HALTING_MPS:
-        # Who stands on a minor road does not block.
+    clear_of_it = back + way >= net.lane_floats[lane, LANE_LENGTH]
+    if clear_of_it and state.link_letter[link] >= LOWER_CASE and state.floats[first, SPEED] < HALTING_MPS:
+        # Who stands on a minor road does not block, unless the rear is still beside that road.
         gap = max(gap, 0.0)
     return first, gap, True
