@@ -8,6 +8,7 @@ from izoo.envs.twin.arrays import (
     ACTIVE_FIRST,
     ACTIVE_NEXT,
     ACTIVE_SERVED,
+    ADVICES,
     BEHIND,
     CHANGE_COMMAND,
     CHANGE_STATE,
@@ -154,20 +155,23 @@ def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-de
     leader, gap = leader_beside(net, traffic, state, v, lane, step_s)
     rightward = leftward = 0
     if net.lane_ints[lane, LANE_RIGHT] >= 0:
-        rightward = _check(net, traffic, state, v, lane - 1, leader, gap, False, step_s)
+        rightward = _check(net, traffic, state, v, lane - 1, leader, gap, step_s)
         if rightward & RIGHTWARD and not rightward & BLOCKED:
             _change(net, traffic, state, v, lane - 1, rightward)
             return lane - 1
         if rightward & RIGHTWARD and rightward & URGENT:
             _note_blocked(state, v, lane - 1)
     if net.lane_ints[lane, LANE_LEFT] >= 0:
-        wants_right = rightward & RIGHTWARD != 0
-        leftward = _check(net, traffic, state, v, lane + 1, leader, gap, wants_right, step_s)
+        advices = state.ints[v, ADVICES]
+        leftward = _check(net, traffic, state, v, lane + 1, leader, gap, step_s)
         if leftward & LEFTWARD and not leftward & BLOCKED:
             _change(net, traffic, state, v, lane + 1, leftward)
             return lane + 1
         if leftward & LEFTWARD and leftward & URGENT:
             _note_blocked(state, v, lane + 1)
+        if rightward & RIGHTWARD:
+            # Who would rather go right does not slow down for the left.
+            state.ints[v, ADVICES] = advices
     state.ints[v, CHANGE_STATE] = rightward | leftward
     return lane
 
@@ -181,7 +185,7 @@ def _note_blocked(state, v, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _check(net, traffic, state, v, lane, leader, gap, wants_right, step_s):  # type: ignore[no-untyped-def]
+def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[no-untyped-def]
     """Return the state bits of changing to the neighbouring ``lane``: what is in the way, and what is wanted."""
     right = lane < state.ints[v, LANE]
     by_leader = RIGHT_LEADER_BLOCKS if right else LEFT_LEADER_BLOCKS
@@ -201,7 +205,7 @@ def _check(net, traffic, state, v, lane, leader, gap, wants_right, step_s):  # t
             blocked |= by_leader
     flags = blocked | want(
         net, traffic, state, v, -1 if right else 1, leader, gap, beside, beside_gap, follower, follower_gap, blocked,
-        wants_right, step_s,
+        step_s,
     )  # fmt: skip
     return obey(net, state, v, flags)
 

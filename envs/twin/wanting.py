@@ -113,14 +113,13 @@ def _is_granted(net, state, v, request):  # type: ignore[no-untyped-def]
 
 @compiled
 def want(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, side, leader, gap, beside, beside_gap, follower, follower_gap, blocked, wants_right, step_s
+    net, traffic, state, v, side, leader, gap, beside, beside_gap, follower, follower_gap, blocked, step_s
 ):
     """Return the state bits of the wish to change to ``side`` (-1 right, 1 left), ``blocked`` left out.
 
     Args:
         leader, gap: of the own lane (-1: none; m); beside, beside_gap and follower, follower_gap: of the other lane.
         blocked: bits of what stands against the change.
-        wants_right: whether it has looked to the right and would like to go there.
     """
     floats, ints, driver = state.floats, state.ints, traffic.floats[v]
     lane, variant = ints[v, LANE], ints[v, VARIANT]
@@ -170,7 +169,7 @@ def want(  # type: ignore[no-untyped-def]
         flags |= toward | STRATEGIC | URGENT
     else:
         if beside >= 0 and not right and not is_congested(state, v):
-            avoiding, cap = _fall_behind(traffic, state, v, beside, beside_gap, limit, wants_right, step_s)
+            avoiding, cap = _fall_behind(traffic, state, v, beside, beside_gap, limit, step_s)
         if (not to_best and other_left / (abs(offset) + 2) < needed) or (
             offset == 0
             and (other_left * 2.0 < needed or (net.best_open[variant, other] and other_length < _TURN_LANE_M))
@@ -211,8 +210,8 @@ def want(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fall_behind(traffic, state, v, beside, gap, limit, wants_right, step_s):  # type: ignore[no-untyped-def]
-    """Do not pass a slower vehicle on its right where that is forbidden; who wants to go right keeps its speed.
+def _fall_behind(traffic, state, v, beside, gap, limit, step_s):  # type: ignore[no-untyped-def]
+    """Do not pass a slower vehicle on its right where that is forbidden.
 
     Returns:
         Whether to go left instead, and the speed (m/s) that is left on the own lane.
@@ -222,8 +221,7 @@ def _fall_behind(traffic, state, v, beside, gap, limit, wants_right, step_s):  #
     if slower <= 0.0:
         return False, limit
     safe = max(follow_speed(driver, gap, speed, other, limit, step_s), other, speed - driver[DECEL] * step_s)
-    if not wants_right:
-        add_advice(state, v, safe)
+    add_advice(state, v, safe)
     later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, other, limit, step_s)
     if later >= safe:
         return False, safe
