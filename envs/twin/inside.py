@@ -176,6 +176,9 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     if not heeds:
         return best, passing, request
     kind, before_wait = net.conflict_ints[row, CONFLICT_KIND], _is_before_wait(net, row)
+    if net.conflict_floats[row, CONFLICT_FOE_BEHIND] == NOWHERE:
+        # Who is inside, and has lost its turn, goes on no faster; who stands does not move.
+        before_wait = before_wait and net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
     crosses = kind == CROSSING
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
