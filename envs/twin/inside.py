@@ -327,7 +327,7 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
         return own > foe
     if state.floats[v, SPEED] != state.floats[w, SPEED]:
         return state.floats[v, SPEED] < state.floats[w, SPEED]
-    return _named_before(v, w)
+    return named_before(v, w)
 
 
 @compiled
@@ -351,12 +351,21 @@ def _who_yields(net, state, v, w, row, own_letter, other_letter):  # type: ignor
 
 
 @compiled
-def _named_before(v, w):  # type: ignore[no-untyped-def]
+def named_before(v, w):  # type: ignore[no-untyped-def]
     """Return whether the decimal name of ``v`` sorts before that of ``w``."""
     one, other = v, w
-    while one >= 10 * max(other, 1) or (one >= 10 and other < 10):
-        one //= 10
-    while other >= 10 * max(one, 1) or (other >= 10 and one < 10):
-        other //= 10
+    digits, other_digits = _digits(v), _digits(w)
+    while digits > other_digits:
+        one, digits = one // 10, digits - 1
+    while other_digits > digits:
+        other, other_digits = other // 10, other_digits - 1
     # Now both have the same number of digits, or one begins the other.
     return one < other or (one == other and v < w)
+
+
+@compiled
+def _digits(number):  # type: ignore[no-untyped-def]
+    digits = 1
+    while number >= 10:
+        number, digits = number // 10, digits + 1
+    return digits
