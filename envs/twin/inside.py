@@ -97,8 +97,9 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     if w == v:
         return False, 0.0, 0.0
     kind = net.conflict_ints[row, CONFLICT_KIND]
+    crosses = kind == CROSSING
     size = foe_size = 0.0
-    if kind == CROSSING:
+    if crosses:
         size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
     foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
     to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
@@ -133,8 +134,20 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     if is_first and (kind == CROSSING or (kind == MERGING and not _never_apart(net, link, row))):
         # It is in the conflict already: it goes on, where ways merge unless the other is ahead.
         return False, 0.0, 0.0
-    heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, gap - foe_size, step_s)
+    ahead = gap - foe_size
+    if crosses and not outside:
+        ahead += _conflict_at_wait(net, link, distance_m, to_conflict)
+    heeds = outside or in_the_way or _goes_first(net, traffic, state, v, w, link, row, ahead, step_s)
     return heeds, to_conflict, gap
+
+
+@compiled
+def _conflict_at_wait(net, link, distance_m, to_conflict):  # type: ignore[no-untyped-def]
+    """Return what to add to ``to_conflict`` (m): before a waiting point, that is where the conflict is taken to begin."""
+    to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+    if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
+        return to_way - to_conflict
+    return 0.0
 
 
 @compiled
@@ -185,10 +198,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
     to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
     if crosses:
-        if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
-            # Before the waiting point, that is where the conflict is taken to begin.
-            gap += to_way - to_conflict
-            to_conflict = to_way
+        nearer = _conflict_at_wait(net, link, distance_m, to_conflict)
+        gap, to_conflict = gap + nearer, to_conflict + nearer
         gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
     elif kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _never_apart(net, link, row):
         # It is in the conflict since its way began, and waits where that ends, as before a crossing there.
@@ -300,7 +311,7 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     Whoever came first does: of those with the right of way that is by the time at which they entered the junction, of
     those who have to yield by the time at which they came into conflict, past their waiting point. Who did not ask to
     pass has lost both times; on ways that part, that of entry goes on counting. While one of the two signals is red,
-    who comes by the other waits for those left over if it can still brake.
+    who comes by the other waits for those left over if it can still brake; otherwise those at waiting points wait.
 
     Args:
         link, row: the link at the end of the way of ``v``, and the conflict.
@@ -313,10 +324,12 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
     if net.conflict_ints[row, CONFLICT_KIND] == PARTING:
         own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
     elif own_letter == RED or other_letter == RED:
-        if other_letter == RED:
-            own = state.ints[v, CONFLICT_MS]
-        elif state.floats[w, SPEED] > STANDING_MPS and gap < 0.0 and _can_brake(traffic, state, v, w, gap, step_s):
+        drives = other_letter != RED and state.floats[w, SPEED] > STANDING_MPS
+        if drives and gap < 0.0 and _can_brake(traffic, state, v, w, gap, step_s):
             return False
+        if other_letter == RED or state.ints[v, CONFLICT_MS] == NEVER_MS:
+            # Where ``w`` is left over as well, or ``v`` still at its waiting point.
+            own = state.ints[v, CONFLICT_MS]
     else:
         yields, gives = _who_yields(net, state, v, w, row, own_letter, other_letter)
         if yields:
