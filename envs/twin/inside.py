@@ -143,7 +143,7 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
 
 @compiled
 def _conflict_at_wait(net, link, distance_m, to_conflict):  # type: ignore[no-untyped-def]
-    """Return what to add to ``to_conflict`` (m): before a waiting point, that is where the conflict is taken to begin."""
+    """Return what to add to ``to_conflict`` (m): for those who come to a waiting point, the conflict begins there."""
     to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
     if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
         return to_way - to_conflict
