@@ -20,6 +20,7 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_YIELDS,
     NOWHERE,
 )
+from izoo.envs.twin.inside import named_before
 from izoo.envs.twin.whole_net import TwinWorld, read_twin_world
 from izoo.networks.road import read_road
 from tests.envs.twin.crossroads import build_crossroads
@@ -116,3 +117,9 @@ def test_conflicts_of_measured_intersections_are_sumos(dataset: ContextList, tmp
     paths = sorted({str(context.intersection.net_path) for context in dataset})
     for path in paths[1:4]:
         assert_same_conflicts(Path(path), tmp_path, 4)
+
+
+def test_names_are_compared_as_text() -> None:
+    numbers = [0, 1, 2, 9, 10, 11, 19, 44, 98, 99, 100, 104, 161, 440, 999, 1000, 1044, 9999, 10000]
+    for one, other in itertools.permutations(numbers, 2):
+        assert bool(named_before(one, other)) == (str(one) < str(other)), (one, other)

@@ -20,31 +20,32 @@ pytestmark = pytest.mark.slow
 SEED = 7
 
 CASES = {
-    "best lanes of who waits to enter": ("313", 600, 120),
-    "followers beyond the begin of a lane": ("289", 400, 8),
-    "waiting points of one road": ("176", 240, 20),
-    "followers on ways that have not parted": ("176", 600, 130),
-    "insertion before a crossed way": ("198", 700, 75),
-    "who has waited at a green light": ("289", 160, 5),
+    "best lanes of who waits to enter": ("313", 600, 25),
+    "followers beyond the begin of a lane": ("289", 400, 4),
+    "waiting points of one road": ("176", 240, 10),
+    "followers on ways that have not parted": ("176", 600, 75),
+    "insertion before a crossed way": ("198", 700, 70),
+    "who has waited at a green light": ("289", 160, 3),
     "who yields inside a junction": ("110", 400, 22),
-    "room behind a junction": ("25", 350, 20),
-    "who stood inside a junction": ("126", 420, 45),
+    "room behind a junction": ("25", 350, 8),
+    "who stood inside a junction": ("126", 420, 28),
     "how far a driver looks behind a junction": ("240", 500, 4),
     "neighbours that part": ("41", 600, 4),
-    "followers whose rear has not parted": ("69", 460, 50),
-    "who is left over by a red signal": ("152", 900, 34),
-    "who is in the conflict goes on": ("252", 600, 50),
-    "ways of one road that end beside each other": ("69", 360, 20),
-    "who creeps inside a junction": ("198", 350, 40),
-    "letting others by on a short road": ("255", 850, 14),
+    "followers whose rear has not parted": ("69", 460, 20),
+    "who is left over by a red signal": ("152", 900, 32),
+    "who is in the conflict goes on": ("252", 600, 32),
+    "ways of one road that end beside each other": ("69", 360, 18),
+    "who creeps inside a junction": ("198", 350, 36),
+    "letting others by on a short road": ("255", 850, 12),
     "ways behind waiting points": ("255", 1300, 16),
     "who has parted before a waiting point": ("252", 300, 8),
+    "who would rather go right": ("313", 1200, 55),
+    "who stands on a minor road beside a changer": ("31", 1300, 10),
+    "tails of those who changed right behind a junction": ("219", 500, 14),
 }
-"""Net, steps, and differences at most. There are 94, 7, 18, 117, 56, 0, 17, 15, 39, 2, 1 and 39; without the rule,
-when it was new, there were 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60 and 103. Without asking or not asking to pass
-beside one that stands: 27, 165 and 34 of the third, the fourth and the seventh. The next three: 24, 39 and 11, and
-with none of the three rules 44, 64 and 35. The last four: 28, 9, 12 and 5,
-and each without its rule 155, 41, 22 and 11."""
+"""Net, steps, and differences at most. There are 15, 1, 5, 57, 56, 0, 17, 0, 17, 2, 1, 12, 24, 22, 11, 28, 9, 12, 5,
+38, 5 and 11. When its rule was new, there were without it 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60, 103, 44, 64,
+35, 155, 41, 22, 11, 240, 51 and 17."""
 
 
 @pytest.mark.parametrize("rule", CASES)
@@ -66,6 +67,15 @@ def test_where_lanes_are_added_before_a_signal() -> None:
     """
     scenario = Scenario("salt_lake_city", 133, "summer", 1.0 / 3.0, "peak", "combustion")
     assert _count(Case.of(build(scenario), SEED, 300.0), 600) <= 12
+
+
+def test_those_left_over_by_a_red_signal_let_others_by() -> None:
+    """On a junction that jams, who has lost its turn waits for others at waiting points, and in whose favour names are.
+
+    Of 369,000 steps of vehicles 111 differ; without these rules 1,244.
+    """
+    scenario = Scenario("salt_lake_city", 257, "summer", 1.0 / 3.0, "peak", "combustion")
+    assert _count(Case.of(build(scenario), SEED, 1000.0), 2000) <= 180
 
 
 def _count(case: Case, steps: int) -> int:
