@@ -220,7 +220,10 @@ def _fall_behind(traffic, state, v, beside, gap, limit, step_s):  # type: ignore
     slower = speed - other
     if slower <= 0.0:
         return False, limit
-    safe = max(follow_speed(driver, gap, speed, other, limit, step_s), other, speed - driver[DECEL] * step_s)
+    safe = max(follow_speed(driver, gap, speed, other, limit, step_s), speed - driver[DECEL] * step_s)
+    if state.floats[v, SPEED_GAIN] < _LEFT_THRESHOLD:
+        # It brakes hard only once it would rather go left.
+        safe = max(safe, other)
     add_advice(state, v, safe)
     later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, other, limit, step_s)
     if later >= safe:
