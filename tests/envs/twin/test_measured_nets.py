@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 SEED = 7
 
 CASES = {
-    "best lanes of who waits to enter": ("313", 600, 25),
+    "best lanes of who waits to enter": ("313", 600, 14),
     "followers beyond the begin of a lane": ("289", 400, 4),
     "waiting points of one road": ("176", 240, 10),
     "followers on ways that have not parted": ("176", 600, 75),
@@ -39,12 +39,12 @@ CASES = {
     "letting others by on a short road": ("255", 850, 12),
     "ways behind waiting points": ("255", 1300, 16),
     "who has parted before a waiting point": ("252", 300, 8),
-    "who would rather go right": ("313", 1200, 55),
+    "who would rather go right": ("313", 1200, 20),
     "who stands on a minor road beside a changer": ("31", 1300, 10),
     "tails of those who changed right behind a junction": ("219", 500, 14),
 }
-"""Net, steps, and differences at most. There are 15, 1, 5, 57, 56, 0, 17, 0, 17, 2, 1, 12, 24, 22, 11, 28, 9, 12, 5,
-38, 5 and 11. When its rule was new, there were without it 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60, 103, 44, 64,
+"""Net, steps, and differences at most. There are 7, 1, 5, 57, 56, 0, 17, 0, 17, 2, 1, 12, 24, 22, 11, 28, 9, 12, 5,
+11, 5 and 11. When its rule was new, there were without it 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60, 103, 44, 64,
 35, 155, 41, 22, 11, 240, 51 and 17."""
 
 
@@ -72,7 +72,7 @@ def test_where_lanes_are_added_before_a_signal() -> None:
 def test_those_left_over_by_a_red_signal_let_others_by() -> None:
     """On a junction that jams, who has lost its turn waits for others at waiting points, and in whose favour names are.
 
-    Of 369,000 steps of vehicles 111 differ; without these rules 1,244.
+    Of 369,000 steps of vehicles 108 differ; without these rules 1,244.
     """
     scenario = Scenario("salt_lake_city", 257, "summer", 1.0 / 3.0, "peak", "combustion")
     assert _count(Case.of(build(scenario), SEED, 1000.0), 2000) <= 180
