@@ -107,18 +107,21 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
         return False, 0.0, 0.0
     outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
     nowhere = foe_behind == NOWHERE
-    if nowhere:
-        # One on the way to a waiting point is waited for from outside while its signal is not green, and inside by
-        # those who have lost their turn.
-        green = is_green(state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]])
-        if green if outside else state.ints[v, JUNCTION_MS] != NEVER_MS:
-            return False, 0.0, 0.0
     lane = net.conflict_ints[row, CONFLICT_LANE]
     in_front = state.ints[w, LANE] == lane
+    if nowhere and not outside:
+        # One on the way to a waiting point, however far, is waited for by those who have lost their turn.
+        waits = state.ints[v, JUNCTION_MS] == NEVER_MS and to_conflict >= -POSITION_EPS
+        asks = not in_front or state.ints[w, WILL_PASS] == 1
+        heeds = waits and asks and _goes_first(net, traffic, state, v, w, link, row, -math.inf, step_s)
+        return heeds, to_conflict, -math.inf
+    if nowhere and is_green(state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]):
+        # From outside it is waited for only while its signal is not green.
+        return False, 0.0, 0.0
     back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
     swing = _swing(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
     past = back_left + foe_size + swing < 0.0 and not nowhere
-    entered = back_left < traffic.floats[w, LENGTH] and (outside or not nowhere)
+    entered = back_left < traffic.floats[w, LENGTH]
     in_the_way = (to_conflict > 0.0 and not past and entered) or (
         kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
     )
@@ -127,11 +130,8 @@ def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # ty
     if kind != PARTING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
     gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
-    if nowhere and not outside:
-        # It is before the conflict, however far.
-        gap = -math.inf
     is_first = to_conflict < -POSITION_EPS and not outside and not in_the_way
-    if is_first and (kind == CROSSING or (kind == MERGING and not _never_apart(net, link, row))):
+    if is_first and (crosses or (kind == MERGING and not _never_apart(net, link, row))):
         # It is in the conflict already: it goes on, where ways merge unless the other is ahead.
         return False, 0.0, 0.0
     ahead = gap - foe_size
