@@ -61,7 +61,7 @@ from izoo.envs.twin.lane_flags import (
     STRATEGIC,
     URGENT,
 )
-from izoo.envs.twin.nearby import follower_beside, leader_beside
+from izoo.envs.twin.nearby import follower_beside, leader_beside, leader_beyond
 from izoo.envs.twin.order import drop_tail, lay_tail, place, take_out
 from izoo.envs.twin.outlook import look_behind_junction
 from izoo.envs.twin.wanting import obey, want
@@ -207,6 +207,11 @@ def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[n
         net, traffic, state, v, -1 if right else 1, leader, gap, beside, beside_gap, follower, follower_gap, blocked,
         step_s,
     )  # fmt: skip
+    if not blocked and flags & (RIGHTWARD | LEFTWARD):
+        # Who may change looks once more, past whoever leads there, for others who would hold it up more.
+        other, gap = leader_beyond(net, traffic, state, v, lane, False, step_s)
+        if other >= 0 and other != beside and gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
+            flags |= by_leader
     return obey(net, state, v, flags)
 
 

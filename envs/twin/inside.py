@@ -231,6 +231,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
 def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # type: ignore[no-untyped-def]
     """Return who inside the junction would hold ``v`` up most if it went on by ``link``, or -1, and the gap (m).
 
+    Where ``link`` is that of a lane beside, it does not matter who goes first.
+
     Args:
         distance_m: from the front of ``v``, whatever its lane, to ``link``.
     """
@@ -239,16 +241,14 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
     found, found_gap, least = -1, 0.0, math.inf
     ahead = net.link_ints[link, LINK_FROM]
     inside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1
-    closed = state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED
+    if not inside and state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
+        return found, found_gap
     beside = (
         ahead != state.ints[v, LANE]
         and net.lane_ints[ahead, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
     )
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
-        # From before the junction only those count whose way parts from the own, and only while the signal is not red.
-        if not inside and (closed or net.conflict_ints[row, CONFLICT_KIND] != PARTING):
-            continue
         lane = net.conflict_ints[row, CONFLICT_LANE]
         front, tails = state.lanes[lane, LANE_FRONT], state.lanes[lane, LANE_TAILS]
         k = 0
@@ -260,10 +260,14 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
                 w = state.tails[lane, k]
                 k += 1
             heeds, _, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
-            abreast = beside and _have_not_parted(net, traffic, state, v, w, row, distance_m)
-            if not heeds and not abreast:
+            parts = net.conflict_ints[row, CONFLICT_KIND] == PARTING
+            if beside and (parts or not heeds):
+                counts, gap_beside = _gap_beside(net, traffic, state, v, w, row, distance_m)
+                if counts:
+                    heeds, gap = True, gap_beside
+            if not heeds:
                 continue
-            if abreast or _is_before_wait(net, row):
+            if _is_before_wait(net, row):
                 gap = -1.0
             elif net.conflict_ints[row, CONFLICT_KIND] == CROSSING:
                 gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
@@ -278,17 +282,31 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
 
 
 @compiled
-def _have_not_parted(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-untyped-def]
-    """Return whether ``v``, on a way that parts from that of ``w``, would be abreast of it: neither rear is past there.
+def _gap_beside(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-untyped-def]
+    """Return whether ``w`` would be in the way of ``v`` on a lane beside, whoever goes first, and how far it is.
 
-    Then ``v`` may not change to its way, even if it is ahead of ``w`` and would go first.
+    On ways that part, and on ways that cross, it is until one of the two rears is past the conflict.
+
+    Returns:
+        Whether it is; the gap (m) less the standstill gap, below 0 also where the two would be abreast.
     """
-    lane = net.conflict_ints[row, CONFLICT_LANE]
-    if w == v or net.conflict_ints[row, CONFLICT_KIND] != PARTING:
-        return False
-    behind, foe_behind = net.conflict_floats[row, CONFLICT_BEHIND], net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+    kind, lane = net.conflict_ints[row, CONFLICT_KIND], net.conflict_ints[row, CONFLICT_LANE]
+    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+    if w == v or foe_behind == NOWHERE:
+        return False, 0.0
+    size = foe_size = 0.0
+    if kind == CROSSING:
+        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
+    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
     back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    return distance_m - behind + traffic.floats[v, LENGTH] > 0.0 and back_left > 0.0
+    if kind != MERGING and (to_conflict + size + traffic.floats[v, LENGTH] <= 0.0 or back_left + foe_size <= 0.0):
+        return False, 0.0
+    if kind == PARTING:
+        return True, -1.0
+    own_edge = net.lane_ints[lane, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
+    if own_edge or (state.ints[w, LANE] == lane and state.ints[w, WILL_PASS] == 0):
+        return False, 0.0
+    return True, to_conflict - traffic.floats[v, MIN_GAP] - back_left
 
 
 @compiled

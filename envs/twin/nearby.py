@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
-from izoo.envs.twin.following import brake_gap, secure_gap
+from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap
 from izoo.envs.twin.inside import leader_in_conflict
 from izoo.envs.twin.lights import LOWER_CASE
 from izoo.envs.twin.order import back_on, last_on, tail_on
@@ -90,35 +91,51 @@ def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-unty
         leader = tail_on(net, traffic, state, lane, v)
         if leader >= 0:
             return leader, back_on(net, traffic, state, leader, lane) - needed
-    return _leader_beyond(net, traffic, state, v, lane, step_s)
+    return leader_beyond(net, traffic, state, v, lane, True, step_s)
 
 
 @compiled
-def _leader_beyond(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
-    """Look for a leader past the end of ``lane``, as far as the brakes reach, also past red lights."""
+def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignore[no-untyped-def]
+    """Look for a leader past the end of ``lane``, as far as the brakes reach, also past red lights.
+
+    Args:
+        nearest: take the first one that is found; otherwise the one that would hold ``v`` up most.
+
+    Returns:
+        The vehicle, or -1; the gap (m, less the standstill gap).
+    """
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     variant = state.ints[v, VARIANT]
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
     seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    if seen > reach and not net.lane_ints[lane, LANE_INSIDE]:
-        return -1, 0.0
-    while True:
+    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    found, found_gap, least = -1, 0.0, math.inf
+    while seen <= reach or net.lane_ints[lane, LANE_INSIDE]:
         link = net.best_link[variant, lane]
         if link < 0:
-            return -1, 0.0
-        leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
-        if leader >= 0:
-            return leader, gap
+            break
         lane = net.link_ints[link, LINK_NEXT]
-        leader = last_on(net, traffic, state, lane, v)
-        if leader >= 0:
-            return leader, seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
+        for on_lane in range(2):
+            if on_lane:
+                leader, gap = last_on(net, traffic, state, lane, v), 0.0
+                if leader >= 0:
+                    gap = seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
+            else:
+                leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
+            if leader < 0:
+                continue
+            safe = 0.0
+            if gap >= 0.0:
+                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], wish, step_s)
+            if safe < least:
+                found, found_gap, least = leader, gap, safe
+            if nearest:
+                return found, found_gap
         limit = net.lane_floats[lane, LANE_LIMIT]
         if limit < speed:
             reach = brake_gap(limit, driver[DECEL], driver[TAU], step_s)
         seen += net.lane_floats[lane, LANE_LENGTH]
-        if seen > reach and not net.lane_ints[lane, LANE_INSIDE]:
-            return -1, 0.0
+    return found, found_gap
 
 
 @compiled
