@@ -214,16 +214,16 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
             add_advice(state, leader, other)
         return -1.0
     target = max(target, max(0.0, speed - driver[DECEL] * step_s))
+    creeping = driver[MAX_ACCEL] * step_s
+    if target < creeping and speed <= creeping and net.lane_ints[state.ints[v, LANE], LANE_INSIDE]:
+        # Who is so slow inside a junction does not stop there to fall behind.
+        add_advice(state, v, creeping)
+        return min(planned, creeping)
     if target >= speed:
         add_advice(state, v, target)
         return planned
     decel = min(driver[DECEL], max(_FALLING_BEHIND_MPS2, (speed - target) / remaining_s))
     target = min(planned, max(0.0, speed - decel * step_s))
-    creeping = driver[MAX_ACCEL] * step_s
-    if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] and speed <= creeping:
-        # Who is so slow inside a junction does not stop there to fall behind.
-        add_advice(state, v, creeping)
-        return min(planned, creeping)
     add_advice(state, v, target)
     return target
 
