@@ -19,6 +19,9 @@ from izoo.envs.twin.arrays import (
     LANE_LIMIT,
     LANE_TAILS,
     LENGTH,
+    LINK_ENTRY,
+    LINK_FIRST_FOE,
+    LINK_FOES,
     LINK_NEXT,
     LINK_PROGRAM,
     LINK_SIGNAL,
@@ -145,14 +148,26 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
 
 @compiled
 def _is_crossed(net, state, link):  # type: ignore[no-untyped-def]
-    """Return whether anybody is on a way that crosses or merges with the one that ``link`` ends."""
+    """Return whether anybody is on a way that crosses or merges with the one that ``link`` ends.
+
+    Ways of roads that exclude each other count as well, though they may lie side by side.
+    """
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
-        lane = net.conflict_ints[row, CONFLICT_LANE]
-        busy = state.lanes[lane, LANE_FRONT] >= 0 or state.lanes[lane, LANE_TAILS] > 0
-        if busy and net.conflict_ints[row, CONFLICT_KIND] != PARTING:
+        if net.conflict_ints[row, CONFLICT_KIND] != PARTING and _is_busy(state, net.conflict_ints[row, CONFLICT_LANE]):
+            return True
+    entry = net.link_ints[link, LINK_ENTRY]
+    first = net.link_ints[entry, LINK_FIRST_FOE]
+    for k in range(first, first + net.link_ints[entry, LINK_FOES]):
+        lane = net.link_ints[net.foes[k], LINK_NEXT]
+        if net.lane_ints[lane, LANE_INSIDE] and _is_busy(state, lane):
             return True
     return False
+
+
+@compiled
+def _is_busy(state, lane):  # type: ignore[no-untyped-def]
+    return state.lanes[lane, LANE_FRONT] >= 0 or state.lanes[lane, LANE_TAILS] > 0
 
 
 @compiled
