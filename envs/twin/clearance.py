@@ -48,9 +48,7 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
     first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
     stands = _measure(net, traffic, state, v, in_front_m, step_s)
     for item in range(first + count - 1, first, -1):
-        link, onward = state.item_ints[item - 1, ITEM_LINK], state.item_ints[item, ITEM_LINK]
-        leaves = net.link_ints[link, LINK_VIA] < 0 or onward < 0 or state.item_ints[item, ITEM_REQUEST] == 1
-        if not leaves:
+        if not _leaves(net, state, item):
             state.item_floats[item - 1, ITEM_SPACE] = min(state.item_floats[item - 1, ITEM_SPACE], 0.0)
         elif not stands:
             state.item_floats[item - 1, ITEM_SPACE] = math.inf
@@ -62,7 +60,10 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
     blocked = -1
     for item in range(first, first + count):
         link = state.item_ints[item, ITEM_LINK]
-        if link >= 0 and net.link_ints[link, LINK_FOES] > 0 and state.item_floats[item, ITEM_SPACE] < need:
+        if link < 0 or state.item_floats[item, ITEM_SPACE] >= need:
+            continue
+        # Where nobody crosses a vehicle may stand inside, if it asks to leave.
+        if net.link_ints[link, LINK_FOES] > 0 or (item + 1 < first + count and not _leaves(net, state, item + 1)):
             blocked = item
             break
     if blocked < 0 or (blocked == first and net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1):
@@ -77,6 +78,13 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
         entered = item > first and state.item_ints[item - 1, ITEM_REQUEST] == 1
         if values[ITEM_DISTANCE] >= braking and not (leaves and entered):
             state.item_ints[item, ITEM_REQUEST] = 0
+
+
+@compiled
+def _leaves(net, state, item):  # type: ignore[no-untyped-def]
+    """Whether a vehicle that passed the link of the item before would ask to leave the junction by that of ``item``."""
+    link, onward = state.item_ints[item - 1, ITEM_LINK], state.item_ints[item, ITEM_LINK]
+    return net.link_ints[link, LINK_VIA] < 0 or onward < 0 or state.item_ints[item, ITEM_REQUEST] == 1
 
 
 @compiled
