@@ -209,8 +209,9 @@ def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[n
     )  # fmt: skip
     if not blocked and flags & (RIGHTWARD | LEFTWARD):
         # Who may change looks once more, past whoever leads there, for others who would hold it up more.
-        other, gap = leader_beyond(net, traffic, state, v, lane, False, step_s)
-        if other >= 0 and other != beside and gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
+        other, other_gap = leader_beyond(net, traffic, state, v, lane, False, step_s)
+        passed_over = other >= 0 and other != beside
+        if passed_over and other_gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
             flags |= by_leader
     return obey(net, state, v, flags)
 

@@ -11,7 +11,6 @@ from izoo.envs.twin.arrays import (
     ENTERED_MS,
     JUNCTION_MS,
     LANE,
-    LANE_EDGE,
     LANE_FRONT,
     LANE_INSIDE,
     LANE_LENGTH,
@@ -87,7 +86,7 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, best, passing, reque
 
 
 @compiled
-def _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # type: ignore[no-untyped-def]
+def gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``v`` heeds ``w`` on the way of conflict ``row``, and how far it is.
 
     Returns:
@@ -158,7 +157,7 @@ def _never_apart(net, link, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_before_wait(net, row):  # type: ignore[no-untyped-def]
+def is_before_wait(net, row):  # type: ignore[no-untyped-def]
     """Whether those on the way of conflict ``row`` still come to a waiting point."""
     nowhere = net.conflict_floats[row, CONFLICT_FOE_BEHIND] == NOWHERE
     crosses = net.conflict_ints[row, CONFLICT_KIND] == CROSSING
@@ -185,10 +184,10 @@ def _lane_before(net, lane):  # type: ignore[no-untyped-def]
 @compiled
 def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, request, floor, step_s):  # type: ignore[no-untyped-def]
     """Lower the speeds of vehicle ``v`` for vehicle ``w`` on the way of conflict ``row``."""
-    heeds, to_conflict, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
+    heeds, to_conflict, gap = gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
     if not heeds:
         return best, passing, request
-    kind, before_wait = net.conflict_ints[row, CONFLICT_KIND], _is_before_wait(net, row)
+    kind, before_wait = net.conflict_ints[row, CONFLICT_KIND], is_before_wait(net, row)
     if net.conflict_floats[row, CONFLICT_FOE_BEHIND] == NOWHERE:
         # Who is inside, and has lost its turn, goes on no faster; who stands does not move.
         before_wait = before_wait and net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
@@ -225,88 +224,6 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     if best < STANDING_MPS and _is_stuck(net, state, v, w):
         request = False
     return best, passing, request
-
-
-@compiled
-def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # type: ignore[no-untyped-def]
-    """Return who inside the junction would hold ``v`` up most if it went on by ``link``, or -1, and the gap (m).
-
-    Where ``link`` is that of a lane beside, it does not matter who goes first.
-
-    Args:
-        distance_m: from the front of ``v``, whatever its lane, to ``link``.
-    """
-    driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
-    found, found_gap, least = -1, 0.0, math.inf
-    ahead = net.link_ints[link, LINK_FROM]
-    inside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1
-    if not inside and state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
-        return found, found_gap
-    beside = (
-        ahead != state.ints[v, LANE]
-        and net.lane_ints[ahead, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
-    )
-    first = net.conflict_first[link]
-    for row in range(first, first + net.conflict_count[link]):
-        lane = net.conflict_ints[row, CONFLICT_LANE]
-        front, tails = state.lanes[lane, LANE_FRONT], state.lanes[lane, LANE_TAILS]
-        k = 0
-        while front >= 0 or k < tails:
-            if front >= 0:
-                w = front
-                front = state.ints[w, BEHIND]
-            else:
-                w = state.tails[lane, k]
-                k += 1
-            heeds, _, gap = _gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
-            parts = net.conflict_ints[row, CONFLICT_KIND] == PARTING
-            if beside and (parts or not heeds):
-                counts, gap_beside = _gap_beside(net, traffic, state, v, w, row, distance_m)
-                if counts:
-                    heeds, gap = True, gap_beside
-            if not heeds:
-                continue
-            if _is_before_wait(net, row):
-                gap = -1.0
-            elif net.conflict_ints[row, CONFLICT_KIND] == CROSSING:
-                gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
-            if gap >= 0.0:
-                safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
-            else:
-                to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
-                safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
-            if safe < least:
-                found, found_gap, least = w, gap, safe
-    return found, found_gap
-
-
-@compiled
-def _gap_beside(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-untyped-def]
-    """Return whether ``w`` would be in the way of ``v`` on a lane beside, whoever goes first, and how far it is.
-
-    On ways that part, and on ways that cross, it is until one of the two rears is past the conflict.
-
-    Returns:
-        Whether it is; the gap (m) less the standstill gap, below 0 also where the two would be abreast.
-    """
-    kind, lane = net.conflict_ints[row, CONFLICT_KIND], net.conflict_ints[row, CONFLICT_LANE]
-    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-    if w == v or foe_behind == NOWHERE:
-        return False, 0.0
-    size = foe_size = 0.0
-    if kind == CROSSING:
-        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
-    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
-    if kind != MERGING and (to_conflict + size + traffic.floats[v, LENGTH] <= 0.0 or back_left + foe_size <= 0.0):
-        return False, 0.0
-    if kind == PARTING:
-        return True, -1.0
-    own_edge = net.lane_ints[lane, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
-    if own_edge or (state.ints[w, LANE] == lane and state.ints[w, WILL_PASS] == 0):
-        return False, 0.0
-    return True, to_conflict - traffic.floats[v, MIN_GAP] - back_left
 
 
 @compiled

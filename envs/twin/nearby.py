@@ -41,7 +41,7 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap
-from izoo.envs.twin.inside import leader_in_conflict
+from izoo.envs.twin.leaders_inside import leader_in_conflict
 from izoo.envs.twin.lights import LOWER_CASE
 from izoo.envs.twin.order import back_on, last_on, tail_on
 
@@ -124,13 +124,13 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
                 leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
             if leader < 0:
                 continue
+            if nearest:
+                return leader, gap
             safe = 0.0
             if gap >= 0.0:
                 safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], wish, step_s)
             if safe < least:
                 found, found_gap, least = leader, gap, safe
-            if nearest:
-                return found, found_gap
         limit = net.lane_floats[lane, LANE_LIMIT]
         if limit < speed:
             reach = brake_gap(limit, driver[DECEL], driver[TAU], step_s)
