@@ -129,6 +129,9 @@ def gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # typ
     if kind != PARTING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
         return False, 0.0, 0.0
     gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    if kind == MERGING and back_left < 0.0:
+        # Once its rear is in the conflict, what each has left to the common end counts as well.
+        gap += min(0.0, net.conflict_floats[row, CONFLICT_BEHIND] - foe_behind)
     is_first = to_conflict < -POSITION_EPS and not outside and not in_the_way
     if is_first and (crosses or (kind == MERGING and not _never_apart(net, link, row))):
         # It is in the conflict already: it goes on, where ways merge unless the other is ahead.
