@@ -145,8 +145,8 @@ class TwinNet(NamedTuple):
 LENGTH, MIN_GAP, TAU, MAX_ACCEL, DECEL, EMERGENCY_DECEL, TWO_ROOT_AB, DEPART_SPEED = range(8)
 """Columns of :attr:`TwinTraffic.floats`: m, m, s, m/s^2, m/s^2, m/s^2, ``2 sqrt(accel decel)``, m/s."""
 
-FLEET_DECEL, FLEET_MIN_GAP = range(2)
-"""Entries of :attr:`TwinTraffic.fleet`."""
+FLEET_DECEL, FLEET_MIN_GAP, FLEET_FROM_MS = range(3)
+"""Columns of :attr:`TwinTraffic.fleet`."""
 
 DEPART_MS, ROUTE, DEPART_LANE = range(3)
 """Columns of :attr:`TwinTraffic.ints`: time at which it wants to enter (ms), route, row of the source lane."""
@@ -158,12 +158,13 @@ class TwinTraffic(NamedTuple):
     Attributes:
         floats: ``[N, 8]`` float64, as SUMO reads them from the route file (rounded to its decimals).
         ints: ``[N, 3]`` int64.
-        fleet: ``[2]`` float64, the least deceleration (m/s^2) and the largest standstill gap (m) of all vehicles.
+        fleet: ``[R, 3]`` float64, least deceleration (m/s^2) and largest standstill gap (m) of the vehicles that SUMO has
+            read from the route file, and since when (ms); it reads it in portions.
     """
 
     floats: Annotated[np.ndarray, "float64", 2, 8]
     ints: Annotated[np.ndarray, "int64", 2, 3]
-    fleet: Float1
+    fleet: Annotated[np.ndarray, "float64", 2, 3]
 
 
 NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)

@@ -16,6 +16,7 @@ from izoo.envs.twin.arrays import (
     EDGE_INSIDE,
     EDGE_LANES,
     FLEET_DECEL,
+    FLEET_FROM_MS,
     FLEET_MIN_GAP,
     LANE,
     LANE_BACK,
@@ -33,6 +34,7 @@ from izoo.envs.twin.arrays import (
     LINK_PROGRAM,
     LINK_STATE,
     MIN_GAP,
+    NOW_MS,
     POSITION,
     SPEED,
     TAU,
@@ -149,10 +151,14 @@ def follower_beside(net, traffic, state, v, lane):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _braking_way(net, traffic, lane):  # type: ignore[no-untyped-def]
-    """Return how far (m) SUMO looks back beyond ``lane``: what its worst vehicle needs to stop there."""
+def _braking_way(net, traffic, state, lane):  # type: ignore[no-untyped-def]
+    """Return how far (m) SUMO looks back beyond ``lane``: what the worst vehicle that it has read needs to stop there."""
     limit = net.lane_floats[lane, LANE_LIMIT]
-    return min(limit * limit * 0.5 / traffic.fleet[FLEET_DECEL] + traffic.fleet[FLEET_MIN_GAP], _MAX_BRAKING_M)
+    row = traffic.fleet.shape[0] - 1
+    while row > 0 and traffic.fleet[row, FLEET_FROM_MS] > state.clock[NOW_MS]:
+        row -= 1
+    way = limit * limit * 0.5 / traffic.fleet[row, FLEET_DECEL] + traffic.fleet[row, FLEET_MIN_GAP]
+    return min(way, _MAX_BRAKING_M)
 
 
 @compiled
@@ -161,7 +167,7 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
     queue = state.changer_queue
     ways = state.changer_way
     count = 0
-    if back < _braking_way(net, traffic, lane):
+    if back < _braking_way(net, traffic, state, lane):
         count = _enqueue(net, queue, ways, 0, lane, 0.0)
     done, found, found_gap, worst = 0, -1, 0.0, 0.0
     while done < count:
@@ -189,7 +195,7 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
                 lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
                 if found < 0 or lacking > worst:
                     found, found_gap, worst = follower, gap, lacking
-        if not covered and way + back < _braking_way(net, traffic, before):
+        if not covered and way + back < _braking_way(net, traffic, state, before):
             count = _enqueue(net, queue, ways, count, before, way)
     return found, found_gap
 

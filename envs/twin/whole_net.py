@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +59,7 @@ from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
 _DEFAULT_WIDTH_M = 3.2
 _LEAST_EMERGENCY_DECEL_MPS2 = 9.0
+_READ_AHEAD_MS = 200_000
 
 
 @dataclass(frozen=True)
@@ -309,6 +311,19 @@ def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
     depart_ms = np.array([to_ms(float(f"{value:.3f}")) for value in traffic.depart_s.tolist()], np.int64)
     route = net.route_of[traffic.approach, traffic.source, traffic.exit].astype(np.int64)
     lane = net.edge_ints[net.route_edges[route, 0], EDGE_FIRST_LANE] + traffic.depart_lane
-    # Without vehicles nobody asks for what they have in common.
-    fleet = np.array([decel.min(initial=np.inf), min_gap.max(initial=0.0)])
+    fleet = _fleet_read(depart_ms, decel, min_gap)
     return TwinTraffic(floats.reshape(-1, 8), np.stack([depart_ms, route, lane], axis=1), fleet)
+
+
+def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -> np.ndarray:
+    """Return :attr:`TwinTraffic.fleet`: what SUMO knows of the vehicles, which it reads in portions, and since when.
+
+    First it reads one; when the last one that it has read is due, on to the first that departs over 200 s after that.
+    """
+    rows, count, since_ms = [], 1, -math.inf
+    while count <= len(depart_ms):
+        rows.append([decel[:count].min(), min_gap[:count].max(), since_ms])
+        since_ms = float(depart_ms[count - 1])
+        later = int(np.searchsorted(depart_ms, since_ms + _READ_AHEAD_MS, side="right")) + 1
+        count = later if count == len(depart_ms) else min(later, len(depart_ms))
+    return np.array(rows, np.float64).reshape(-1, 3)
