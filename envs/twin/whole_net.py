@@ -52,8 +52,8 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.best_lanes import NetTables, tabulate_best_lanes
 from izoo.envs.twin.conflicts import Ways, find_conflicts
 from izoo.envs.twin.nearby import incoming_lanes, mark_changing
+from izoo.envs.twin.playable import check_playable
 from izoo.envs.twin.routes import find_routes
-from izoo.errors import IzooError
 from izoo.networks.road import RoadNet, lane_shape, parse_net
 from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
@@ -118,6 +118,7 @@ class _Reader:
         self.program_rows = {logic.get("id"): row for row, logic in enumerate(self.programs)}
 
     def read(self) -> TwinWorld:
+        check_playable(self.root, self.path)
         lane_floats = np.array([[float(lane.get("length")), float(lane.get("speed"))] for lane in self.lanes])
         lane_ints, edge_ints = self._lanes_and_edges()
         connections = self._connections()
@@ -274,11 +275,6 @@ class _Reader:
         phases: list[tuple[int, int]] = []
         letters = bytearray()
         for row, logic in enumerate(self.programs):
-            if logic.get("type", "static") != "static":
-                raise IzooError(
-                    f"{self.path}: signal {logic.get('id')} is of type {logic.get('type')}; the twin plays static "
-                    "programs only. Use simulator=sumo."
-                )
             begin_ms = 0
             programs[row, PROGRAM_FIRST_PHASE] = len(phases)
             for phase in logic.findall("phase"):

@@ -1,0 +1,65 @@
+"""What SUMO honours in a net and the twin does not play: such nets are refused when they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from izoo.envs.twin.planning import VISIBILITY_M
+from izoo.errors import IzooError
+
+SIGNAL_LETTERS = "GgyYrs"
+_ALL, _OWN = "all", "passenger"
+"""The words by which a lane names everybody, and the class of every vehicle of izoo's traffic."""
+_WALKED = ("crossing", "walkingarea")
+_NO = ("0", "false", "f", "no", "off", "-")
+"""Words that SUMO reads as false."""
+_LANES_REMARK = "on the twin everybody may use every lane, and change to each beside it"
+
+
+def check_playable(root: Any, path: str) -> None:
+    """Refuse a net that the twin would play otherwise than SUMO does.
+
+    Raises:
+        IzooError: it has a feature that the twin does not know; the message names the first.
+    """
+    for features in (_signals, _lanes, _connections):
+        for feature, remark in features(root):
+            raise IzooError(f"{path}: {feature}; {remark}. Use simulator=sumo.")
+
+
+def _signals(root: Any) -> Iterator[tuple[str, str]]:
+    for logic in root.findall("tlLogic"):
+        name = f"signal {logic.get('id')}"
+        if logic.get("type", "static") != "static":
+            yield f"{name} is of type {logic.get('type')}", "the twin plays static programs only"
+        for phase in logic.findall("phase"):
+            if phase.get("next") is not None:
+                yield f"{name} has a phase with next={phase.get('next')!r}", "the twin plays phases in their order"
+            for letter in phase.get("state", ""):
+                if letter not in SIGNAL_LETTERS:
+                    yield f"{name} shows {letter!r}", f"the twin knows the letters {' '.join(SIGNAL_LETTERS)}"
+
+
+def _lanes(root: Any) -> Iterator[tuple[str, str]]:
+    for edge in root.findall("edge"):
+        for element in edge.iter():
+            if element.tag == "stopOffset":
+                yield f"edge {edge.get('id')} has a stopOffset", "on the twin vehicles stop at the end of the lane"
+            if element.tag != "lane" or edge.get("function") in _WALKED:
+                continue
+            for name in ("changeLeft", "changeRight", "allow"):
+                if not {_ALL, _OWN} & set(element.get(name, _ALL).split()):
+                    yield f"lane {element.get('id')} has {name}={element.get(name)!r}", _LANES_REMARK
+            if {_ALL, _OWN} & set(element.get("disallow", "").split()):
+                yield f"lane {element.get('id')} has disallow={element.get('disallow')!r}", _LANES_REMARK
+
+
+def _connections(root: Any) -> Iterator[tuple[str, str]]:
+    for connection in root.findall("connection"):
+        name = f"the connection from {connection.get('from')} to {connection.get('to')}"
+        visibility = connection.get("visibility")
+        if visibility is not None and float(visibility) != VISIBILITY_M:
+            yield f"{name} has visibility={visibility!r}", f"on the twin drivers see others from {VISIBILITY_M:g} m on"
+        if connection.get("keepClear", "1").lower() in _NO:
+            yield f"{name} has keepClear={connection.get('keepClear')!r}", "on the twin drivers keep junctions clear"
