@@ -35,11 +35,13 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import ladder
     from izoo.console import counted
+    from izoo.envs.twin.twin_backend import check_settings
     from izoo.evaluation.runner import evaluate_policy
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
 
     config = dataclasses.replace(config, env=env_of(config, given))
+    check_settings(config.env)
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)

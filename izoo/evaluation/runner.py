@@ -91,6 +91,10 @@ def evaluate_policy(
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
     candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
     check_choice("simulator", simulator, SIMULATORS)
+    if simulator == "twin":
+        from izoo.envs.twin.twin_backend import check_settings  # it compiles, and most evaluations need none
+
+        check_settings(config)
     folder = ResultFolder(None if out_dir is None else Path(out_dir), settings(config, simulator))
     cached = EpisodeCache(Path(cache) if cache else default_folder(), config, simulator)
     with folder.open(candidate.name, candidate.fingerprint):

@@ -159,6 +159,13 @@ def test_bad_options(options: dict[str, tuple[object, ...]], said: str) -> None:
         LadderConfig(**options)  # type: ignore[arg-type]
 
 
+def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert twin.main(["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/ladder"]) == 2
+    error = capsys.readouterr().err
+    assert "the twin has no window" in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["contexts=pcg_easy", "num_contexts=1", "seeds=2", "env.horizon_s=90", "env.warmup_s=30", "adoptions=[0.5]"]

@@ -48,6 +48,10 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
         (["policy=glide", "seeds=0"], "seeds is 0"),
         (["policy=glide", "algo=ppo"], "'algo'"),
         (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
+        (
+            ["policy=glide", "simulator=twin", "env.gui=true", "num_contexts=1"],
+            "the twin has no window; use simulator=",
+        ),
     ],
 )
 def test_bad_options_are_one_sentence_and_exit_code_2(
@@ -58,6 +62,7 @@ def test_bad_options_are_one_sentence_and_exit_code_2(
     error = capsys.readouterr().err
     assert message in error
     assert "Traceback" not in error
+    assert error.count("\n") == 1 and not list(tmp_path.rglob("*"))
     assert list(tmp_path.iterdir()) == []
 
 
