@@ -35,7 +35,7 @@ from izoo.reporting.scored import Scored
 from izoo.training import checkpoint, runs
 
 FOLDER = "replays"
-FORMAT = 1
+FORMAT = 2
 COMPARED = ("crossed", "emission_g", "travel_time_s")
 """Metrics by which a replay is recognised as the episode that was evaluated."""
 
@@ -105,6 +105,7 @@ class Player:
     def __init__(self, imports: bool = False) -> None:
         self._imports = imports
         self._env: EcoDrivingEnv | None = None
+        self._simulator = ""
         self._candidates: dict[tuple[Path, str], Candidate] = {}
 
     def __enter__(self) -> Player:
@@ -145,19 +146,22 @@ class Player:
         config = dataclasses.replace(from_mapping(EnvConfig, manifest["settings"]["env"]), emit=("metrics",))
         candidate = self._candidate(scene, sources.policies.get(scene.policy), config, fingerprint)
         content: dict[str, Any] = {"step_s": config.step_s, "warmup_s": config.warmup_s}
+        self._provide(config, manifest["settings"].get("simulator", "sumo"))
         for side, driver in (("baseline", as_candidate(scene.baseline, config)), ("policy", candidate)):
             played = baseline_context(context) if driver.name == HUMAN else context
-            content[side] = self._play(config, driver, played, context, scene)
+            content[side] = self._play(driver, played, context, scene)
         assert self._env is not None
         content["net"] = geometry(self._env.road)
         return gzip.compress(json.dumps(content, separators=(",", ":")).encode(), mtime=0)
 
-    def _play(
-        self, config: EnvConfig, driver: Candidate, played: Context, context: Context, scene: Scene
-    ) -> dict[str, Any]:
-        if self._env is None or self._env.config != config:
+    def _provide(self, config: EnvConfig, simulator: str) -> None:
+        """Have an environment of these settings on the simulator that played what is played again."""
+        if self._env is None or (self._env.config, self._simulator) != (config, simulator):
             self.__exit__()
-            self._env = EcoDrivingEnv(config=config)
+            self._env, self._simulator = EcoDrivingEnv(config=config, simulator=simulator), simulator
+
+    def _play(self, driver: Candidate, played: Context, context: Context, scene: Scene) -> dict[str, Any]:
+        assert self._env is not None
         env, recorder = self._env, Recorder()
 
         def watched(tensordict: TensorDictBase) -> TensorDictBase:

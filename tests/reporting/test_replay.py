@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import gzip
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from izoo.envs.env import EcoDrivingEnv
+from izoo.envs.sumo.simulator import SumoSimulator
+from izoo.envs.twin.twin_backend import TwinBackend
 from izoo.errors import IzooError
+from izoo.evaluation import evaluate_policy
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.reporting.material import collect
@@ -84,6 +88,19 @@ def test_a_replay_is_the_evaluated_episode(evaluation: Path) -> None:
     assert not any(vehicle[1] for vehicle in content["baseline"]["vehicles"])
     assert any(vehicle[1] for vehicle in content["policy"]["vehicles"])
     assert list((evaluation / "replays").glob("*.json.gz"))
+
+
+def test_an_episode_is_replayed_on_the_simulator_that_played_it(contexts, evaluation: Path, tmp_path: Path) -> None:
+    """Also where one player plays episodes of both, whose settings are the same."""
+    folder = tmp_path / "twin"
+    evaluate_policy("glide", contexts, [1], SHORT, 0, folder, False, cache=tmp_path / "cache", simulator="twin")
+    other = shutil.copytree(evaluation, tmp_path / "sumo", ignore=shutil.ignore_patterns("replays"))
+    with Player() as player:
+        for path, backend in ((folder, TwinBackend), (other, SumoSimulator)):
+            (entry, _) = collect(path).entries
+            content = json.loads(gzip.decompress(player.replay(scenes(score(entry))[0])))
+            assert content["baseline"]["as_evaluated"] and content["policy"]["as_evaluated"]
+            assert player._env is not None and isinstance(player._env.backend, backend)
 
 
 def test_what_has_changed_is_not_replayed(evaluation: Path, tmp_path: Path) -> None:
