@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,8 +18,22 @@ from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
-from izoo.envs.twin.twin_backend import TwinBackend
+from izoo.envs.twin.twin_backend import CLOSED, TwinBackend
 from izoo.errors import IzooError, check_range
+
+_ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
+"""What a saved state holds; all but the first are one per environment."""
+_OF_PROCESSES = ("recycle_episodes", "watchdog_s", "gui")
+"""Settings that change no episode."""
+
+
+def _settings(config: EnvConfig) -> dict[str, Any]:
+    """Return the settings that a state depends on, as numbers, texts and lists by name."""
+    fields = dataclasses.asdict(config)
+    reward = fields.pop("reward")
+    fields |= {f"reward.{name}": value for name, value in reward.items()}
+    named = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
+    return {name: value for name, value in named.items() if name not in _OF_PROCESSES}
 
 
 def _planned(schedule: Schedule, number: int) -> Play:
@@ -68,6 +83,15 @@ class TwinEnv(EcoDrivingBase):
         for index, number in enumerate(self._next_episode.tolist()):
             self.backend.expect(index, number, functools.partial(_planned, schedule, number))
 
+    def require_started(self, call: str = "step") -> None:
+        """Raise :class:`IzooError` unless the episodes are running: the environment is closed, or not yet reset."""
+        self._require_open()
+        super().require_started(call)
+
+    def _require_open(self) -> None:
+        if self.backend.closed:
+            raise IzooError(CLOSED)
+
     def advance(self, decisions: Sequence[int]) -> TensorDict:
         """Play on in each environment for so many decisions, every CV left to its driver; return the state to act on.
 
@@ -90,10 +114,16 @@ class TwinEnv(EcoDrivingBase):
         return self._frame()
 
     def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
-        """Return the exact state of all environments as tensors and numbers: what is loaded goes on bit for bit."""
+        """Return the exact state of all environments as tensors and numbers: what is loaded goes on bit for bit.
+
+        With it goes what it is the state of: the settings, and the context (by its hash) and the seed of each episode.
+        """
         self.require_started("state_dict")
+        plays = self.backend.plays()
         return {
-            "episodes": self.backend.numbers(),
+            "settings": _settings(self.config),
+            "plays": [[play.context.content_hash, play.seed] for play in plays],
+            "episodes": [play.number for play in plays],
             "next_episodes": self._next_episode.tolist(),
             "packed": [torch.from_numpy(packed.copy()) for packed in self.backend.pack()],
         }
@@ -102,14 +132,55 @@ class TwinEnv(EcoDrivingBase):
         """Go on from what :meth:`state_dict` returned, on the same schedule; :meth:`present` is where it stood.
 
         Raises:
-            IzooError: another number of environments, another schedule or other settings saved it.
+            IzooError: another number of environments, another schedule or other settings saved it; the environments
+                stay as they are.
         """
-        if len(state["packed"]) != self.num_envs:
+        plays = self._plays_of(state)
+        try:
+            self.backend.check_states(plays, [packed.numpy() for packed in state["packed"]])
+        except IzooError:
+            if self.backend.started:
+                self._look_ahead()
+            raise
+        self._load(state, plays)
+
+    def _plays_of(self, state: Mapping[str, Any]) -> dict[int, Play]:
+        """Return the episodes of a state.
+
+        Raises:
+            IzooError: it is no state, or not of these settings, this schedule and as many environments.
+        """
+        self._require_open()
+        missing = [name for name in _ENTRIES if name not in state]
+        if missing and set(missing) <= {"settings", "plays"}:
             raise IzooError(
-                f"the saved state is that of {len(state['packed'])} environments, and this has {self.num_envs}; make "
-                "one with as many."
+                "the saved state does not say of which contexts and settings it is, so an earlier version of izoo "
+                "saved it; go on with that version, or begin anew with reset()."
             )
+        if missing:
+            raise IzooError(f"the saved state has no {', '.join(missing)}; give what state_dict() returned.")
+        counts = {len(state[name]) for name in _ENTRIES[1:]}
+        if counts != {self.num_envs}:
+            raise IzooError(
+                f"the saved state is that of {' or '.join(map(str, sorted(counts)))} environments, and this has "
+                f"{self.num_envs}; make one with as many."
+            )
+        here, there = _settings(self.config), state["settings"]
+        other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
+        if other:
+            pairs = ", ".join(f"env.{name} {there.get(name)!r} (here {here.get(name)!r})" for name in other)
+            raise IzooError(f"the saved state is that of other settings: {pairs}; make an environment with the same.")
         plays = {index: Play(*self.schedule(number), number) for index, number in enumerate(state["episodes"])}
+        for play, (digest, seed) in zip(plays.values(), state["plays"], strict=True):
+            if (play.context.content_hash, play.seed) != (digest, seed):
+                raise IzooError(
+                    f"the saved state does not fit episode {play.number} of the schedule, which is seed {play.seed} of "
+                    f"{play.context.name} ({play.context.content_hash[:8]}): it is that of seed {seed} of a context "
+                    f"with the hash {digest[:8]}. Make an environment with the contexts and the seed that saved it."
+                )
+        return plays
+
+    def _load(self, state: Mapping[str, Any], plays: Mapping[int, Play]) -> None:
         self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
         self._next_episode[:] = state["next_episodes"]
         self._look_ahead()
@@ -146,10 +217,10 @@ class TwinEnv(EcoDrivingBase):
                 f"{copies.num_envs} environments are no copies of {self.num_envs}; take those that branch(n) returned."
             )
         state = self.state_dict()
-        for name in ("episodes", "packed"):
+        for name in ("plays", "episodes", "packed"):
             state[name] = [value for value in state[name] for _ in range(n)]
         state["next_episodes"] = copies._next_episode.tolist()
-        copies.load_state_dict(state)
+        copies._load(state, copies._plays_of(state))
 
     def scene(self, index: int = 0) -> Scene:
         """Return the present state of an environment, whether or not it is emitted.
@@ -157,6 +228,7 @@ class TwinEnv(EcoDrivingBase):
         Raises:
             IzooError: no episode has begun.
         """
+        self._require_open()
         return self.backend.scene(index)
 
     def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import weakref
 from bisect import bisect_right
@@ -30,6 +31,7 @@ from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_range
 
 SURROGATES = ("torch", "compiled")
+CLOSED = "this environment is closed; make another one."
 
 
 def check_settings(config: EnvConfig) -> None:
@@ -79,7 +81,6 @@ class TwinBackend:
         self._desks = [Desk() for _ in self._shares]
         self._ranges = [no_ranges() for _ in self._shares]
         self._preparers_desk = Desk()
-        self._closed = False
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
         # Where several threads share the environments out, each does what torch does for its own share, alone.
         self._crew = Crew(self.threads, _use_one_torch_thread)
@@ -89,7 +90,12 @@ class TwinBackend:
     @property
     def started(self) -> bool:
         """Whether every environment has begun an episode."""
-        return self._finalizer.alive and None not in self._runs
+        return not self.closed and None not in self._runs
+
+    @property
+    def closed(self) -> bool:
+        """Whether all simulations were ended for good."""
+        return not self._finalizer.alive
 
     def expect(self, index: int, number: int, play: Callable[[], Play]) -> None:
         """Prepare an environment's next episode ahead of its turn, beside the simulation.
@@ -114,8 +120,8 @@ class TwinBackend:
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, and write their first frames."""
-        if not self._finalizer.alive:
-            raise IzooError("this environment is closed; make another one.")
+        if self.closed:
+            raise IzooError(CLOSED)
         with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             for index, play in plays.items():
                 self._runs[index] = None
@@ -131,6 +137,21 @@ class TwinBackend:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
 
+    def check_states(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
+        """Raise :class:`IzooError` where states do not fit the episodes; all environments stay as they are."""
+        frames = map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1)
+        desk = Desk()
+        try:
+            for index, play in plays.items():
+                # Prepared ahead, each will be there when it is begun.
+                self.expect(index, play.number, functools.partial(_same, play))
+                prepared = self._ahead[index][1].result()
+                if prepared.play == play:
+                    TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
+        except IzooError:
+            self.forget_ahead()
+            raise
+
     def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
         """Go on from the states of all environments, which play ``plays``."""
         self.begin(plays)
@@ -139,9 +160,9 @@ class TwinBackend:
             run.unpack(state)
             self._left[index] = self.config.control_steps - run.episode.steps
 
-    def numbers(self) -> list[int]:
-        """Return the number of every environment's episode in the schedule."""
-        return [self._run(index).play.number for index in range(self.num_envs)]
+    def plays(self) -> list[Play]:
+        """Return what every environment plays."""
+        return [self._run(index).play for index in range(self.num_envs)]
 
     def _take(self, index: int, play: Play, desk: Desk) -> Prepared:
         """Return an episode ready to be played: the one that was prepared ahead, if it is that."""
@@ -228,6 +249,10 @@ class TwinBackend:
         self._finalizer()
         self._ahead.clear()
         self._runs[:] = [None] * self.num_envs
+
+
+def _same(play: Play) -> Play:
+    return play
 
 
 @contextlib.contextmanager

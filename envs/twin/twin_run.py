@@ -166,24 +166,27 @@ class TwinRun:
         whole = b"".join(array.tobytes() for array in self._changing())
         return np.frombuffer(zlib.compress(whole, 1), np.uint8)
 
-    def unpack(self, packed: np.ndarray) -> None:
-        """Go on from a state of the same episode.
+    def unzip(self, packed: np.ndarray) -> bytes:
+        """Return the bytes of a state that :meth:`pack` returned.
 
         Raises:
-            IzooError: it is the state of another one, or of another version.
+            IzooError: they are not as many as this episode has.
         """
-        arrays = self._changing()
         try:
             whole = zlib.decompress(packed.tobytes())
         except zlib.error:
             whole = b""
-        if len(whole) != sum(array.nbytes for array in arrays):
+        if len(whole) != sum(array.nbytes for array in self._changing()):
             raise IzooError(
-                f"the saved state does not fit episode {self.play.number} of the schedule: other contexts, another "
-                "configuration or another version of izoo saved it."
+                f"the saved state does not fit episode {self.play.number} of the schedule: another version of izoo "
+                "saved it, or it is damaged. Begin anew with reset()."
             )
-        at = 0
-        for array in arrays:
+        return whole
+
+    def unpack(self, packed: np.ndarray) -> None:
+        """Go on from a state of the same episode."""
+        whole, at = self.unzip(packed), 0
+        for array in self._changing():
             array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
         self.episode.started_s = float(self._guests.begun_s[0])

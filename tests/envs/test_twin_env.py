@@ -13,7 +13,7 @@ from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv, check_
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
-from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.config import EMIT_GROUPS, RewardConfig
 from izoo.envs.twin.emitting import GROUP
 from izoo.errors import IzooError
 from tests.envs.test_determinism import by_episode, schedule
@@ -485,13 +485,76 @@ def test_nothing_to_branch_before_the_first_reset(make: Make) -> None:
         make().branch(2)
 
 
-def test_states_of_others_are_refused(make: Make) -> None:
-    env = make(2, schedule())
-    with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
-        env.state_dict()
+@pytest.fixture(scope="module")
+def saved() -> dict[str, Any]:
+    """State of two environments in the midst of their first episodes."""
+    env = TwinEnv(2, schedule(), config=short(), threads=1)
+    try:
+        with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
+            env.state_dict()
+        play(env, 15)
+        return env.state_dict()
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("contexts", "options", "message"),
+    [
+        (schedule(), {"num_envs": 3}, "is that of 2 environments, and this has 3"),
+        (crossing(lane_count=1), {}, r"does not fit episode 0 of the schedule, which is seed \d+ of .*: it is that of"),
+        (schedule(), {"config": short(sensor_range_m=50.0)}, r"other settings: env.sensor_range_m None \(here 50.0\);"),
+        (schedule(), {"config": short(step_s=1.0)}, r"other settings: env.step_s 0.5 \(here 1.0\);"),
+        (schedule(), {"config": short(reward=RewardConfig(eta=0.5))}, r"other settings: env.reward.eta"),
+    ],
+    ids=["environments", "context", "sensors", "steps", "reward"],
+)
+def test_states_of_others_are_refused(
+    make: Make, saved: dict[str, Any], contexts: Any, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(IzooError, match=message):
+        make(**({"num_envs": 2, "contexts": contexts} | options)).load_state_dict(saved)
+
+
+@pytest.mark.parametrize("changes", [{"adoption": 0.4}, {"green_s": 24.0}])
+def test_states_of_contexts_that_look_alike_are_refused(make: Make, changes: dict[str, Any]) -> None:
+    """The tables of these are as large."""
+    env, other = make(1), make(1, crossing(**changes))
     env.reset()
-    saved = env.state_dict()
-    with pytest.raises(IzooError, match="is that of 2 environments, and this has 3"):
-        make(3, schedule()).load_state_dict(saved)
     with pytest.raises(IzooError, match="does not fit episode 0"):
-        make(2, crossing(lane_count=1)).load_state_dict(saved)
+        other.load_state_dict(env.state_dict())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: state.clear(), "no settings, plays, episodes, next_episodes, packed; give what state_dict"),
+        (lambda state: state.pop("packed"), "no packed; give what state_dict"),
+        (lambda state: (state.pop("plays"), state.pop("settings")), "an earlier version of izoo saved it"),
+        (lambda state: state["plays"].__setitem__(1, ["0" * 64, 3]), "does not fit episode 1 of the schedule"),
+        (lambda state: state["packed"].__setitem__(1, state["packed"][1][:-9]), "does not fit episode 1 .* damaged"),
+        (lambda state: state["packed"].pop(), "that of 1 or 2 environments"),
+    ],
+    ids=["empty", "an entry less", "of an earlier version", "another context", "damaged", "half"],
+)
+def test_a_refused_state_leaves_the_environments_as_they_are(
+    make: Make, saved: dict[str, Any], change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    env, undisturbed = make(2, schedule()), make(2, schedule())
+    play(env, 20), play(undisturbed, 20)
+    state = {name: value if name == "settings" else list(value) for name, value in saved.items()}
+    change(state)
+    with pytest.raises(IzooError, match=message):
+        env.load_state_dict(state)
+    ours, theirs = (play(each, 100, start=each.present()) for each in (env, undisturbed))
+    assert ours["next", "done"].any()
+    assert torch.equal(ours["next", "agents", "observation"], theirs["next", "agents", "observation"])
+
+
+def test_a_closed_environment_says_so(make: Make, saved: dict[str, Any]) -> None:
+    env = make(2, schedule())
+    env.reset()
+    env.close()
+    for call in (env.reset, env.render, env.state_dict, env.present, env.scene, lambda: env.load_state_dict(saved)):
+        with pytest.raises(IzooError, match="this environment is closed; make another one"):
+            call()
