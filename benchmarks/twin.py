@@ -35,6 +35,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import ladder
     from izoo.console import counted
+    from izoo.envs.twin.playable import check_contexts
     from izoo.envs.twin.twin_backend import check_settings
     from izoo.evaluation.runner import evaluate_policy
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
@@ -45,6 +46,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)
+    check_contexts(base)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
     # Earlier results of a folder are left out of what is compared.

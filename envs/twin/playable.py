@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+from izoo.contexts.context import Context
 from izoo.envs.twin.planning import VISIBILITY_M
 from izoo.errors import IzooError
+from izoo.networks.net.build import build_net
+from izoo.networks.road import parse_net
 
 SIGNAL_LETTERS = "GgyYrs"
 _ALL, _OWN = "all", "passenger"
@@ -15,6 +18,20 @@ _WALKED = ("crossing", "walkingarea")
 _NO = ("0", "false", "f", "no", "off", "-")
 """Words that SUMO reads as false."""
 _LANES_REMARK = "on the twin everybody may use every lane, and change to each beside it"
+
+
+def check_contexts(contexts: Iterable[Context]) -> None:
+    """Refuse contexts that the twin cannot play, before anything is played; their nets are built for it.
+
+    Raises:
+        IzooError: a net cannot be built or read, or the twin does not know what it has; the message names the context.
+    """
+    for context in {context.intersection: context for context in contexts}.values():
+        path = build_net(context.intersection)
+        try:
+            check_playable(parse_net(path.read_bytes(), path), str(path))
+        except IzooError as error:
+            raise IzooError(f"context {context.name}: {error}") from error
 
 
 def check_playable(root: Any, path: str) -> None:

@@ -24,6 +24,7 @@ from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation.policies import as_candidate
 from izoo.evaluation.table import COLUMNS, make_table
+from tests.networks.test_dataset import write
 
 
 def episode(
@@ -164,6 +165,21 @@ def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, capsys: p
     error = capsys.readouterr().err
     assert "the twin has no window" in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_net_that_the_twin_cannot_play_is_refused_before_anything_is_played(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second of two."""
+    for name, kind in (("1", "static"), ("2", "actuated")):
+        write(tmp_path / "nets" / name)
+        path = tmp_path / "nets" / name / "net.net.xml"
+        path.write_text(path.read_text().replace('type="static"', f'type="{kind}"'))
+    words = ["contexts=dataset", f"contexts.path={tmp_path}/nets", f"out={tmp_path}/ladder", "num_workers=0"]
+    assert twin.main(words) == 2
+    said = capsys.readouterr()
+    assert "context nets/2/A: " in said.err and "is of type actuated" in said.err and said.err.count("\n") == 1
+    assert "sumo:" not in said.out and not (tmp_path / "ladder").exists()
 
 
 @pytest.mark.slow
