@@ -19,7 +19,7 @@ from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.twin.twin_backend import CLOSED, TwinBackend
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError, check_whole
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
 """What a saved state holds; all but the first are one per environment."""
@@ -190,7 +190,7 @@ class TwinEnv(EcoDrivingBase):
 
         What a copy plays after its present episode is of its own.
         """
-        check_range("n", n, 1, 65536 // self.num_envs)
+        check_whole("n", n, 1, 65536 // self.num_envs)
         self.require_started("branch")
         copies = TwinEnv(
             self.num_envs * n,
@@ -226,7 +226,7 @@ class TwinEnv(EcoDrivingBase):
         """Return the present state of an environment, whether or not it is emitted.
 
         Raises:
-            IzooError: no episode has begun.
+            IzooError: no episode has begun, or there is no such environment.
         """
         self._require_open()
         return self.backend.scene(index)

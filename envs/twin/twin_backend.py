@@ -28,7 +28,7 @@ from izoo.envs.twin.emitting import GROUP, Emitter
 from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_whole
 
 SURROGATES = ("torch", "compiled")
 CLOSED = "this environment is closed; make another one."
@@ -60,8 +60,8 @@ class TwinBackend:
     played: Callable[[slice], None] | None = None
 
     def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "torch") -> None:
-        check_range("num_envs", num_envs, 1, 65536)
-        check_range("threads", threads, 1, 1024)
+        check_whole("num_envs", num_envs, 1, 65536)
+        check_whole("threads", threads, 1, 1024)
         check_choice("surrogate", surrogate, SURROGATES)
         check_settings(config)
         self.config, self.num_envs, self.surrogate = config, num_envs, surrogate
@@ -194,11 +194,17 @@ class TwinBackend:
         Raises:
             IzooError: an episode would end.
         """
-        steps = np.asarray(decisions, np.int64) * self.config.hold_steps
-        if steps.shape != (self.num_envs,) or (steps < 0).any() or (steps >= self._left).any():
+        try:
+            given = np.asarray(decisions)
+        except ValueError:  # lists of other lengths
+            given = np.empty(0)
+        whole = given.shape == (self.num_envs,) and given.dtype.kind in "iu"
+        steps = given.astype(np.int64) * self.config.hold_steps if whole else given
+        if not whole or (steps < 0).any() or (steps >= self._left).any():
+            shown = repr(decisions)
             raise IzooError(
-                f"advance({list(decisions)[:8]}...): give each of {self.num_envs} environments 0 or more decisions, "
-                "and fewer than its episode has left."
+                f"advance({shown if len(shown) < 80 else shown[:80] + '...'}): give each of {self.num_envs} "
+                "environments a whole number of decisions, 0 or more and fewer than its episode has left."
             )
         self.frames["action"][:] = 0.0
         self.frames["defer"][:] = 1
@@ -242,6 +248,7 @@ class TwinBackend:
 
     def scene(self, index: int = 0) -> Scene:
         """Return the present state of an environment."""
+        check_whole("index", index, 0, self.num_envs - 1)
         return self._run(index).episode.scene()
 
     def close(self) -> None:

@@ -191,8 +191,8 @@ def test_environments_advance_by_themselves(make: Make) -> None:
     assert state["metrics", "episode", "steps"].view(-1).tolist() == [0, 28, 12]
     steered = play(env, 6, steer, start=state)["next", "vehicles"]
     assert not steered["deferred"][steered["is_cv"]].all(), "commands count again"
-    for wrong in ([1, 2], [-1, 0, 0], [0, 0, config.decisions]):
-        with pytest.raises(IzooError, match="fewer than its episode has left"):
+    for wrong in ([1, 2], [-1, 0, 0], [0, 0, config.decisions], [1.7] * 3, [1, [2], 3], 1, ["a"] * 3, [True] * 3):
+        with pytest.raises(IzooError, match="a whole number of decisions, 0 or more and fewer than its"):
             env.advance(wrong)
 
 
@@ -350,6 +350,8 @@ def _keep_lanes(tensordict: TensorDictBase) -> TensorDictBase:
     ("options", "message"),
     [
         ({"threads": 0}, "threads is 0"),
+        ({"threads": 1.5}, "threads is 1.5; it must be a whole number from 1 to 1024"),
+        ({"num_envs": 2.5}, "num_envs is 2.5; it must be a whole number from 1 to 65536"),
         ({"num_envs": 0}, "num_envs is 0"),
         ({"surrogate": "onnx"}, "surrogate"),
         ({"config": short(gui=True)}, "no window"),
@@ -359,6 +361,17 @@ def _keep_lanes(tensordict: TensorDictBase) -> TensorDictBase:
 def test_bad_options_are_refused(make: Make, options: dict[str, Any], message: str) -> None:
     with pytest.raises(IzooError, match=message):
         make(**options)
+
+
+def test_environments_that_are_not_there(make: Make) -> None:
+    env = make(2)
+    env.reset()
+    for index in (2, -1, 0.0):
+        for call in (env.scene, lambda index: env.render(index=index)):
+            with pytest.raises(IzooError, match=f"index is {index}; it must be a whole number from 0 to 1"):
+                call(index)
+    with pytest.raises(IzooError, match=r"n is 1\.5; it must be a whole number from 1 to 32768"):
+        env.branch(1.5)  # type: ignore[arg-type]
 
 
 def test_unknown_simulator() -> None:
