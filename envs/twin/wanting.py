@@ -81,8 +81,8 @@ _LEFT_THRESHOLD, _RIGHT_THRESHOLD = 0.2, 2.0
 _KEEP_RIGHT_S, _ACCEPTANCE_S = 5.0, 7.0
 _REMAINING_S = 20.0
 _FORESIGHT_S = 8.0
-_LEAST_GAIN = 2e-7
-"""A relative gain of speed below this counts as none: seen between 1.8e-7 and 2.2e-7, in each step by itself."""
+_MEMORY_UNIT = 1e-7
+"""Memories of speed gain are cut to multiples of it, towards 0."""
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
 """Values of ``CHANGE_MODE``: as SUMO has it; what the route needs, and commands."""
@@ -288,14 +288,12 @@ def _want_freely(  # type: ignore[no-untyped-def]
     here = min(limit, cap, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
     there = min(other_limit, _anticipate(traffic, state, v, beside, beside_gap, other_length, limit, chasing, step_s))
     gain = (there - here) / max(there, _LEAST_GAIN_SPEED_MPS)
-    if abs(gain) < _LEAST_GAIN:
-        there, gain = here, 0.0
     lasting = other_length / max(0.1, speed) > _REMAINING_S
     if right:
         if here - _RIGHT_DISCOUNT_MPS > there:
-            floats[v, SPEED_GAIN_RIGHT] *= math.pow(0.5, step_s)
+            floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] * math.pow(0.5, step_s))
         else:
-            floats[v, SPEED_GAIN_RIGHT] += step_s * gain
+            floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] + step_s * gain)
             _grow_keep_right(traffic, state, v, limit, other_length, beside, beside_gap, step_s)
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
@@ -307,11 +305,11 @@ def _want_freely(  # type: ignore[no-untyped-def]
                 return request
     else:
         if here > there:
-            floats[v, SPEED_GAIN] *= math.pow(0.5, step_s)
+            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] * math.pow(0.5, step_s))
         elif here == there:
-            floats[v, SPEED_GAIN] *= math.pow(0.8, step_s)
+            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] * math.pow(0.8, step_s))
         else:
-            floats[v, SPEED_GAIN] += step_s * gain
+            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] + step_s * gain)
         if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or avoiding) and lasting:
             request = flags | toward | SPEED_GAINING
             if _is_granted(net, state, v, request):
@@ -326,6 +324,13 @@ def _want_freely(  # type: ignore[no-untyped-def]
         if _is_granted(net, state, v, request):
             return request
     return flags
+
+
+@compiled
+def _cut(memory):  # type: ignore[no-untyped-def]
+    """Return a memory of speed gain as it is kept."""
+    units = memory / _MEMORY_UNIT
+    return (math.floor(units) if units > 0.0 else math.ceil(units)) * _MEMORY_UNIT
 
 
 @compiled
