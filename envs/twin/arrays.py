@@ -158,8 +158,8 @@ class TwinTraffic(NamedTuple):
     Attributes:
         floats: ``[N, 8]`` float64, as SUMO reads them from the route file (rounded to its decimals).
         ints: ``[N, 3]`` int64.
-        fleet: ``[R, 3]`` float64, least deceleration (m/s^2) and largest standstill gap (m) of the vehicles that SUMO has
-            read from the route file, and since when (ms); it reads it in portions.
+        fleet: ``[R, 3]`` float64, least deceleration (m/s^2) and largest standstill gap (m) of the vehicles that SUMO
+            has read from the route file, and since when (ms); it reads it in portions.
     """
 
     floats: Annotated[np.ndarray, "float64", 2, 8]

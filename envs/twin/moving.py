@@ -33,6 +33,7 @@ from izoo.envs.twin.arrays import (
     ON_ROAD,
     POSITION,
     ROUTE,
+    SIGNALS,
     SPEED,
     STATUS,
     TAIL_LANES,
@@ -40,6 +41,7 @@ from izoo.envs.twin.arrays import (
     WAITING_MS,
 )
 from izoo.envs.twin.best_lanes import find_variant
+from izoo.envs.twin.blinkers import blinkers
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import lose_turn, may_pass, note_request, pass_link, slows_before
 from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
@@ -177,6 +179,7 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
         moved[count] = v
         count += 1
     note_request(net, state, v)
+    ints[v, SIGNALS] = blinkers(net, state, v)
     return count
 
 

@@ -152,7 +152,7 @@ def follower_beside(net, traffic, state, v, lane):  # type: ignore[no-untyped-de
 
 @compiled
 def _braking_way(net, traffic, state, lane):  # type: ignore[no-untyped-def]
-    """Return how far (m) SUMO looks back beyond ``lane``: what the worst vehicle that it has read needs to stop there."""
+    """Return how far (m) SUMO looks back beyond ``lane``: what its worst vehicle so far needs to stop there."""
     limit = net.lane_floats[lane, LANE_LIMIT]
     row = traffic.fleet.shape[0] - 1
     while row > 0 and traffic.fleet[row, FLEET_FROM_MS] > state.clock[NOW_MS]:

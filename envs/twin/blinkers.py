@@ -1,0 +1,35 @@
+"""Which way a vehicle blinks: where it wants to change to, or turns soon."""
+
+from __future__ import annotations
+
+from izoo.envs.twin.arrays import CHANGE_STATE, LANE, LANE_LENGTH, LANE_LIMIT, LINK_DIRECTION, POSITION, VARIANT
+from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.lane_flags import LEFTWARD, RIGHT_KEEPING, RIGHTWARD
+
+RIGHT_BLINKER, LEFT_BLINKER = 1, 2
+"""Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
+_AHEAD_S = 7.0
+"""A vehicle blinks before a turn that it would reach so soon at the limit."""
+_LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
+
+
+@compiled
+def blinkers(net, state, v):  # type: ignore[no-untyped-def]
+    """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
+
+    What it wished for after the step before comes first, to the right before to the left; nobody blinks to keep right.
+    """
+    wishes = state.ints[v, CHANGE_STATE]
+    if wishes & RIGHTWARD and not wishes & RIGHT_KEEPING:
+        return RIGHT_BLINKER
+    if wishes & LEFTWARD:
+        return LEFT_BLINKER
+    lane = state.ints[v, LANE]
+    link = net.best_link[state.ints[v, VARIANT], lane]
+    left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
+    if link < 0 or left_m >= _AHEAD_S * net.lane_floats[lane, LANE_LIMIT]:
+        return 0
+    turn = net.link_ints[link, LINK_DIRECTION]
+    if turn in _LEFT_TURNS:
+        return LEFT_BLINKER
+    return RIGHT_BLINKER if turn in _RIGHT_TURNS else 0
