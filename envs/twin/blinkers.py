@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from izoo.envs.twin.arrays import CHANGE_STATE, LANE, LANE_LENGTH, LANE_LIMIT, LINK_DIRECTION, POSITION, VARIANT
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.lane_flags import LEFTWARD, RIGHT_KEEPING, RIGHTWARD
+from izoo.envs.twin.lane_flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
 
 RIGHT_BLINKER, LEFT_BLINKER = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
 """A vehicle blinks before a turn that it would reach so soon at the limit."""
+_MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING
 _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 
 
@@ -17,13 +18,15 @@ _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
 
-    What it wished for after the step before comes first, to the right before to the left; nobody blinks to keep right.
+    What it wished for after the step before comes first; nobody blinks to keep right. Who would go both ways blinks to
+    the left where it is about speed alone, otherwise to the right.
     """
     wishes = state.ints[v, CHANGE_STATE]
-    if wishes & RIGHTWARD and not wishes & RIGHT_KEEPING:
-        return RIGHT_BLINKER
-    if wishes & LEFTWARD:
+    rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD
+    if leftward and not (rightward and wishes & _MORE_THAN_SPEED):
         return LEFT_BLINKER
+    if rightward and not wishes & RIGHT_KEEPING:
+        return RIGHT_BLINKER
     lane = state.ints[v, LANE]
     link = net.best_link[state.ints[v, VARIANT], lane]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]

@@ -58,19 +58,21 @@ def briskly(tensordict: TensorDictBase) -> TensorDictBase:
 
 
 @pytest.mark.parametrize(
-    ("act", "seed", "changes"),
+    ("act", "seed", "changes", "roads"),
     [
-        (briskly, 1, {}),
-        (briskly, 2, {"warmup_s": 0.0}),
-        (at_random(3), 3, {"num_agents": 2}),
-        (defer, 4, {"step_s": 1.0}),
+        (briskly, 1, {}, {}),
+        (briskly, 2, {"warmup_s": 0.0}, {}),
+        (at_random(3), 3, {"num_agents": 2}, {}),
+        (defer, 4, {"step_s": 1.0}, {}),
+        (defer, 8, {}, {"lane_count": 3, "phase_count": 2, "approach": None}),
     ],
-    ids=["briskly", "no warm-up", "at random, few slots", "left to their drivers, long steps"],
+    ids=["briskly", "no warm-up", "at random, few slots", "left to their drivers, long steps", "three lanes"],
 )
-def test_every_key_is_that_of_sumo(act: Driver, seed: int, changes: dict[str, Any]) -> None:
+def test_every_key_is_that_of_sumo(act: Driver, seed: int, changes: dict[str, Any], roads: dict[str, Any]) -> None:
     """Where the driving is the same, so is everything that is made from it: the MDP is written once."""
     config = EnvConfig(**({"horizon_s": 150.0, "warmup_s": 20.0, "emit": EMIT_GROUPS} | changes))
-    context = single_lane()
+    context = single_lane(**roads)
+    blinking = 0
     envs = [EcoDrivingEnv(context, config=config, simulator=name) for name in ("sumo", "twin")]
     compared = 0
     try:
@@ -82,6 +84,7 @@ def test_every_key_is_that_of_sumo(act: Driver, seed: int, changes: dict[str, An
             ours = ours.update(commanded)
             following = [env._step(state) for env, state in zip(envs, (ours, theirs), strict=True)]
             compared = assert_close(*following, step + 1)
+            blinking += int(sum(following[1]["vehicles", f"blinker_{side}"].sum() for side in ("left", "right")))
             ours, theirs = (part.exclude(("agents", "reward")) for part in following)
     finally:
         for env in envs:
@@ -90,6 +93,7 @@ def test_every_key_is_that_of_sumo(act: Driver, seed: int, changes: dict[str, An
     assert ours["metrics", "approach", "entered"].sum() > 3
     assert ours["metrics", "approach", "agent_steps"].sum() > 100
     assert ours["done"].all()
+    assert not roads or blinking > 100
 
 
 def assert_close(ours: TensorDictBase, theirs: TensorDictBase, step: int) -> int:
