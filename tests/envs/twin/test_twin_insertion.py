@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from izoo.contexts.context import Context
-from izoo.envs.twin.arrays import DROPPED, DROPS
+from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
+from izoo.envs.twin.arrays import DROPPED, DROPS, FLEET_DECEL, FLEET_FROM_MS, FLEET_MIN_GAP
 from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.road import read_road
+from izoo.traffic.sampling import write_routes
 from tests.envs.twin.oracle import Case, first_departure, play_sumo, play_twin
 from tests.envs.worlds import crossing
 
@@ -57,3 +60,23 @@ def test_vehicles_wait_for_a_red_light_that_is_too_near_to_stop() -> None:
     entered = (sumo.lane >= 0).argmax(axis=0)[(sumo.lane >= 0).any(axis=0)]
     due = np.ceil(2.0 * case.traffic.depart_s[(sumo.lane >= 0).any(axis=0)])
     assert (entered - due > 20).any(), "nobody had to wait"
+
+
+def test_the_route_file_is_read_in_portions() -> None:
+    """What vehicles have in common, and from when on, are those whose types SUMO knows."""
+    case = Case.of(crossing(lane_count=3, approach=None), 3, 600.0)
+    fleet = twin_traffic(case.traffic, read_road(case.net_path), case.world.net).fleet
+    libsumo, session = import_libsumo(), SumoSession()
+    with tempfile.TemporaryDirectory() as folder:
+        routes = Path(folder) / "traffic.rou.xml"
+        write_routes(case.traffic, read_road(case.net_path), routes)
+        session.load(sumo_arguments(case.net_path, routes, case.seed, 0.5))
+        for step in range(1000):
+            session.advance()
+            # SUMO has three types of its own, whose names begin with DEFAULT.
+            names = [name for name in libsumo.vehicletype.getIDList() if not name.startswith("DEFAULT")]
+            row = fleet[fleet[:, FLEET_FROM_MS] <= 500.0 * step][-1]
+            assert row[FLEET_DECEL] == min(map(libsumo.vehicletype.getDecel, names)), step
+            assert row[FLEET_MIN_GAP] == max(map(libsumo.vehicletype.getMinGap, names)), step
+        session.close()
+    assert len(fleet) > 3 and len(np.unique(fleet[:, FLEET_MIN_GAP])) > 1
