@@ -28,9 +28,11 @@ def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     if rightward and not wishes & RIGHT_KEEPING:
         return RIGHT_BLINKER
     lane = state.ints[v, LANE]
-    link = net.best_link[state.ints[v, VARIANT], lane]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    if link < 0 or left_m >= _AHEAD_S * net.lane_floats[lane, LANE_LIMIT]:
+    if left_m >= _AHEAD_S * net.lane_floats[lane, LANE_LIMIT]:
+        return 0
+    link = net.best_link[state.ints[v, VARIANT], lane]
+    if link < 0:
         return 0
     turn = net.link_ints[link, LINK_DIRECTION]
     if turn in _LEFT_TURNS:

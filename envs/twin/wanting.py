@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from izoo.envs.twin.advising import (
     add_advice,
     inform_follower,
@@ -329,8 +331,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
 @compiled
 def _cut(memory):  # type: ignore[no-untyped-def]
     """Return a memory of speed gain as it is kept."""
-    units = memory / _MEMORY_UNIT
-    return (math.floor(units) if units > 0.0 else math.ceil(units)) * _MEMORY_UNIT
+    return np.trunc(memory * (1.0 / _MEMORY_UNIT)) * _MEMORY_UNIT
 
 
 @compiled
