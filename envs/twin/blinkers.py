@@ -6,7 +6,7 @@ from izoo.envs.twin.arrays import CHANGE_STATE, LANE, LANE_LENGTH, LANE_LIMIT, L
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.lane_flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
 
-RIGHT_BLINKER, LEFT_BLINKER = 1, 2
+_RIGHT, _LEFT = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
 """A vehicle blinks before a turn that it would reach so soon at the limit."""
@@ -24,9 +24,9 @@ def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     wishes = state.ints[v, CHANGE_STATE]
     rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD
     if leftward and not (rightward and wishes & _MORE_THAN_SPEED):
-        return LEFT_BLINKER
+        return _LEFT
     if rightward and not wishes & RIGHT_KEEPING:
-        return RIGHT_BLINKER
+        return _RIGHT
     lane = state.ints[v, LANE]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
     if left_m >= _AHEAD_S * net.lane_floats[lane, LANE_LIMIT]:
@@ -36,5 +36,5 @@ def blinkers(net, state, v):  # type: ignore[no-untyped-def]
         return 0
     turn = net.link_ints[link, LINK_DIRECTION]
     if turn in _LEFT_TURNS:
-        return LEFT_BLINKER
-    return RIGHT_BLINKER if turn in _RIGHT_TURNS else 0
+        return _LEFT
+    return _RIGHT if turn in _RIGHT_TURNS else 0

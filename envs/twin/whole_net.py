@@ -316,10 +316,12 @@ def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -
 
     First it reads one; when the last one that it has read is due, on to the first that departs over 200 s after that.
     """
-    rows, count, since_ms = [], 1, -math.inf
-    while count <= len(depart_ms):
+    rows, count, since_ms = [], 0, -math.inf
+    while count < len(depart_ms):
+        # The first vehicle that departs later than it needs to know is read as well.
+        count += 1 + int((depart_ms[count:] <= since_ms + _READ_AHEAD_MS).sum())
+        count = min(count, len(depart_ms))
         rows.append([decel[:count].min(), min_gap[:count].max(), since_ms])
         since_ms = float(depart_ms[count - 1])
-        later = int(np.searchsorted(depart_ms, since_ms + _READ_AHEAD_MS, side="right")) + 1
-        count = later if count == len(depart_ms) else min(later, len(depart_ms))
+    # Without vehicles there are no rows, and nobody asks.
     return np.array(rows, np.float64).reshape(-1, 3)
