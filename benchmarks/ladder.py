@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from izoo.benchmarks.conduct import COUNTS, rates
 from izoo.evaluation.policies import HUMAN
 from izoo.files import replacing
 from izoo.metrics.benefit import benefits
@@ -94,6 +95,38 @@ def _per_seed(group: pd.DataFrame, total: str, count: str | None, side: str) -> 
 def _mean(values: np.ndarray) -> float:
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else np.nan
+
+
+def few(table: pd.DataFrame) -> pd.DataFrame:
+    """Sum up episodes of one and two vehicles, a row per number of vehicles, and commanded or not.
+
+    Args:
+        table: a row per episode, as :func:`izoo.benchmarks.few_vehicles.compare_few` returns them.
+    """
+    if table.empty:
+        return pd.DataFrame()
+    groups = table.groupby(["vehicles", "commanded"], sort=True)
+    summed = groups["parted"].agg(episodes="size", same=lambda parted: int(parted.isna().sum()))
+    return summed.reset_index()
+
+
+def conduct(exact: pd.DataFrame) -> pd.DataFrame:
+    """Sum up what drivers did, a row per policy, demand and measure, with its value in SUMO and on the twin.
+
+    Measures are those of :func:`izoo.benchmarks.conduct.rates`, then :data:`izoo.benchmarks.conduct.COUNTS`.
+
+    Args:
+        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them.
+    """
+    if exact.empty:
+        return pd.DataFrame()
+    rows = []
+    for key, group in exact.groupby(["policy", "demand"], sort=False):
+        about = dict(zip(("policy", "demand"), key, strict=True))
+        counts = {side: {name: float(group[f"{name}_{side}"].sum()) for name in COUNTS} for side in ("sumo", "twin")}
+        found = {side: rates(of) | of for side, of in counts.items()}
+        rows += [about | {"measure": name} | {side: found[side][name] for side in found} for name in found["sumo"]]
+    return pd.DataFrame(rows)
 
 
 def exactness(exact: pd.DataFrame) -> pd.DataFrame:
@@ -203,42 +236,90 @@ def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.abs(np.cumsum(one) / one.sum() - np.cumsum(other) / other.sum()).max())
 
 
-def tables(
-    exact: pd.DataFrame, summed: pd.DataFrame, gained: pd.DataFrame, own: pd.DataFrame | None = None
-) -> list[Table]:
-    """Return :func:`exactness`, :func:`rungs` and :func:`gains` as tables to read.
+class Ladder(NamedTuple):
+    """What was found; tables that were not measured are empty.
 
-    Args:
-        own: :func:`rungs` of SUMO's own spread, if it was measured.
+    Attributes:
+        few, exact, conduct: of :func:`few`, :func:`exactness` and :func:`conduct`.
+        rungs, own: of :func:`rungs`, for the twin and for SUMO with late vehicles.
+        gains: of :func:`gains`.
     """
-    steps = _table("Every vehicle and step", "policy", "demand", "approaches", "episodes", "the same", "else parted at")
-    for row in exact.itertuples():
-        parted = "" if np.isnan(row.median_parted) else f"step {row.median_parted:.0f} (median)"
-        steps.add_row(row.policy, row.demand, row.kind, f"{row.episodes}", f"{row.same}", parted)
-    found = [steps]
+
+    few: pd.DataFrame
+    exact: pd.DataFrame
+    conduct: pd.DataFrame
+    rungs: pd.DataFrame
+    own: pd.DataFrame
+    gains: pd.DataFrame
+
+
+def tables(found: Ladder) -> list[Table]:
+    """Return what was found as tables to read, from the lowest rung to the highest."""
+    few_ = _table("1. One and two vehicles alone, to 1e-6", "vehicles", "commanded", "episodes", "the same")
+    for row in found.few.itertuples():
+        few_.add_row(f"{row.vehicles}", "yes" if row.commanded else "no", f"{row.episodes}", f"{row.same}")
+    columns = ("policy", "demand", "approaches", "n", "same", "parted at", "KS speed", "accel.")
+    steps = _table("2. Every vehicle and step; distance of speeds and accelerations", *columns)
+    for row in found.exact.itertuples():
+        parted = "" if np.isnan(row.median_parted) else f"step {row.median_parted:.0f}"
+        distances = f"{row.ks_speed:.3f}", f"{row.ks_accel:.3f}"
+        steps.add_row(row.policy, row.demand, row.kind, f"{row.episodes}", f"{row.same}", parted, *distances)
+    done = _table("3. What drivers did, summed over episodes", "policy", "demand", "measure", "SUMO", "twin")
+    for row in found.conduct.itertuples():
+        if row.measure in MEASURE_TITLES:
+            values = ("" if np.isnan(value) else f"{value:,.{_digits(value)}f}" for value in (row.sumo, row.twin))
+            done.add_row(row.policy, row.demand, MEASURE_TITLES[row.measure], *values)
+    return [few_, steps, done, *_aggregates(found.rungs, found.own), _benefits(found.gains)]
+
+
+MEASURE_TITLES = {
+    "changes_needed": "lane changes, needed",
+    "changes_left": "to the left",
+    "changes_right": "to the right",
+    "passed": "vehicles that passed",
+    "permissive_lefts": "on a permissive left",
+    "passed_on_red": "on red",
+    "saturation_flow_vph": "saturation flow, veh/h",
+    "start_up_lag_s": "start-up lag, s",
+}
+"""Measures of :func:`conduct` that are printed."""
+
+
+def _digits(value: float) -> int:
+    return 0 if value == int(value) or value > 100.0 else 2
+
+
+def _aggregates(summed: pd.DataFrame, own: pd.DataFrame) -> list[Table]:
+    found = []
     compared = {"twin against SUMO": summed}
-    if own is not None and not own.empty:
+    if not own.empty:
         compared["SUMO with a late vehicle against SUMO"] = own
     for title, rungs_ in compared.items():
-        found.append(_table(f"CO2 per vehicle, {title}", *_ABOUT, "n", "mean |d|", "median", "bias", "worst", "> 5 %"))
+        found.append(
+            _table(f"4. CO2 per vehicle, {title}", *_ABOUT, "n", "mean |d|", "median", "bias", "worst", "> 5 %")
+        )
         for row in rungs_.itertuples():
             found[-1].add_row(
                 *(*_about(row), f"{row.approaches}", f"{row.co2_mean_abs:.1%}", f"{row.co2_median_abs:.1%}"),
                 *(f"{row.co2_bias:+.1%}", f"{row.co2_worst:.0%}", _wide(row)),
             )
     for title, rungs_ in compared.items():
-        found.append(_table(f"Vehicles, {title}", *_ABOUT, "crossed", "mean |d|", "travel", "stopped"))
+        found.append(_table(f"4. Vehicles, {title}", *_ABOUT, "crossed", "mean |d|", "travel", "stopped"))
         for row in rungs_.itertuples():
             found[-1].add_row(
                 *(*_about(row), f"{row.crossed:+.1%}", f"{row.crossed_mean_abs:.1%}"),
-                *(f"{row.travel_time:+.1%}", f"{row.stopped:+.1%}"),
+                *("" if np.isnan(value) else f"{value:+.1%}" for value in (row.travel_time, row.stopped)),
             )
-    benefit = _table("Benefit over human driving, not gated", *_ABOUT[:3], "SUMO", "twin", "points", "SUMO's own")
+    return found
+
+
+def _benefits(gained: pd.DataFrame) -> Table:
+    benefit = _table("5. Benefit over human driving, not gated", *_ABOUT[:3], "SUMO", "twin", "points", "SUMO's own")
     for row in gained.itertuples():
         own_points = "" if np.isnan(row.own) else f"{100 * row.own:.2f}"
         points = f"{100 * row.difference:+.2f}"
         benefit.add_row(*_about(row)[:3], f"{row.sumo:+.2%}", f"{row.twin:+.2%}", points, own_points)
-    return [*found, benefit]
+    return benefit
 
 
 _ABOUT = ("policy", "CVs", "demand", "lanes")
@@ -258,7 +339,7 @@ def _wide(row: Any) -> str:
 def _table(title: str, *columns: str) -> Table:
     shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        words = column in ("policy", "demand", "approaches", "lanes")
+        words = column in ("policy", "demand", "approaches", "lanes", "measure")
         shown.add_column(column, justify="left" if words else "right", no_wrap=column != "policy", overflow="fold")
     return shown
 

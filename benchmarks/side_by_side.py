@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from izoo.benchmarks.conduct import Conduct
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
@@ -72,6 +73,21 @@ def _places(scene: Scene) -> dict[int, tuple[str, float, float]]:
     return dict(zip(columns["vehicle_number"].tolist(), zip(lanes, positions, speeds, strict=True), strict=True))
 
 
+class Played(NamedTuple):
+    """An episode that was played on both.
+
+    Attributes:
+        parting: where the two part, ``None`` where they never do.
+        steps: how many were compared.
+        motions, conducts: how vehicles moved and what drivers did, in SUMO and on the twin.
+    """
+
+    parting: Parting | None
+    steps: int
+    motions: tuple[Motion, Motion]
+    conducts: tuple[Conduct, Conduct]
+
+
 class SideBySide:
     """SUMO and the twin, for episodes that are played on both at once, in this process.
 
@@ -87,14 +103,10 @@ class SideBySide:
         self._sumo.close()
         self._twin.close()
 
-    def play(self, policy: Policy, context: Context, seed: int) -> tuple[Parting | None, int, list[Motion]]:
-        """Play an episode to its end.
-
-        Returns:
-            Where they part, the number of steps, and how vehicles moved in SUMO and on the twin.
-        """
+    def play(self, policy: Policy, context: Context, seed: int) -> Played:
+        """Play an episode to its end."""
         found: Parting | None = None
-        motions = [Motion(), Motion()]
+        motions, conducts = (Motion(), Motion()), (Conduct(), Conduct())
         environments: list[Any] = [self._sumo, self._twin]
         with (
             torch.random.fork_rng(devices=[]),
@@ -108,10 +120,11 @@ class SideBySide:
                     torch.manual_seed(seed + step)
                     states[k] = _advance(env, policy, states[k])
                 scenes = [env.scene() for env in environments]
-                for motion, scene in zip(motions, scenes, strict=True):
+                for motion, conduct, scene in zip(motions, conducts, scenes, strict=True):
                     motion.add(scene)
+                    conduct.add(scene)
                 found = found or parting(step, *scenes)
-        return found, step, motions
+        return Played(found, step, motions, conducts)
 
 
 def _advance(env: Any, policy: Policy, state: TensorDictBase) -> TensorDictBase:

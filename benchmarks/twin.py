@@ -1,11 +1,12 @@
 """How far the twin is from SUMO, on any contexts.
 
-``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both. For some
-policies every vehicle is compared in every step, up to where the two part; for all of them CO2, vehicles that crossed,
-travel and stopped times per approach, and what each policy gains over human driving. SUMO plays everything once more
+``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both, rung by rung:
+one and two vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what
+drivers did (changes of lane, who passed on which signal, how queues left); for all policies CO2, vehicles that crossed,
+travel and stopped times per approach; and what each policy gains over human driving. SUMO plays everything once more
 with one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far the
-twin is. The folder ``out`` gets ``ladder.json``, ``approaches.csv``, ``own.csv``, ``exact.csv``, ``ladder.png`` and the
-evaluations; the same command goes on where it was stopped.
+twin is. The folder ``out`` gets ``ladder.json``, ``approaches.csv``, ``own.csv``, ``few.csv``, ``exact.csv``,
+``ladder.png`` and the evaluations; the same command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     from rich.console import Console
 
     from izoo.benchmarks import ladder
+    from izoo.benchmarks.few_vehicles import compare_few
     from izoo.console import counted
     from izoo.envs.twin.playable import check_contexts
     from izoo.envs.twin.twin_backend import check_settings
@@ -70,6 +72,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     sumo, played = evaluated("sumo", 0), evaluated("twin", 0)
     late = [evaluated("sumo", number) for number in range(1, config.late + 1)]
+    few = compare_few(base, seeds, out / "few.csv")
     exact = compare_steps(contexts, seeds, config, out / "exact.csv")
     own = ladder.own_spread(sumo, late)
     compared = ladder.with_spread(ladder.approaches(sumo, played), own)
@@ -84,7 +87,9 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
             "contexts": len(contexts),
             "seeds": len(seeds),
             "late": config.late,
+            "few": _records(ladder.few(few)),
             "exact": _records(ladder.exactness(exact)),
+            "conduct": _records(ladder.conduct(exact)),
             "approaches": _records(rungs),
             "own": _records(own_rungs),
             "gains": _records(gained),
@@ -93,7 +98,8 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     )
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
     ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
-    for shown in ladder.tables(ladder.exactness(exact), rungs, gained, own_rungs):
+    found = ladder.Ladder(ladder.few(few), ladder.exactness(exact), ladder.conduct(exact), rungs, own_rungs, gained)
+    for shown in ladder.tables(found):
         Console().print(shown)
     print(f"Results: {out}", flush=True)
     return out
@@ -134,10 +140,12 @@ def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: Ladd
 
     Returns:
         ``policy``, ``context``, ``context_hash``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted``
-        (the first step that differs; empty where none does), ``where`` (who differs there), ``ks_speed``, ``ks_accel``.
+        (the first step that differs; empty where none does), ``where`` (who differs there), ``ks_speed``, ``ks_accel``,
+        and with ``_sumo`` and ``_twin`` what is counted of drivers (:data:`izoo.benchmarks.conduct.COUNTS`).
     """
     import pandas as pd
 
+    from izoo.benchmarks.conduct import COUNTS
     from izoo.benchmarks.ladder import ks_distance
     from izoo.benchmarks.side_by_side import SideBySide
     from izoo.console import Progress
@@ -147,6 +155,8 @@ def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: Ladd
     from izoo.networks.road import read_road
 
     table = pd.read_csv(path, dtype={"parted": "Int64"}) if path.exists() else pd.DataFrame()
+    if f"{COUNTS[-1]}_twin" not in table:  # there is no table, or one of a version that counted less
+        table = pd.DataFrame()
     rows: list[dict[str, Any]] = table.to_dict("records")
     done = {(row["policy"], row["context_hash"], row["seed"]) for row in rows}
     plays = [(p, c, seeds.of(c)[0]) for c in contexts for p in config.exact]
@@ -158,7 +168,9 @@ def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: Ladd
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
             for number, (name, context, seed) in enumerate(todo, 1):
                 policy = as_candidate(name, config.env).policy
-                parting, steps, (sumo, twin) = both.play(policy, context, seed)
+                played = both.play(policy, context, seed)
+                sumo, twin = played.motions
+                done_by = zip(("sumo", "twin"), played.conducts, strict=True)
                 road = read_road(build_net(context.intersection))
                 lanes = max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches)
                 rows.append(
@@ -170,11 +182,12 @@ def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: Ladd
                         "adoption": context.adoption,
                         "demand": "all" if context.approach is None else "one",
                         "lanes": lanes,
-                        "steps": steps,
-                        "parted": None if parting is None else parting.step,
-                        "where": "" if parting is None else str(parting),
+                        "steps": played.steps,
+                        "parted": None if played.parting is None else played.parting.step,
+                        "where": "" if played.parting is None else str(played.parting),
                         "ks_speed": ks_distance(sumo.speed, twin.speed),
                         "ks_accel": ks_distance(sumo.accel, twin.accel),
+                        **{f"{name}_{side}": n for side, of in done_by for name, n in of.counts().items()},
                     }
                 )
                 write_text(path, pd.DataFrame(rows).astype({"parted": "Int64"}).to_csv(index=False))

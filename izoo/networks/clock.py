@@ -27,6 +27,7 @@ class SignalClock:
         cycle_s, offset_s: length of the cycle; when its first phase begins.
         phase_begin_s: ``[K]`` beginning of each phase within the cycle.
         colour: ``[P, Q, K]`` int8: 0 green (``G`` or ``g``), 1 yellow, 2 red.
+        permissive: ``[P, Q, K]`` bool: green, but yielding to others on every link (``g``).
         legal_on_red: ``[P, Q, K]`` bool: crossing on red after a stop is legal (``s``).
         change_s: ``[P, Q, K]`` from the phase's beginning until the colour changes; infinite if it never does.
         second_green_s, third_green_s: ``[P, Q, K]`` until the second and third green interval begin; a current green
@@ -38,6 +39,7 @@ class SignalClock:
     offset_s: float
     phase_begin_s: np.ndarray
     colour: np.ndarray
+    permissive: np.ndarray
     legal_on_red: np.ndarray
     change_s: np.ndarray
     second_green_s: np.ndarray
@@ -67,15 +69,18 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
         raise IzooError(f"{path}: the signal program TL has fewer states than the junction has links; repair the net.")
     shape = (1 + max(p for p, _ in links), 1 + max(q for _, q in links)) if links else (0, 0)
     colour = np.full((*shape, len(phases)), RED, np.int8)
-    legal = np.zeros(colour.shape, bool)
+    permissive, legal = np.zeros(colour.shape, bool), np.zeros(colour.shape, bool)
     for (p, q), indices in links.items():
         for k, state in enumerate(states):
             colour[p, q, k] = min(_COLOUR.get(state[link], RED) for link in indices)
+            permissive[p, q, k] = {state[link] for link in indices} & {"g", "G"} == {"g"}
             legal[p, q, k] = any(state[link] == "s" for link in indices)
-    return make_clock(duration, colour, legal, float(logics[0].get("offset", 0.0)))
+    return make_clock(duration, colour, permissive, legal, float(logics[0].get("offset", 0.0)))
 
 
-def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndarray, offset_s: float) -> SignalClock:
+def make_clock(
+    duration_s: np.ndarray, colour: np.ndarray, permissive: np.ndarray, legal_on_red: np.ndarray, offset_s: float
+) -> SignalClock:
     """Derive all tables from phase durations ``[K]`` and colours ``[P, Q, K]``."""
     begin = np.concatenate([[0.0], np.cumsum(duration_s)[:-1]])
     change = np.full(colour.shape, np.inf)
@@ -92,6 +97,7 @@ def make_clock(duration_s: np.ndarray, colour: np.ndarray, legal_on_red: np.ndar
         offset_s=offset_s,
         phase_begin_s=begin,
         colour=colour,
+        permissive=permissive,
         legal_on_red=legal_on_red,
         change_s=change,
         second_green_s=second,

@@ -132,11 +132,13 @@ def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
     for late_vehicle in (0, 3):
         both = SideBySide(EnvConfig(horizon_s=120.0, warmup_s=30.0, emit=(), late_vehicle=late_vehicle))
         try:
-            parted, _, motions = both.play(as_candidate("uncommanded", EnvConfig()).policy, context, 1)
+            played = both.play(as_candidate("uncommanded", EnvConfig()).policy, context, 1)
         finally:
             both.close()
-        assert parted is None, str(parted)
-        seen[late_vehicle] = motions
+        assert played.parting is None, str(played.parting)
+        sumo, twin_ = (conduct.counts() for conduct in played.conducts)
+        assert sumo == twin_ and sumo["passed_straight_priority"] > 0
+        seen[late_vehicle] = played.motions
     assert all(not np.array_equal(one.speed, late.speed) for one, late in zip(seen[0], seen[3], strict=True))
 
 
@@ -188,16 +190,22 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     words += ["demand=[given]", "policies=[uncommanded]", "exact=[uncommanded]", "num_workers=0"]
     words += [f"out={tmp_path}/ladder", f"cache={tmp_path}/cache"]
     assert twin.main(words) == 0
-    first = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")}
+    first = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("[ef]*.csv")}
+    assert set(first) == {"exact.csv", "few.csv"}
     found = json.loads((tmp_path / "ladder" / "ladder.json").read_text())
     assert found["contexts"] == 1 and {row["policy"] for row in found["approaches"]} == {"human", "uncommanded"}
     played = [[row["policy"] for row in found[kind]] for kind in ("own", "approaches")]
     assert found["late"] == 1 and played[0] == played[1]
     assert any(row["co2_mean_abs"] > 0.0 for row in found["own"])  # the late vehicle did come late
+    assert [row["same"] for row in found["few"]] == [1, 1, 1]  # one vehicle, two, and two commanded
+    measured = {row["measure"]: (row["sumo"], row["twin"]) for row in found["conduct"]}
+    assert measured["passed"][0] > 0 and measured["passed"][0] == measured["passed"][1]
     assert found["exact"][0]["episodes"] == 1 and (tmp_path / "ladder" / "ladder.png").stat().st_size > 10_000
     assert twin.main(words) == 0  # nothing is left to be played
-    assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("exact.csv")} == first
-    assert "Benefit over human driving" in capsys.readouterr().out
+    assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "ladder").glob("[ef]*.csv")} == first
+    shown = capsys.readouterr().out
+    rungs = ("1. One and two", "2. Every vehicle", "3. What drivers did", "4. CO2 per vehicle", "5. Benefit over human")
+    assert all(rung in shown for rung in rungs)
 
 
 def test_tables_fit_a_terminal_of_80_columns() -> None:
@@ -208,11 +216,16 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
     rungs = ladder.rungs(ladder.with_spread(ladder.approaches(table, table), own))
     gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-0.1], "twin": [-0.2], "difference": [-0.1]})
     gained = gained.assign(adoption=1.0, demand="all", own=0.01)
-    for shown in ladder.tables(pd.DataFrame(), rungs, gained, ladder.rungs(own, "late")):
+    few = pd.DataFrame({"vehicles": [1, 2], "commanded": [False, True], "episodes": 160, "same": 160})
+    exact = {"policy": ["uncommanded", "zoo:measured_search"], "demand": "given", "kind": "several lanes"}
+    exact |= {"episodes": 160, "same": 7, "median_parted": 1234.0, "ks_speed": 0.001, "ks_accel": 0.001}
+    done = {"policy": "uncommanded", "demand": "given", "measure": list(ladder.MEASURE_TITLES), "sumo": 12345.6}
+    found = (few, pd.DataFrame(exact), pd.DataFrame(done | {"twin": 12345.0}), rungs, ladder.rungs(own, "late"), gained)
+    for shown in ladder.tables(ladder.Ladder(*found)):
         out = io.StringIO()
         Console(file=out, width=80).print(shown)
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
-        assert "uncommanded" in out.getvalue() or not shown.row_count  # not folded into a column of letters
+        assert "uncommanded" in out.getvalue() or "vehicles" in out.getvalue()  # not folded into a column of letters
         assert all(str(column.header) in out.getvalue() for column in shown.columns)
 
 

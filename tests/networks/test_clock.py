@@ -14,6 +14,12 @@ from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
 
 
+def plan(duration_s: np.ndarray, colour: np.ndarray, offset_s: float = 0.0) -> SignalClock:
+    """Return a clock whose greens all have priority."""
+    nowhere = np.zeros(colour.shape, bool)
+    return make_clock(duration_s, colour, nowhere, nowhere, offset_s)
+
+
 def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
     """Return the phase and ``[4, P, Q]``: colour, time left, second and third green."""
     arrays = clock_arrays(clock)
@@ -61,14 +67,14 @@ def test_by_hand(clock: SignalClock, time_s: float, movement: tuple[int, int], e
 
 
 def test_a_movement_without_green_never_changes() -> None:
-    clock = make_clock(np.array([20.0, 30.0]), np.full((1, 1, 2), RED, np.int8), np.zeros((1, 1, 2), bool), 0.0)
+    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), RED, np.int8))
     for time_s in (0.0, 19.5, 33.0, 80.0):
         assert evaluate(clock, time_s)[1][:, 0, 0].tolist() == [RED, NEVER_S, NEVER_S, NEVER_S]
     assert clock.green_s[0, 0] == 0.0
 
 
 def test_a_movement_that_is_always_green_never_changes() -> None:
-    clock = make_clock(np.array([20.0, 30.0]), np.full((1, 1, 2), GREEN, np.int8), np.zeros((1, 1, 2), bool), 0.0)
+    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), GREEN, np.int8))
     assert evaluate(clock, 12.0)[1][:, 0, 0].tolist() == [GREEN, NEVER_S, NEVER_S, NEVER_S]
     assert clock.green_s[0, 0] == 50.0
 
@@ -80,7 +86,7 @@ def test_against_brute_force() -> None:
         phases = int(generator.integers(2, 7))
         duration = generator.integers(2, 20, phases).astype(float)
         colour = generator.integers(0, 3, (1, 1, phases)).astype(np.int8)
-        clock = make_clock(duration, colour, np.zeros(colour.shape, bool), float(generator.integers(-5, 30)))
+        clock = plan(duration, colour, float(generator.integers(-5, 30)))
         timeline = np.tile(np.repeat(colour[0, 0], (2 * duration).astype(int)), 6)
         starts = np.flatnonzero((timeline == GREEN) & (np.roll(timeline, 1) != GREEN))
         for tick in generator.integers(0, int(2 * clock.cycle_s), 5).tolist():

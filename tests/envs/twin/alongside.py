@@ -1,6 +1,6 @@
 """The twin driven alongside SUMO: after every step vehicles that differ are put where SUMO has them.
 
-A free comparison (:mod:`tests.envs.twin.oracle`) ends with the first departure, since everything after it may follow
+A free comparison (:mod:`izoo.benchmarks.oracle`) ends with the first departure, since everything after it may follow
 from it. Here each difference is one step old, so that a single episode shows all of its causes, and what share of the
 steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET INTERSECTION`` lists them.
 """
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from izoo.benchmarks.oracle import Case, Trace, play_sumo
 from izoo.envs.twin.advising import clear_memories
 from izoo.envs.twin.arrays import (
     ACCEL,
@@ -54,7 +55,6 @@ from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import read_road
-from tests.envs.twin.oracle import Case, Trace, play_sumo
 
 ROUNDING = 1e-9
 """Differences (m, m/s) up to this are rounding."""

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import sumo
 
+from izoo.benchmarks.oracle import Case
 from izoo.envs.twin.whole_net import read_twin_world
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import PAPER_CV, Traffic
-from tests.envs.twin.oracle import Case
 
 _LEGS = {"A": (0.0, 1.0), "B": (1.0, 0.0), "C": (0.0, -1.0), "D": (-1.0, 0.0)}
 _OPTIONS = ("--no-turnarounds", "true", "--offset.disable-normalization", "true", "--precision", "6")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from izoo.benchmarks.oracle import first_departure, play_sumo, play_twin
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.twin.oracle import first_departure, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 RED_FOR_A = [(110.0, "r" * 4 + "G" * 12), (40.0, "G" * 4 + "r" * 12)]

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, Trace, first_departure, play_sumo, play_twin
 from izoo.contexts.source import ContextList
 from tests.envs.twin.alongside import differences
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 STEPS = 110

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.twin.oracle import Case, first_departure, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 STEPS = 120

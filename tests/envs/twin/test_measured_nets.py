@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from izoo.benchmarks.oracle import Case, play_sumo
 from izoo.contexts.catalogue import Scenario, build
 from izoo.networks.dataset.intersections import load_dataset
 from tests.envs.twin.alongside import differences
-from tests.envs.twin.oracle import Case, play_sumo
 
 pytestmark = pytest.mark.slow
 SEED = 7

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Departure, first_departure, play_sumo, play_twin
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.twin.oracle import Departure, first_departure, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 EPISODES, STEPS = 60, 160

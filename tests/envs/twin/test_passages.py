@@ -7,12 +7,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, Trace, play_sumo, play_twin
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.twin.arrays import LANE_EDGE, LANE_INSIDE, LINK_DIRECTION, LINK_PROGRAM, ROUTE
 from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.road import read_road
-from tests.envs.twin.oracle import Case, Trace, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 HORIZON_S = 600.0

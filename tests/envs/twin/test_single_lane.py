@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, Trace, first_departure, play_sumo, play_twin, waves
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.sampling import Traffic
-from tests.envs.twin.oracle import Case, Trace, first_departure, play_sumo, play_twin
 
 pytestmark = pytest.mark.slow
 HORIZON_S = 300.0
@@ -27,19 +26,6 @@ def single_lane(seed: int, **features: Any) -> Case:
     return Case.of(procedural_context(**(values | features)), seed, HORIZON_S)
 
 
-def first_vehicles(case: Case, count: int) -> Case:
-    columns = {field.name: getattr(case.traffic, field.name) for field in dataclasses.fields(Traffic)}
-    kept = {name: column if isinstance(column, str) else column[:count] for name, column in columns.items()}
-    return dataclasses.replace(case, traffic=Traffic(**kept))
-
-
-def waves(t: int, vehicles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-    """Commands that speed up, brake to a standstill and give control back, each vehicle in its own time."""
-    accel = 2.6 * np.sin(0.05 * t + vehicles * 1.3) - 0.3 + 3.0 * np.sin(0.013 * t * (1 + vehicles % 3))
-    target = np.maximum(0.0, speeds + accel * 0.5)
-    return np.where((vehicles % 4 == 3) | ((t // 50 + vehicles) % 5 == 0), np.nan, target)
-
-
 def assert_same(case: Case, sumo: Trace, twin: Trace, tolerance: float) -> None:
     departure = first_departure(case, sumo, twin, tolerance)
     assert departure is None, str(departure)
@@ -50,7 +36,7 @@ def assert_same(case: Case, sumo: Trace, twin: Trace, tolerance: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("step_ms", [500, 1000])
 def test_one_and_two_vehicles(count: int, seed: int, step_ms: int) -> None:
-    case = dataclasses.replace(first_vehicles(single_lane(seed), count), step_ms=step_ms)
+    case = dataclasses.replace(single_lane(seed).first(count), step_ms=step_ms)
     steps = int(1000 * HORIZON_S) // step_ms
     assert_same(case, play_sumo(case, steps), play_twin(case, steps), 1e-6)
 

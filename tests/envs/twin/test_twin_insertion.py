@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.context import Context
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.twin.arrays import DROPPED, DROPS, FLEET_DECEL, FLEET_FROM_MS, FLEET_MIN_GAP
@@ -17,7 +18,6 @@ from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import write_routes
-from tests.envs.twin.oracle import Case, first_departure, play_sumo, play_twin
 from tests.envs.worlds import crossing
 
 pytestmark = pytest.mark.slow

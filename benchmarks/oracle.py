@@ -1,7 +1,11 @@
-"""Episodes of SUMO and of the twin side by side: who is where after every step, and where they part."""
+"""Driving alone, in SUMO and on the twin: who is where after every step, on the whole net, and where the two part.
+
+Nothing of the MDP is played; :mod:`izoo.benchmarks.side_by_side` compares whole environments.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,6 +56,19 @@ class Case:
         path = build_net(context.intersection)
         road = read_road(path)
         return cls(read_twin_world(road, path), path, sample_traffic(context, road, seed, horizon_s), seed, step_ms)
+
+    def first(self, count: int) -> Case:
+        """Return the same with the first ``count`` vehicles alone."""
+        columns = {field.name: getattr(self.traffic, field.name) for field in dataclasses.fields(Traffic)}
+        kept = {name: column if isinstance(column, str) else column[:count] for name, column in columns.items()}
+        return dataclasses.replace(self, traffic=Traffic(**kept))
+
+
+def waves(t: int, vehicles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Commands that speed up, brake to a standstill and give control back, each vehicle in its own time."""
+    accel = 2.6 * np.sin(0.05 * t + vehicles * 1.3) - 0.3 + 3.0 * np.sin(0.013 * t * (1 + vehicles % 3))
+    target = np.maximum(0.0, speeds + accel * 0.5)
+    return np.where((vehicles % 4 == 3) | ((t // 50 + vehicles) % 5 == 0), np.nan, target)
 
 
 def play_sumo(case: Case, steps: int, commands: Commands | None = None) -> Trace:
