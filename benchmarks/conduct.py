@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -49,9 +48,9 @@ class Conduct:
     """Counts :data:`COUNTS` of one episode from its scenes, which come in order, a decision apart."""
 
     def __init__(self) -> None:
-        self._counts = Counter[str]()
+        self._counts: dict[str, float] = dict.fromkeys(COUNTS, 0.0)
         self._before: Scene | None = None
-        self._lane: dict[int, int] = {}
+        self._lane: dict[int, int] = {}  # of each vehicle, in the scene before
         self._queues: dict[int, _Queue] = {}
 
     def add(self, scene: Scene) -> None:
@@ -64,8 +63,8 @@ class Conduct:
             self._begin_queues(self._before, phase)
             exits, froms = columns["exit"].tolist(), columns["approach"].tolist()
             for row, (vehicle, lane) in enumerate(lanes.items()):
-                before = self._lane.get(vehicle, lane)
-                if before == lane:
+                before = self._lane.get(vehicle)
+                if before is None or before == lane:
                     continue
                 if road.lane_edge[before] == road.lane_edge[lane]:
                     self._change(road, before, lane, exits[row])
@@ -77,7 +76,7 @@ class Conduct:
         """Return the counts so far, every name of :data:`COUNTS`."""
         for lane in list(self._queues):
             self._end_queue(lane)
-        return {name: float(self._counts[name]) for name in COUNTS}
+        return dict(self._counts)
 
     def _change(self, road: RoadNet, before: int, lane: int, exit_: int) -> None:
         place = PLACES[road.lane_location[before]]

@@ -43,8 +43,8 @@ def compare_few(contexts: Sequence[Context], seeds: EpisodeSeeds, path: Path) ->
             if len(case.traffic) < count:
                 continue
             steps = round(1000.0 * HORIZON_S / case.step_ms)
-            traces = [play(case, steps, waves if commanded else None) for play in (play_sumo, play_twin)]
-            found = first_departure(case, *traces, TOLERANCE)
+            sumo, twin = (play(case, steps, waves if commanded else None) for play in (play_sumo, play_twin))
+            found = first_departure(case, sumo, twin, TOLERANCE)
             rows.append(
                 {
                     "context": context.name,

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +61,10 @@ class Case:
     def first(self, count: int) -> Case:
         """Return the same with the first ``count`` vehicles alone."""
         columns = {field.name: getattr(self.traffic, field.name) for field in dataclasses.fields(Traffic)}
-        kept = {name: column if isinstance(column, str) else column[:count] for name, column in columns.items()}
-        return dataclasses.replace(self, traffic=Traffic(**kept))
+        kept: dict[str, Any] = {
+            name: column[:count] for name, column in columns.items() if isinstance(column, np.ndarray)
+        }
+        return dataclasses.replace(self, traffic=dataclasses.replace(self.traffic, **kept))
 
 
 def waves(t: int, vehicles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
