@@ -190,7 +190,7 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     other = floats[leader, SPEED]
     # The leader may go on braking, or begin to brake a little.
     pessimistic = other + min(floats[leader, ACCEL], -_DAWDLING_MPS2) * step_s
-    target = follow_speed(driver, gap + (pessimistic - speed) * step_s, speed, pessimistic, limit, step_s)
+    target = follow_speed(driver, gap + (pessimistic - planned) * step_s, speed, pessimistic, limit, step_s)
     if not blocked & BLOCKED_BY_LEADER:
         add_advice(state, v, target)
         return min(target, planned)
