@@ -234,9 +234,13 @@ def _lengths(shape: np.ndarray) -> np.ndarray:
 
 
 def _scale(ways: Ways, lane: int) -> float:
-    """Return metres of lane position per metre of drawn shape; only here do slopes count."""
-    drawn_m = float(np.linalg.norm(np.diff(ways.shapes[lane], axis=0), axis=1).sum())
-    return float(ways.lane_floats[lane, LANE_LENGTH]) / max(drawn_m, 1e-9)
+    """Return metres of lane position per metre of drawn shape."""
+    return float(ways.lane_floats[lane, LANE_LENGTH]) / max(_drawn_m(ways, lane), 1e-9)
+
+
+def _drawn_m(ways: Ways, lane: int) -> float:
+    """Return the length of a lane's shape, slopes included."""
+    return float(np.linalg.norm(np.diff(ways.shapes[lane], axis=0), axis=1).sum())
 
 
 def _intersections(one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
@@ -340,13 +344,17 @@ def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float,
         _apart(a, b) - float(_lengths(a)[-1]) + end for a, b, end in ((one, two, ends[0]), (two, one, ends[1]))
     )
     common = min(common, float(_lengths(one)[-1]), float(_lengths(two)[-1]))
-    own, theirs = (common * _scale(ways, k) for k in (lane, other))
     if not at_begin:
-        return own, theirs
+        return common * _scale(ways, lane), common * _scale(ways, other)
     if ways.lane_ints[lane, LANE_EDGE] == ways.lane_ints[other, LANE_EDGE]:
         # Neighbours that part into the lanes of one road are as far along in the same metres.
-        own = theirs = common
-    return ends[0] - own, ends[1] - theirs
+        return ends[0] - common, ends[1] - common
+    # What is left of a way that ends before the two have parted is in drawn metres.
+    own, theirs = (
+        _drawn_m(ways, k) - common if common >= end else end - common * _scale(ways, k)
+        for k, end in zip((lane, other), ends, strict=True)
+    )
+    return own, theirs
 
 
 def _apart(shape: np.ndarray, other: np.ndarray) -> float:
