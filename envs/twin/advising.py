@@ -160,12 +160,12 @@ def reserve_room(net, traffic, state, v, blocker, counter, step_s):  # type: ign
     floats = state.floats
     room = traffic.floats[blocker, LENGTH] + traffic.floats[blocker, MIN_GAP]
     if _can_reserve(traffic, state, v, room, step_s):
-        floats[v, BLOCKER_LENGTH] = max(room, floats[v, BLOCKER_LENGTH])
+        floats[v, BLOCKER_LENGTH] = max(room + traffic.floats[v, MIN_GAP], floats[v, BLOCKER_LENGTH])
         return
     # There is no room for the blocker: it shall leave some.
     own = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     if _can_reserve(traffic, state, blocker, own, step_s) or floats[blocker, LEFT_SPACE] > floats[v, LEFT_SPACE]:
-        floats[blocker, BLOCKER_LENGTH] = max(own, floats[blocker, BLOCKER_LENGTH])
+        floats[blocker, BLOCKER_LENGTH] = max(own + traffic.floats[blocker, MIN_GAP], floats[blocker, BLOCKER_LENGTH])
 
 
 @compiled
