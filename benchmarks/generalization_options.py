@@ -76,7 +76,7 @@ class Entry:
         kind: ``trained`` or ``scripted``.
         algo: preset of the algorithm (a choice of ``algo=``), or ``None``.
         action: ``direct`` or ``residual``, or ``None``.
-        policy: the scripted driver's name, ``zoo:NAME`` or ``module:function``, or ``None``.
+        policy: the scripted driver's name, ``zoo:NAME``, ``FILE.pt`` or ``module:function``, or ``None``.
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
 
@@ -108,9 +108,10 @@ class GeneralizationConfig:
         algos: what is compared: presets of ``algo`` (``ppo``, ``ddpg``, ``mappo``, ``gcrl``, ``ppo_paper``, ...), with
             ``_residual`` appended for ``action=residual``; scripted drivers (``glide``, ``uncommanded``, ...;
             ``glide_floor3`` is glide that never slows below 3 m/s); ``recipe:NAME``, a recipe of ``izoo.train`` with
-            its own length and environment, on the contexts of the protocol; ``zoo:NAME``, a policy that ships, as it is
-            and in its environment; or ``module:function``. Beside trained ones always stand ``uncommanded``,
-            ``constant_2.0``, and every algorithm as it begins (``ppo_untrained``).
+            its own length and environment, on the contexts of the protocol; ``zoo:NAME``, a policy that ships, and
+            ``FILE.pt``, one that ``python -m izoo.zoo export`` wrote, as they are and in their environments; or
+            ``module:function``. Beside trained ones always stand ``uncommanded``, ``constant_2.0``, and every algorithm
+            as it begins (``ppo_untrained``).
         train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
             ``salt_lake_city``. Not for systematicity.
         test: where to test, for productivity; null: ``atlanta``.
@@ -194,6 +195,7 @@ class GeneralizationConfig:
             raise IzooError("episodes and frames are both given; give one of them.")
         self._check_places()
         self._check_train_options()
+        object.__setattr__(self, "algos", tuple(map(_absolute, self.algos)))
         names = [parse_entry(name).name for name in self.algos]
         if not names or len(names) > len(set(names)):
             raise IzooError(
@@ -270,6 +272,13 @@ def is_folder(place: str) -> bool:
     return "/" in place or Path(place).expanduser().is_dir()
 
 
+def _absolute(entry: str) -> str:
+    """Return an entry of ``algos``, a policy's file with its whole path, so that the benchmark can go on from any
+    folder."""
+    is_file = not entry.startswith(shelf.PREFIX) and Path(entry).suffix == shelf.WEIGHTS
+    return str(Path(entry).expanduser().absolute()) if is_file else entry
+
+
 def parse_entry(name: str) -> Entry:
     """Return the entry that a name means.
 
@@ -280,7 +289,8 @@ def parse_entry(name: str) -> Entry:
         return _recipe_entry(name.removeprefix(RECIPE_PREFIX))
     shipped = shelf.named(name)
     if shipped is not None:
-        return Entry(shipped, "scripted", policy=name)
+        return Entry(Path(shipped).name.removesuffix(shelf.WEIGHTS), "scripted", policy=name)
+    shelf.check_exported(name)
     if ":" in name:
         return Entry(name.rpartition(":")[2], "scripted", policy=name)
     if name in DRIVER_NAMES and name != "human":
@@ -295,7 +305,7 @@ def parse_entry(name: str) -> Entry:
     if preset not in presets:
         drivers = [driver for driver in DRIVER_NAMES if driver != "human"]
         residual = [f"{preset}{RESIDUAL_SUFFIX}" for preset in presets]
-        others = [f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", "module:function"]
+        others = [f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", f"FILE{shelf.WEIGHTS}", "module:function"]
         raise unknown_choice("entry of algos", name, [*presets, *residual, *drivers, *others])
     return Entry(name, "trained", algo=preset, action=action)
 

@@ -138,10 +138,12 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
 def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> EnvConfig:
     """Return the environment of an entry's evaluation: that of the benchmark's training runs, and what is its own.
 
-    Only the length of its training episodes is no matter of the evaluation. A policy that ships brings its own.
+    Only the length of its training episodes is no matter of the evaluation. A policy that ships, or was exported from
+    its run, brings its own.
     """
-    if entry is not None and shelf.named(entry.policy or ""):
-        return dataclasses.replace(zoo.full_episodes(zoo.load(entry.name).env), horizon_s=config.horizon_s or 0.0)
+    shipped = shelf.named(entry.policy or "") if entry is not None else None
+    if shipped:
+        return dataclasses.replace(zoo.full_episodes(zoo.load(shipped).env), horizon_s=config.horizon_s or 0.0)
     own = [o for o in (entry.options if entry is not None else ()) if not o.startswith(LENGTH)]
     said = [option for option in (*config.train_options, *own) if option.startswith("env.")]
     return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env

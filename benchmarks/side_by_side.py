@@ -78,7 +78,7 @@ class Played(NamedTuple):
 
     Attributes:
         parting: where the two part, ``None`` where they never do.
-        steps: how many were compared.
+        steps: how many it has; the two are compared after each decision.
         motions, conducts: how vehicles moved and what drivers did, in SUMO and on the twin.
     """
 
@@ -108,16 +108,18 @@ class SideBySide:
         found: Parting | None = None
         motions, conducts = (Motion(), Motion()), (Conduct(), Conduct())
         environments: list[Any] = [self._sumo, self._twin]
+        config = self._sumo.config
         with (
             torch.random.fork_rng(devices=[]),
             set_exploration_type(ExplorationType.DETERMINISTIC),
             torch.no_grad(),
         ):
             states = [env.reset(context=context, seed=seed) for env in environments]
-            for step in range(1, self._sumo.config.control_steps + 1):
+            for decision in range(1, config.decisions + 1):
+                step = min(decision * config.hold_steps, config.control_steps)
                 # Policies that draw draw the same for both.
                 for k, env in enumerate(environments):
-                    torch.manual_seed(seed + step)
+                    torch.manual_seed(seed + decision)
                     states[k] = _advance(env, policy, states[k])
                 scenes = [env.scene() for env in environments]
                 for motion, conduct, scene in zip(motions, conducts, scenes, strict=True):

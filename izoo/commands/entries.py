@@ -27,6 +27,7 @@ EVALUATE = OptionCommand(
         "izoo.evaluate run=runs/RUN",
         "izoo.evaluate run=runs/RUN contexts=dataset contexts.path=DATASET seeds=5 num_workers=8",
         "izoo.evaluate policy=glide contexts=pcg num_contexts=32",
+        "izoo.evaluate policy=mine.pt contexts=city contexts.city=atlanta",
         "izoo.evaluate policy=my_package.drivers:calm out=results/calm",
     ),
     config="izoo.conf.evaluate_options:EvaluateConfig",

@@ -76,10 +76,11 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     if (config.run is None) == (config.policy is None):
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
-        name = config.policy.rpartition(":")[2]
-        env = config.env
-        if zoo.named(config.policy):
-            env = with_given(zoo.load(name).env, env, given, "env")
+        name, env = config.policy.rpartition(":")[2], config.env
+        shipped = zoo.named(config.policy)
+        if shipped:
+            found = zoo.load(shipped)
+            name, env = found.name, with_given(found.env, env, given, "env")
         policy = as_candidate(config.policy, env, name).policy
         return Subject(name, policy, config.contexts, env, Path.cwd(), config.policy)
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)

@@ -32,15 +32,17 @@ def check_train(config: TrainConfig) -> None:
 
 
 def check_evaluate(config: EvaluateConfig) -> None:
-    """Refuse a run without the checkpoint, a module that is not installed, contexts in a missing folder, or an occupied
-    folder for the results.
+    """Refuse a run without the checkpoint, a file that is no policy, a module that is not installed, contexts in a
+    missing folder, or an occupied folder for the results.
     """
     if config.out is not None:
         _check_results(Path(config.out))
     if config.run is not None:
         checkpoint.find(Path(config.run), config.checkpoint)
-    elif config.policy is not None and ":" in config.policy and not shelf.named(config.policy):
-        _check_module(config.policy)
+    elif config.policy is not None and not shelf.named(config.policy):
+        shelf.check_exported(config.policy)
+        if ":" in config.policy:
+            _check_module(config.policy)
     _check_contexts(config.contexts)
 
 

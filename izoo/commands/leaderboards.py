@@ -1,11 +1,11 @@
-"""What ``python -m izoo.leaderboard`` does: check leaderboard files, and merge them into one."""
+"""What ``python -m izoo.leaderboard`` does: check leaderboard files, merge them into one, and show them."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
@@ -13,15 +13,14 @@ from izoo.console import plain
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
 EXIT_MARKED = 1
-FIGURES = (
-    ("mean benefit,\nexact gate", "exact", "mean"),
-    ("whole region", "region_exact", "mean"),
-    ("over\nuncommanded,\nno gate", "over_uncommanded", "mean"),
-    ("demand, over\nuncommanded", "demand_over_uncommanded", "mean"),
-    ("demand\nserved", "served", "policy"),
-)
-"""Columns of a leaderboard: label, part and name of :data:`izoo.evaluation.aggregates.FIGURES`."""
+BENEFITS = (("mean benefit,\nexact gate", "exact"), ("over uncommanded,\nno gate", "over_uncommanded"))
+"""Columns of a leaderboard: label, and part of :data:`izoo.evaluation.aggregates.FIGURES`."""
+FORMS = (("to stop line", ""), ("whole region", "region_"), ("whole demand", "demand_"))
+"""Lines of an entry: whose CO2 is counted, and how the parts that do so begin."""
 
 
 def _validate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,9 +77,33 @@ def _draw(options: argparse.Namespace) -> None:
     print(f"Picture: {options.out}", flush=True)
 
 
+def _table_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Print a table in Markdown, a row per file, as under Results on the benchmark's page. All files must come from "
+        "the same test episodes, and one of them must be that of uncommanded CVs. Figures are in percent and computed "
+        "from the files' rows; intervals are over intersections and, from four training seeds on, over training seeds "
+        "as well."
+    )
+    _validate_arguments(parser)
+    help_text = "file of uncommanded CVs to compare with, if it is to have no row"
+    parser.add_argument("--uncommanded", type=Path, metavar="FILE", help=help_text)
+
+
+def _table(options: argparse.Namespace) -> None:
+    """Print nothing but the table, so that it can be put where it belongs."""
+    checked = _read(_submissions(options.files))
+    uncommanded = None if options.uncommanded is None else _read([options.uncommanded])[0]
+    from izoo.reporting.markdown_table import markdown_table
+
+    print(markdown_table(checked, uncommanded), flush=True)
+
+
 def _checked(files: Sequence[Path]) -> list[Any]:
     print(f"izoo {__version__} leaderboard", flush=True)
-    paths = _submissions(files)
+    return _read(_submissions(files))
+
+
+def _read(paths: Sequence[Path]) -> list[Any]:
     from izoo.evaluation.provenance import versions
     from izoo.reporting import submissions
 
@@ -109,26 +132,13 @@ def _print_checked(item: Any) -> None:
 
 def _print_leaderboard(merged: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.markup import escape
-    from rich.text import Text
 
-    from izoo.envs.config import SIMULATOR_NAMES
-    from izoo.evaluation.show import figure_table, intervals_in_words, stacked
+    from izoo.evaluation.show import intervals_in_words
 
     console = Console()
     for group in merged["groups"]:
-        protocol = group["protocol"]
-        title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
-        table = figure_table(escape(plain(title)), "rank, policy", [label for label, _, _ in FIGURES])
         lines = [*group["ranked"], *group["marked"]]
-        for line in lines:
-            n = line["n"]
-            played = SIMULATOR_NAMES[line["simulator"]]
-            about = f"{n['approaches']} approaches on {played}, training seeds: {n['train_seeds']}"
-            figures = (line["aggregates"]["all"].get(part, {}).get(name) for _, part, name in FIGURES)
-            entry = Text(f"{line.get('rank', '-')} {plain(line['policy']['name'])}\n{about}")
-            table.add_row(entry, *map(stacked, figures))
-        console.print(table)
+        console.print(leaderboard_table(group))
         trained = [line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"]
         console.print(intervals_in_words([line["n"]["intersections"] for line in lines], trained), highlight=False)
         for line in lines:
@@ -137,12 +147,48 @@ def _print_leaderboard(merged: dict[str, Any]) -> None:
                 console.print(note, highlight=False, markup=False, soft_wrap=True)
 
 
+def leaderboard_table(group: Mapping[str, Any]) -> Table:
+    """Return a group of :func:`izoo.reporting.submissions.merge` as a table for 80 columns: an entry takes a few lines,
+    one for each of :data:`FORMS`.
+    """
+    from rich.markup import escape
+    from rich.text import Text
+
+    from izoo.evaluation.show import figure_table, percent
+
+    protocol = group["protocol"]
+    title = f"{protocol['title']} ({protocol['protocol']}, {protocol['form']}, horizon {protocol['horizon_s']:g} s)"
+    table = figure_table(escape(plain(title)), "rank,\npolicy", ["CO2 counted", *(label for label, _ in BENEFITS)])
+    for line in [*group["ranked"], *group["marked"]]:
+        found = line["aggregates"]["all"]
+        forms = [each for each in FORMS if f"{each[1]}{BENEFITS[0][1]}" in found]
+        columns = [
+            [percent(found[part]["mean"]) if part in found else "-" for part in (form + benefit for _, form in forms)]
+            for _, benefit in BENEFITS
+        ]
+        entry = Text(f"{line.get('rank', '-')} {plain(line['policy']['name'])}\n{_about(line)}")
+        table.add_row(entry, *("\n".join(cells) for cells in ([label for label, _ in forms], *columns)))
+        table.add_section()  # an empty line
+    return table
+
+
+def _about(line: Mapping[str, Any]) -> str:
+    """What stands below the name of an entry: how it was tested, and how much of the demand was served."""
+    from izoo.envs.config import SIMULATOR_NAMES
+    from izoo.evaluation.show import stacked
+
+    n = line["n"]
+    tested = f"{n['approaches']} approaches on {SIMULATOR_NAMES[line['simulator']]}\ntraining seeds: {n['train_seeds']}"
+    return f"{tested}\ndemand served: {stacked(line['aggregates']['all']['served']['policy'])}"
+
+
 LEADERBOARD = SubcommandCommand(
     "leaderboard",
-    "Check, merge and draw leaderboard files.",
+    "Check, merge, draw and tabulate leaderboard files.",
     (
         Subcommand("validate", "say what is wrong with each file", _validate_arguments, _validate),
         Subcommand("merge", "rank the files, by protocol", _merge_arguments, _merge),
         Subcommand("draw", "draw what they saved, by protocol", _draw_arguments, _draw),
+        Subcommand("table", "print what they saved as a table in Markdown", _table_arguments, _table),
     ),
 )

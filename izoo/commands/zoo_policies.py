@@ -37,11 +37,11 @@ def _first_sentence(card: str) -> str:
 
 
 def _show_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", help="one of python -m izoo.zoo list")
+    parser.add_argument("name", help="one of python -m izoo.zoo list, with or without zoo: before it")
 
 
 def _show(options: argparse.Namespace) -> None:
-    print(shelf.card(options.name).strip(), flush=True)
+    print(shelf.card(options.name.removeprefix(shelf.PREFIX)).strip(), flush=True)
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,8 @@ def _export(options: argparse.Namespace) -> None:
     text = _card(out.stem, config, state["frames"], options.evaluation)
     trained.write(out, config, algorithm.policy)
     write_text(card, text)
-    print(f"Policy: {out}\nCard, to be completed: {card}", flush=True)
+    print(f"Policy: {out}\nCard, to be completed: {card}")
+    print(f"Play it: python -m izoo.evaluate policy={out}", flush=True)
 
 
 def _card(name: str, config: Any, frames: int, evaluation: Path | None) -> str:

@@ -21,7 +21,8 @@ class EvaluateConfig:
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
-            ``glide``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), or ``module:function``.
+            ``glide``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
+            ``python -m izoo.zoo export`` wrote (``FILE.pt``), or ``module:function``.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
@@ -75,6 +76,6 @@ def check_episodes(config: Any) -> None:
 
 
 def check_policy(what: str, policy: str) -> None:
-    """Raise :class:`IzooError` unless a policy is a driver's name, or looks like ``module:function``."""
-    if ":" not in policy:
-        check_choice(what, policy, [*DRIVER_NAMES, "zoo:NAME", "module:function"])
+    """Raise :class:`IzooError` unless a policy is a driver's name, or looks like ``FILE.pt`` or ``module:function``."""
+    if ":" not in policy and Path(policy).suffix != ".pt":
+        check_choice(what, policy, [*DRIVER_NAMES, "zoo:NAME", "FILE.pt", "module:function"])

@@ -324,7 +324,8 @@ class CollectConfig:
 
     Attributes:
         policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is
-            left to IDM), a trained policy that ships (``zoo:NAME``), or the folder of a training run.
+            left to IDM), a trained policy that ships (``zoo:NAME``) or was exported (``FILE.pt``), or the folder of a
+            training run.
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.

@@ -56,22 +56,23 @@ class Candidate:
 
 
 def as_candidate(policy: str | Policy, config: EnvConfig, name: str | None = None) -> Candidate:
-    """Return the candidate that ``policy`` means: a driver's name, ``zoo:NAME``,
-    ``module:function``, or the policy itself.
+    """Return the candidate that ``policy`` means: a driver's name, ``zoo:NAME``, the path of a file ``NAME.pt`` that
+    ``python -m izoo.zoo export`` wrote, ``module:function``, or the policy itself.
 
     Raises:
-        IzooError: no such driver or function.
+        IzooError: no such driver, policy or function.
     """
     if isinstance(policy, str):
         shipped = zoo.named(policy)
         if shipped:
             trained = zoo.load(shipped)
             trained.check_observed(config)
-            return as_candidate(trained.policy, config, name or shipped)
+            return as_candidate(trained.policy, config, name or trained.name)
+        zoo.check_exported(policy)
         if ":" in policy:
             return as_candidate(import_policy(policy), config, name or policy.rpartition(":")[2])
         if policy not in DRIVERS:
-            raise unknown_choice("policy", policy, [*DRIVERS, "zoo:NAME", "module:function"])
+            raise unknown_choice("policy", policy, [*DRIVERS, "zoo:NAME", "FILE.pt", "module:function"])
         return as_candidate(make_driver(policy, config), config, name or policy)
     if not callable(policy):
         raise IzooError(f"a {type(policy).__name__} is no policy; give a driver's name, a module or a callable.")

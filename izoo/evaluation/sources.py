@@ -17,6 +17,7 @@ from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.files import read_bytes, write_bytes
+from izoo.zoo.shelf import WEIGHTS
 
 SOURCES_FILE = "sources.json.gz"
 FORMAT = "izoo-sources-1"
@@ -28,8 +29,8 @@ class Sources:
 
     Attributes:
         contexts: by content hash.
-        policies: per policy, a driver's name, ``module:function``, or the path of a checkpoint relative to the folder;
-            ``None`` where it was an object of the calling program.
+        policies: per policy, a driver's name, ``zoo:NAME``, ``module:function``, or the path of a checkpoint or an
+            exported policy, ``.pt``, relative to the folder; ``None`` where it was an object of the calling program.
     """
 
     contexts: dict[str, Context] = field(default_factory=dict)
@@ -42,13 +43,14 @@ def add_sources(folder: Path, contexts: Iterable[Context], policy: str, source: 
     Args:
         folder: of the results; it exists.
         policy: its name in the table.
-        source: what the policy was made from; a :class:`~pathlib.Path` is a checkpoint.
+        source: what the policy was made from; a :class:`~pathlib.Path`, or a text that ends in ``.pt``, is a file.
     """
     try:
         old = read_sources(folder)
     except IzooError:
         old = Sources()
-    text = os.path.relpath(source, folder) if isinstance(source, Path) else source
+    is_file = isinstance(source, Path) or (source is not None and Path(source).suffix == WEIGHTS)
+    text = os.path.relpath(Path(source or "").expanduser(), folder) if is_file else source
     everything = {**old.contexts, **{context.content_hash: context for context in contexts}}
     content = {
         "format": FORMAT,

@@ -222,7 +222,8 @@ class Player:
 def _loaded(path: Path) -> tuple[Any, str]:
     from izoo.evaluation.policies import fingerprint
 
-    policy = runs.load_algorithm(path)[0].policy.eval()
+    exported = zoo.named(str(path))
+    policy = zoo.load(exported).policy if exported else runs.load_algorithm(path)[0].policy.eval()
     return policy, fingerprint(policy)
 
 

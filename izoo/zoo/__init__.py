@@ -1,10 +1,23 @@
 """Trained policies that ship with izoo: their weights, the options that they were trained with, and their cards.
 
 ``zoo.load(NAME)`` returns one; ``policy=zoo:NAME`` is the same for commands. ``python -m izoo.zoo list``
-shows them all.
+shows them all. The policy of a run becomes such a file with ``python -m izoo.zoo export``, and is then meant by its
+path.
 """
 
-from izoo.zoo.shelf import PREFIX, card, check_name, named, names
+from izoo.zoo.shelf import PREFIX, card, check_exported, check_name, named, names
 from izoo.zoo.trained import TrainedPolicy, full_episodes, load, read, write
 
-__all__ = ["PREFIX", "TrainedPolicy", "card", "check_name", "full_episodes", "load", "named", "names", "read", "write"]
+__all__ = [
+    "PREFIX",
+    "TrainedPolicy",
+    "card",
+    "check_exported",
+    "check_name",
+    "full_episodes",
+    "load",
+    "named",
+    "names",
+    "read",
+    "write",
+]

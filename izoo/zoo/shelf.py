@@ -1,15 +1,22 @@
-"""What stands on the shelf: names, files and cards. Nothing here loads PyTorch."""
+"""What stands on the shelf, and policies in files of one's own: names, files and cards. Nothing here loads PyTorch."""
 
 from __future__ import annotations
 
+import re
+import zipfile
 from pathlib import Path
 
 from izoo.errors import IzooError, unknown_choice
+from izoo.files import os_reason
 
 PREFIX = "zoo:"
 """``policy=zoo:NAME`` means the shipped policy ``NAME``."""
 SHELF = Path(__file__).parent / "policies"
 WEIGHTS, CARD = ".pt", ".md"
+EXPORT = "python -m izoo.zoo export"
+"""The command that writes the policy of a run as a file."""
+HEAD_BYTES = 4096
+"""How much is read of what a file says it holds; its format comes first there."""
 
 
 def names() -> tuple[str, ...]:
@@ -24,16 +31,50 @@ def check_name(name: str) -> None:
 
 
 def named(policy: str) -> str | None:
-    """Return the name in ``zoo:NAME``, or ``None`` where ``policy`` is not written so.
+    """Return what :func:`izoo.zoo.load` takes: the name in ``zoo:NAME``, or the path of a file ``NAME.pt`` that
+    ``python -m izoo.zoo export`` wrote.
+
+    ``None`` where ``policy`` is written otherwise, or is a checkpoint of a run.
 
     Raises:
-        IzooError: no policy of that name ships.
+        IzooError: no policy of that name ships, or the file is missing, damaged or something else.
     """
-    if not policy.startswith(PREFIX):
+    if policy.startswith(PREFIX):
+        name = policy.removeprefix(PREFIX)
+        check_name(name)
+        return name
+    path = Path(policy).expanduser()
+    if path.suffix != WEIGHTS or path.is_dir():
         return None
-    name = policy.removeprefix(PREFIX)
-    check_name(name)
-    return name
+    return None if _is_checkpoint(path) else str(path)
+
+
+def check_exported(policy: str) -> None:
+    """Raise :class:`IzooError` where ``policy`` is a checkpoint of a run, which is no policy by itself."""
+    path = Path(policy).expanduser()
+    if named(policy) is None and path.suffix == WEIGHTS and path.is_file():
+        raise IzooError(
+            f"{policy} is a checkpoint of a run; evaluate it with python -m izoo.evaluate run={policy}, or make a "
+            f"policy of the run with {EXPORT}."
+        )
+
+
+def _is_checkpoint(path: Path) -> bool:
+    """Whether a file of izoo is a checkpoint rather than a policy; it is not loaded."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            (part,) = (name for name in archive.namelist() if name.rpartition("/")[2] == "data.pkl")
+            with archive.open(part) as content:
+                kind = re.search(rb"izoo-(policy|checkpoint)-", content.read(HEAD_BYTES))
+    except FileNotFoundError:
+        raise IzooError(f"there is no file {path}; give one that {EXPORT} wrote.") from None
+    except OSError as error:
+        raise IzooError(f"cannot read {path}: {os_reason(error)}; give a file that {EXPORT} wrote.") from error
+    except Exception as error:  # what damaged bytes raise depends on the bytes
+        raise IzooError(f"{path} is cut short or not a policy; give a file that {EXPORT} wrote.") from error
+    if kind is None:
+        raise IzooError(f"{path} is not a policy; give a file that {EXPORT} wrote.")
+    return kind[1] == b"checkpoint"
 
 
 def weights(name: str) -> Path:

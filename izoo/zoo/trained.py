@@ -61,12 +61,15 @@ def full_episodes(env: EnvConfig) -> EnvConfig:
 
 
 def load(name: str) -> TrainedPolicy:
-    """Return a policy that ships with izoo, ready to act.
+    """Return a policy, ready to act.
+
+    Args:
+        name: of one that ships with izoo, or the path of a file ``NAME.pt`` that ``python -m izoo.zoo export`` wrote.
 
     Raises:
-        IzooError: no policy of that name ships; the message lists those that do.
+        IzooError: no policy of that name ships, and the message lists those that do; or the file cannot be used.
     """
-    return read(shelf.weights(name))
+    return read(Path(name).expanduser() if name.endswith(shelf.WEIGHTS) else shelf.weights(name))
 
 
 def read(path: Path) -> TrainedPolicy:

@@ -126,6 +126,19 @@ def test_where_two_scenes_part() -> None:
 
 
 @pytest.mark.slow
+def test_both_are_compared_after_each_decision() -> None:
+    """Of 65 s the last decision of 2 s is cut short."""
+    both = SideBySide(EnvConfig(horizon_s=95.0, warmup_s=30.0, hold_s=2.0, emit=()))
+    try:
+        played = both.play(as_candidate("glide", EnvConfig()).policy, procedural_context(adoption=0.5), 1)
+    finally:
+        both.close()
+    assert played.steps == 130 and played.parting is None, str(played.parting)
+    sumo, twin_ = (int(motion.speed.sum()) for motion in played.motions)
+    assert sumo == twin_ > 33
+
+
+@pytest.mark.slow
 def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
     context = procedural_context(inflow_vph_per_lane=400.0, lane_count=1, adoption=0.5)
     seen = {}

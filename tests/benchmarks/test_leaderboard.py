@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from izoo import leaderboard as command
 from izoo.benchmarks.outcome import other_environment
+from izoo.commands.leaderboards import leaderboard_table
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate, run_rows
@@ -217,6 +220,37 @@ def test_names_and_titles_are_shown_as_they_are(tmp_path: Path, capsys: pytest.C
     shown = capsys.readouterr()
     assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
     assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out
+
+
+def test_the_table_fits_a_terminal_of_80_columns() -> None:
+    """Names may be folded; figures, however wide, and headers may not."""
+    contents = [submission(name=name) for name in ("measured_search_untrained", "ppo", "older")]
+    wide = {"value": -1.2345, "low": -2.4056, "high": -1.0789}
+    for part in contents[0]["aggregates"]["all"].values():
+        part.get("mean", {}).update(wide)
+    contents[0]["aggregates"]["all"] |= {
+        f"{form}over_uncommanded": {"mean": wide} for form in ("", "region_", "demand_")
+    }
+    del contents[2]["aggregates"]["all"]["demand_exact"]
+    text = printed(contents)
+    assert text.count("-123.4 % [-240.6, -107.9]") == 6 and " ppo " in text
+    assert [text.count(label) for label in ("to stop line", "whole region", "whole demand")] == [3, 3, 2]
+    contents[1]["aggregates"]["all"] |= {
+        "demand_exact": {"mean": {"value": 0.1223, "low": -0.0556, "high": 0.1884}},
+        "demand_over_uncommanded": {"mean": {"value": -0.2424, "low": -0.4052, "high": -0.0792}},
+    }
+    assert "\n 3 approaches on SUMO " in printed(contents[1:2]), "no line is broken at the usual widths"
+
+
+def printed(contents: list[dict[str, Any]]) -> str:
+    """The table of submissions on a terminal of 80 columns, on which it must fit with whole headers."""
+    (group,) = merge([check(sealed(content), "file", VERSIONS) for content in contents])["groups"]
+    shown, out = leaderboard_table(group), io.StringIO()
+    Console(file=out, width=80).print(shown)
+    text = out.getvalue()
+    assert "\u2026" not in text and all(len(line) <= 80 for line in text.splitlines())
+    assert all(word in text for column in shown.columns for word in str(column.header).splitlines())
+    return text
 
 
 def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

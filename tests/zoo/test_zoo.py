@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo import train, zoo
+from izoo import collect, evaluate, report, train, zoo
 from izoo.algos.action import AdviseAction
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
+from izoo.benchmarks.generalization_options import GeneralizationConfig, parse_entry
+from izoo.benchmarks.ladder_options import LadderConfig
+from izoo.benchmarks.plan import evaluation_env
+from izoo.benchmarks.twin import env_of
 from izoo.commands.zoo_policies import ZOO
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
@@ -21,7 +28,8 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.policies import as_candidate
+from izoo.evaluation.policies import as_candidate, fingerprint
+from izoo.evaluation.table import CSV_FILE, read_csv
 from izoo.zoo import shelf
 
 CONFIG = TrainConfig(
@@ -118,19 +126,35 @@ def test_every_shipped_policy_loads_and_has_its_card() -> None:
             as_candidate(f"zoo:{name}", EnvConfig(observed=tuple(trained.env.observed)[:-1]))
 
 
-def test_a_run_is_exported_with_a_card_and_plays_as_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run, out = tmp_path / "run", tmp_path / "shelf"
-    out.mkdir()
-    words = ["contexts=pcg_easy", "action=advise", "env.horizon_s=75", "algo.hidden=[16]", "total_frames=100"]
-    words += ["algo.frames_per_batch=100", "evaluation.contexts=0", "num_workers=1", "collector=single"]
-    assert train.main([*words, f"run_dir={run}"]) == 0
-    assert ZOO.main(["export", str(run), "--out", str(out / "mine.pt")]) == 0
-    card = (out / "mine.md").read_text()
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small training run; decisions of 2 s, which are not the default."""
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    words = ["contexts=pcg_easy", "action=advise", "env.horizon_s=75", "env.hold_s=2", "algo.hidden=[16]"]
+    words += ["total_frames=100", "algo.frames_per_batch=100", "evaluation.contexts=0"]
+    assert train.main([*words, "num_workers=1", "collector=single", f"run_dir={folder}"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("shelf") / "mine.pt"
+    assert ZOO.main(["export", str(run), "--out", str(path)]) == 0
+    return path
+
+
+def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.pt"
+    assert ZOO.main(["export", str(run), "--out", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"Play it: python -m izoo.evaluate policy={out}"
+    card = (tmp_path / "mine.md").read_text()
     assert "python -m izoo.train action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
-    assert str(tmp_path) not in card, "a card names no folder of a machine"
+    assert str(run.parent) not in card, "a card names no folder of a machine"
     from izoo.training import runs
 
-    there, trained = runs.load_policy(run), zoo.read(out / "mine.pt")
+    there, trained = runs.load_policy(run), zoo.read(out)
     seen = torch.rand(4, 8, len(observation_names(trained.env)))
     from tensordict import TensorDict
 
@@ -138,8 +162,108 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(tmp_path: Path, capsy
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         acted = [policy(batch.clone())["agents", "action"] for policy in (there, trained.policy)]
     assert torch.equal(*acted)
-    assert ZOO.main(["export", str(run), "--out", str(out / "mine.pt")]) == 2
+    assert ZOO.main(["export", str(run), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_an_exported_policy_is_evaluated_and_replayed_as_its_run_is(
+    run: Path, exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(exported.parent)
+    words = ["contexts=pcg_easy", "num_contexts=1", "seeds=1", "env.horizon_s=300", "num_workers=0"]
+    words += ["uncommanded=false", f"cache={tmp_path / 'cache'}"]
+    out, ours = tmp_path / "file", tmp_path / "run"
+    assert evaluate.main(["policy=mine.pt", *words, f"out={out}"]) == 0
+    assert evaluate.main([f"run={run}", *words, f"out={ours}"]) == 0
+    tables = [read_csv(folder / CSV_FILE) for folder in (out, ours)]
+    driven = [
+        table[table["policy"] == name].drop(columns="policy")
+        for table, name in zip(tables, ("mine", "run"), strict=True)
+    ]
+    assert len(driven[0]) == 1 and driven[0].equals(driven[1].set_axis(driven[0].index))
+    assert json.loads((out / "evaluation.json").read_text())["settings"]["env"]["hold_s"] == 2.0
+    monkeypatch.chdir(tmp_path)
+    assert report.main([str(out)]) == 0
+    assert len(list((out / "replays").glob("*.gz"))) == 1, "the page found the file from another folder"
+
+
+def test_an_exported_policy_is_an_entry_of_the_benchmarks(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(exported.parent)
+    config = GeneralizationConfig(algos=("mine.pt", "glide"), horizon_s=300.0).resolved()
+    assert config.algos == (str(exported), "glide"), "a benchmark goes on from any folder"
+    monkeypatch.chdir(tmp_path)
+    (mine,) = (entry for entry in config.entries() if entry.name == "mine")
+    assert (mine.kind, mine.policy, mine.seeded) == ("scripted", str(exported), False)
+    own = evaluation_env(config, mine)
+    assert own.hold_s == 2.0 != evaluation_env(config).hold_s and own.horizon_s == 300.0
+    candidate = as_candidate(str(exported), own, mine.name)
+    assert candidate.fingerprint == fingerprint(zoo.load(str(exported)).policy)
+    everybody = env_of(LadderConfig(policies=("glide", str(exported))), frozenset())
+    assert everybody == zoo.read(exported).env
+
+
+def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) -> None:
+    """And so does a checkpoint, whose file ends like it."""
+    words = ["contexts=pcg_easy", "frames=20", "env.horizon_s=75", "num_workers=1"]
+    assert collect.main([f"policy={exported}", *words, f"out={tmp_path / 'file'}"]) == 0
+    (newest,) = (run / "checkpoints").glob("step-*.pt")
+    assert collect.main([f"policy={newest}", *words, "env.hold_s=2", f"out={tmp_path / 'checkpoint'}"]) == 0
+
+
+def other_files(folder: Path) -> dict[str, str]:
+    """Files that are no exported policies, and what is said of them."""
+    torch.save({"weights": torch.zeros(3)}, folder / "foreign.pt")
+    torch.save({"format": "izoo-policy-0"}, folder / "old.pt")
+    torch.save({"format": "izoo-checkpoint-3"}, folder / "step.pt")
+    (folder / "text.pt").write_text("policy")
+    (folder / "empty.pt").touch()
+    (folder / "folder.pt").mkdir()
+    zoo.write(folder / "cut.pt", CONFIG, make_algorithm(CONFIG.algo, CONFIG.action, CONFIG.env).policy)
+    (folder / "cut.pt").write_bytes((folder / "cut.pt").read_bytes()[:-200])
+    return {
+        "foreign.pt": "foreign.pt is not a policy; give a file that python -m izoo.zoo export wrote",
+        "old.pt": "not a policy of this version of izoo",
+        "step.pt": "is a checkpoint of a run; evaluate it with python -m izoo.evaluate run=",
+        "text.pt": "text.pt is cut short or not a policy",
+        "empty.pt": "empty.pt is cut short or not a policy",
+        "folder.pt": "unknown policy",
+        "cut.pt": "cut.pt is cut short or not a policy",
+        "nowhere.pt": "nowhere.pt; give one that python -m izoo.zoo export wrote",
+    }
+
+
+def test_other_files_are_no_entries(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, said in other_files(tmp_path).items():
+        out = tmp_path / "out"
+        assert evaluate.main([f"policy={tmp_path / name}", "contexts=pcg", f"out={out}"]) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1 and not out.exists()
+        with pytest.raises(IzooError):
+            as_candidate(str(tmp_path / name), EnvConfig())
+        if name != "old.pt":  # which is found out once PyTorch is there
+            with pytest.raises(IzooError):
+                parse_entry(str(tmp_path / name))
+
+
+def test_a_wrong_file_is_refused_before_pytorch_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "text.pt").write_text("policy")
+    program = (
+        "import sys; from izoo.evaluate import main; sys.exit(main(['policy=text.pt']) + 10 * ('torch' in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "text.pt is cut short or not a policy" in done.stderr
+
+
+def test_a_card_is_shown_with_and_without_the_prefix(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = []
+    for name in ("measured_search", "zoo:measured_search"):
+        assert ZOO.main(["show", name]) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1] and shown[0].startswith("# measured_search\n")
+    assert ZOO.main(["show", "zoo:nobody"]) == 2
+    assert "unknown policy 'zoo:nobody'" in capsys.readouterr().err
 
 
 HELD = {"busy_lane_imitation": 105.3357, "busy_lane_search": 103.3743, "measured_search": 102.5594}
