@@ -122,7 +122,7 @@ class GeneralizationConfig:
         seeds: training seeds per algorithm, 0 to ``seeds - 1``; null: the scale's.
         untrained_seeds: of how many of these the algorithm before its first update is tested as well; null: all.
         episodes: training episodes per run; null: the scale's.
-        frames: environment steps per run, instead of ``episodes``.
+        frames: decisions per run, instead of ``episodes``.
         horizon_s: length of an episode, in training and in evaluation; null: the scale's.
         train_horizon_s: length of a training episode, where it differs from ``horizon_s``: shorter ones show more
             contexts in the same number of frames.
@@ -235,13 +235,6 @@ class GeneralizationConfig:
         if self.protocol == "productivity":
             changes["test"] = self.test or "atlanta"
         return dataclasses.replace(self, **changes)
-
-    @property
-    def total_frames(self) -> int:
-        """Environment steps of a training run; of resolved options."""
-        if self.frames is not None:
-            return self.frames
-        return (self.episodes or 0) * self.train_episode().control_steps
 
     def seeds_of(self, entry: Entry) -> range:
         """Return the training seeds of an entry, one for what needs none; of resolved options."""

@@ -123,7 +123,7 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         f"seed={seed}",
         f"num_workers={workers}",
         *([] if on_twin else [f"collector={'single' if workers == 1 else 'parallel'}"]),
-        f"total_frames={config.total_frames}",
+        f"total_frames={config.frames or (config.episodes or 1) * config.train_episode().control_steps}",
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
         "evaluation.contexts=0",
@@ -132,6 +132,9 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         *entry.options,
     ]
     composed = compose_config("train", TrainConfig, words)
+    if config.frames is None and not any(option.startswith("total_frames=") for option in entry.options):
+        # Frames are decisions, of which an episode has fewer where they last longer.
+        composed = dataclasses.replace(composed, total_frames=(config.episodes or 1) * composed.env.decisions)
     return dataclasses.replace(composed, contexts=plan.train, run_dir=str(run_dir))
 
 

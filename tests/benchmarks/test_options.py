@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -88,20 +89,27 @@ def test_evaluation_seeds_extend_and_every_intersection_has_its_own() -> None:
     assert evaluation_seeds(5).of(one) == evaluation_seeds(5).of(one.replace(adoption=1.0))
 
 
+def frames(config: GeneralizationConfig) -> int:
+    """Return the frames of a training run of PPO."""
+    return train_config(config, make_plan(config), parse_entry("ppo"), 0, Path("run")).total_frames
+
+
 def test_scales_fill_what_is_null() -> None:
     config = GeneralizationConfig(scale="paper").resolved()
     assert (config.seeds, config.episodes, config.test_limit) == (4, 5000, 0)
-    assert config.total_frames == 5000 * 1950
+    assert frames(config) == 5000 * 1950
     assert config.resolved() == config
     given = GeneralizationConfig(scale="small", frames=777, seeds=1).resolved()
-    assert (given.total_frames, given.seeds, given.eval_seeds) == (777, 1, SCALES["small"].eval_seeds)
+    assert (frames(given), given.seeds, given.eval_seeds) == (777, 1, SCALES["small"].eval_seeds)
 
 
 def test_training_episodes_may_be_shorter_than_those_of_the_evaluation(tmp_path) -> None:  # type: ignore[no-untyped-def]
     config = GeneralizationConfig(scale="small", episodes=3, train_horizon_s=300.0).resolved()
-    assert config.total_frames == 3 * (600 - 50)
+    assert frames(config) == 3 * (600 - 50)
     warm = dataclasses.replace(config, train_warmup_s=100.0)
-    assert warm.total_frames == 3 * (600 - 200)
+    assert frames(warm) == 3 * (600 - 200)
+    slow = dataclasses.replace(config, train_options=("env.hold_s=2",))
+    assert frames(slow) == 3 * 138, "as many episodes, with fewer decisions"
     assert train_config(warm, make_plan(warm), parse_entry("ppo"), 0, tmp_path).env.warmup_s == 100.0
     assert evaluation_env(warm).warmup_s == 25.0
     run = train_config(config, make_plan(config), parse_entry("ppo"), 0, tmp_path)
