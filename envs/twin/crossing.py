@@ -191,7 +191,8 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
         foe_speed = state.item_floats[foe, ITEM_DISTANCE] / (0.001 * (foe_arrival - now))
         way = 0.001 * (foe_arrival - arrival) * foe_speed
         braking_s, foe_speed = _braking_for(way, foe_speed, impatience * traffic.floats[w, DECEL])
-        foe_arrival = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
+        braked = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
+        foe_arrival += impatience * (braked - foe_arrival)
     if foe_arrival > leave + MARGIN_MS:
         return merging and _unsafe(
             state.item_floats[item, ITEM_LEAVE_SPEED],
