@@ -190,7 +190,9 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
         now = state.clock[NOW_MS] - step_ms
         foe_speed = state.item_floats[foe, ITEM_DISTANCE] / (0.001 * (foe_arrival - now))
         way = 0.001 * (foe_arrival - arrival) * foe_speed
-        braking_s, foe_speed = _braking_for(way, foe_speed, impatience * traffic.floats[w, DECEL])
+        steps = (arrival - now) // step_ms
+        room = state.item_floats[foe, ITEM_DISTANCE] - 0.001 * steps * step_ms * foe_speed
+        braking_s, foe_speed = _braking_for(way, room, foe_speed, impatience * traffic.floats[w, DECEL])
         braked = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
         foe_arrival += impatience * (braked - foe_arrival)
     if foe_arrival > leave + MARGIN_MS:
@@ -204,16 +206,16 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
 
 
 @compiled
-def _braking_for(way, speed, decel):  # type: ignore[no-untyped-def]
+def _braking_for(way, room, speed, decel):  # type: ignore[no-untyped-def]
     """Return in what time (s) and how fast (m/s) a vehicle arrives that brakes for someone who has waited for long.
 
     Args:
-        way: to drive (m). speed: at its begin. decel: how hard it brakes.
+        way: to drive (m). room: the same, but from the last whole step before it brakes, to see whether it could stop.
+        speed: at its begin. decel: how hard it brakes.
     """
-    rest = speed * speed - 2.0 * decel * way
-    if rest <= 0.0:
+    if speed * speed <= 2.0 * decel * room:
         return NEVER_LATER_S, 0.0
-    arrival_speed = math.sqrt(rest)
+    arrival_speed = math.sqrt(max(0.0, speed * speed - 2.0 * decel * way))
     return (speed - arrival_speed) / decel, arrival_speed
 
 
