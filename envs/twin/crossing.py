@@ -223,8 +223,3 @@ def _braking_for(way, room, speed, decel):  # type: ignore[no-untyped-def]
 def _unsafe(leader_mps, leader_decel, follower_mps, follower_decel):  # type: ignore[no-untyped-def]
     """Return whether a follower at the same place would need more room to stop than its leader."""
     return leader_mps * leader_mps / leader_decel <= follower_mps * follower_mps / follower_decel
-
-
-@compiled
-def keep_clear(net, traffic, state, v):  # type: ignore[no-untyped-def]
-    """Leave the items as they are."""

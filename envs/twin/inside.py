@@ -20,9 +20,11 @@ from izoo.envs.twin.arrays import (
     LINK_CONT,
     LINK_ENTRY,
     LINK_FROM,
+    LINK_VIA,
     MAX_ACCEL,
     MIN_GAP,
     NEVER_MS,
+    POSITION,
     SPEED,
     TAU,
     WAITING_MS,
@@ -145,9 +147,13 @@ def gap_before(net, traffic, state, v, w, link, row, distance_m, step_s):  # typ
 
 @compiled
 def _conflict_at_wait(net, link, distance_m, to_conflict):  # type: ignore[no-untyped-def]
-    """Return what to add to ``to_conflict`` (m): for those who come to a waiting point, the conflict begins there."""
-    to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
-    if to_way >= 0.0 and net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_CONT]:
+    """Return what to add to ``to_conflict`` (m): for those who come to a waiting point, the conflict begins there.
+
+    Who is past it by a few centimetres still comes to it.
+    """
+    before, entry = net.link_ints[link, LINK_FROM], net.link_ints[link, LINK_ENTRY]
+    to_way = distance_m - net.lane_floats[before, LANE_LENGTH]
+    if net.link_ints[entry, LINK_CONT] and before != net.link_ints[entry, LINK_VIA] and to_way > -POSITION_EPS:
         return to_way - to_conflict
     return 0.0
 
@@ -265,7 +271,7 @@ def _goes_first(net, traffic, state, v, w, link, row, gap, step_s):  # type: ign
         drives = other_letter != RED and state.floats[w, SPEED] > STANDING_MPS
         if drives and gap < 0.0 and _can_brake(traffic, state, v, w, gap, step_s):
             return False
-        if other_letter == RED or state.ints[v, CONFLICT_MS] == NEVER_MS:
+        if other_letter == RED or state.ints[v, CONFLICT_MS] == NEVER_MS or state.floats[v, POSITION] < POSITION_EPS:
             # Where ``w`` is left over as well, or ``v`` still at its waiting point.
             own = state.ints[v, CONFLICT_MS]
     else:
