@@ -121,9 +121,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             best = min(best, safe)
             passing = min(passing, best)
             if count > 0:
-                state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(
-                    state.item_floats[first + count - 1, ITEM_LEAVE_SPEED], safe
-                )
+                # The speed with which the last link is left is that of following from there, so near as now.
+                leave = state.item_floats[first + count - 1, ITEM_LEAVE_SPEED]
+                later = follow_speed(driver, gap - driver[MIN_GAP], leave, floats[leader, SPEED], wish, step_s)
+                state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(leave, later)
         item = first + count
         values, numbers = state.item_floats[item], state.item_ints[item]
         if count > 0:
