@@ -180,10 +180,11 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
         first = net.conflict_first[link]
-        for row in range(first, first + net.conflict_count[link]):
+        count_parting = net.conflict_count[link] if back + way < net.lane_floats[before, LANE_LENGTH] else 0
+        for row in range(first, first + count_parting):
             if net.conflict_ints[row, CONFLICT_KIND] != PARTING:
                 continue
-            # Who came by the same lane, to take another way that has not parted there yet.
+            # Who came by the same lane, to take another way that has not parted there yet; while the rear is beside it.
             beside = net.conflict_ints[row, CONFLICT_LANE]
             follower = state.lanes[beside, LANE_FRONT]
             parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
