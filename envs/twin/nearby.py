@@ -186,16 +186,21 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
                 continue
             # Who came by the same lane, to take another way that has not parted there yet; while the rear is beside it.
             beside = net.conflict_ints[row, CONFLICT_LANE]
-            follower = state.lanes[beside, LANE_FRONT]
             parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-            if follower < 0 or follower == v:
-                continue
-            if state.floats[follower, POSITION] - traffic.floats[follower, LENGTH] < parting:
-                gap = way - state.floats[follower, POSITION] + back - traffic.floats[follower, MIN_GAP]
-                other = state.floats[follower, SPEED]
-                lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
-                if found < 0 or lacking > worst:
-                    found, found_gap, worst = follower, gap, lacking
+            for k in range(-1, state.lanes[beside, LANE_TAILS]):
+                follower = state.lanes[beside, LANE_FRONT] if k < 0 else state.tails[beside, k]
+                if follower < 0 or follower == v:
+                    continue
+                if k >= 0 and net.lane_ints[state.ints[follower, LANE], LANE_EDGE] != net.lane_ints[lane, LANE_EDGE]:
+                    # Its front has left for another road.
+                    continue
+                rear = back_on(net, traffic, state, follower, beside)
+                if rear < parting:
+                    gap = way - rear - traffic.floats[follower, LENGTH] + back - traffic.floats[follower, MIN_GAP]
+                    other = state.floats[follower, SPEED]
+                    lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
+                    if found < 0 or lacking > worst:
+                        found, found_gap, worst = follower, gap, lacking
         if not covered and way + back < _braking_way(net, traffic, state, before):
             count = _enqueue(net, queue, ways, count, before, way)
     return found, found_gap
