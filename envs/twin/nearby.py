@@ -41,7 +41,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.conflicts import CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
+from izoo.envs.twin.conflicts import CONFLICT_BEHIND, CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap
 from izoo.envs.twin.leaders_inside import leader_in_conflict
 from izoo.envs.twin.lights import LOWER_CASE
@@ -179,20 +179,20 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
             lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
+        # Who came by the same lane counts until its rear is where the ways have parted, while the rear of ``v`` is beside
+        # that way, less than the length of ``v`` past that place.
+        rear_left = net.lane_floats[before, LANE_LENGTH] - back - way
         first = net.conflict_first[link]
-        count_parting = net.conflict_count[link] if back + way < net.lane_floats[before, LANE_LENGTH] else 0
-        for row in range(first, first + count_parting):
+        for row in range(first, first + (net.conflict_count[link] if rear_left > 0.0 else 0)):
             if net.conflict_ints[row, CONFLICT_KIND] != PARTING:
                 continue
-            # Who came by the same lane, to take another way that has not parted there yet; while the rear is beside it.
+            if rear_left + traffic.floats[v, LENGTH] < net.conflict_floats[row, CONFLICT_BEHIND]:
+                continue
             beside = net.conflict_ints[row, CONFLICT_LANE]
             parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
             for k in range(-1, state.lanes[beside, LANE_TAILS]):
                 follower = state.lanes[beside, LANE_FRONT] if k < 0 else state.tails[beside, k]
                 if follower < 0 or follower == v:
-                    continue
-                if k >= 0 and net.lane_ints[state.ints[follower, LANE], LANE_EDGE] != net.lane_ints[lane, LANE_EDGE]:
-                    # Its front has left for another road.
                     continue
                 rear = back_on(net, traffic, state, follower, beside)
                 if rear < parting:
