@@ -117,7 +117,6 @@ def _gap_beside(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-
         return False, 0.0
     if kind == PARTING:
         return True, -1.0
-    own_edge = net.lane_ints[lane, LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]
-    if own_edge or (state.ints[w, LANE] == lane and state.ints[w, WILL_PASS] == 0):
+    if lane == state.ints[v, LANE] or (state.ints[w, LANE] == lane and state.ints[w, WILL_PASS] == 0):
         return False, 0.0
     return True, to_conflict - traffic.floats[v, MIN_GAP] - back_left

@@ -179,8 +179,8 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
             lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
-        # Who came by the same lane counts until its rear is where the ways have parted, while the rear of ``v`` is beside
-        # that way, less than the length of ``v`` past that place.
+        # Who came by the same lane counts until its rear is where the ways have parted, while the rear of ``v`` is
+        # beside that way, less than the length of ``v`` past that place.
         rear_left = net.lane_floats[before, LANE_LENGTH] - back - way
         first = net.conflict_first[link]
         for row in range(first, first + (net.conflict_count[link] if rear_left > 0.0 else 0)):
