@@ -1,4 +1,4 @@
-"""Rung 3 of the twin's ladder: on several lanes every vehicle is where SUMO has it, in every step."""
+"""On several lanes every vehicle is where SUMO has it, in every step."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Rungs 1 and 2 of the twin's ladder: on one lane every vehicle is where SUMO has it, in every step."""
+"""On one lane every vehicle is where SUMO has it, in every step: one and two vehicles, and whole episodes."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
-import numpy as np
 import pytest
 
 from izoo.benchmarks.oracle import Case, Trace, first_departure, play_sumo, play_twin, waves
@@ -16,9 +15,6 @@ from izoo.networks.road import read_road
 
 pytestmark = pytest.mark.slow
 HORIZON_S = 300.0
-MEASURED_SHARE = 0.94
-"""Least share of the measured single-lane approaches on which a whole episode must hold; with nobody commanded 65 of 66
-were measured, with speed commands 63. On the others somebody changes lanes on an exit."""
 
 
 def single_lane(seed: int, **features: Any) -> Case:
@@ -82,5 +78,4 @@ def test_measured_single_lane_approaches(dataset: ContextList, commands: Any) ->
             held.append(
                 first_departure(case, play_sumo(case, steps, commands), play_twin(case, steps, commands)) is None
             )
-    assert len(held) > 50
-    assert np.mean(held) >= MEASURED_SHARE
+    assert len(held) > 50 and all(held)
