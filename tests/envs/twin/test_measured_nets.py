@@ -47,8 +47,8 @@ CASES = {
     "insertion beside ways that do not touch": ("198", 1100, 10),
     "who would not ask to leave a junction": ("37", 1400, 10),
 }
-"""Net, steps, and differences at most. There are 7, 1, 5, 57, 0, 0, 17, 0, 3, 2, 0, 11, 0, 19, 10, 0, 8, 11, 5, 11, 4,
-11, 30, 0, 0 and 0. When its rule was new, there were without it 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60, 103, 44,
+"""Net, steps, and differences at most. There are 7, 0, 1, 42, 0, 0, 15, 0, 2, 0, 0, 3, 0, 12, 3, 0, 8, 11, 0, 11, 0, 10,
+25, 0, 0 and 0. When its rule was new, there were without it 169, 9, 24, 166, 413, 35, 37, 58, 191, 27, 60, 103, 44,
 64, 35, 155, 41, 22, 11; for the next three, without any of the rules that came with theirs, 240, 51 and 17; and without
 it again for the last four 100, 53, 50 and 150."""
 
@@ -87,7 +87,7 @@ def test_free_episodes_are_those_of_sumo(rule: str) -> None:
 def test_where_lanes_are_added_before_a_signal() -> None:
     """Drivers see through both junctions, by the lengths of their vehicles, and follow who parts from them there.
 
-    Of 60,000 steps of vehicles 6 differ; without these two rules 232.
+    Of 60,000 steps of vehicles 5 differ; without these two rules 232.
     """
     scenario = Scenario("salt_lake_city", 133, "summer", 1.0 / 3.0, "peak", "combustion")
     assert _count(Case.of(build(scenario), SEED, 300.0), 600) <= 12
@@ -96,10 +96,10 @@ def test_where_lanes_are_added_before_a_signal() -> None:
 def test_those_left_over_by_a_red_signal_let_others_by() -> None:
     """On a junction that jams, who has lost its turn waits for others at waiting points; names settle what is equal.
 
-    Of 369,000 steps of vehicles 108 differ; without these rules 1,244.
+    Of 369,000 steps of vehicles 66 differ; without these rules 1,244.
     """
     scenario = Scenario("salt_lake_city", 257, "summer", 1.0 / 3.0, "peak", "combustion")
-    assert _count(Case.of(build(scenario), SEED, 1000.0), 2000) <= 180
+    assert _count(Case.of(build(scenario), SEED, 1000.0), 2000) <= 120
 
 
 def _case(net: str, horizon_s: float) -> Case:
