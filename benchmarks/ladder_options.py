@@ -24,8 +24,8 @@ class LadderConfig:
         num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
         adoptions: shares of CVs; human driving is played beside them in any case.
         demand: ``given`` as the contexts say, ``all`` with vehicles from all approaches.
-        policies: drivers, ``zoo:NAME``, ``FILE.pt``, or ``module:function``; everybody is played in the environment of the policy
-            from the zoo, if there is one.
+        policies: drivers, ``zoo:NAME``, ``FILE.pt``, or ``module:function``; everybody is played in the environment of
+            the policy from the zoo, if there is one.
         exact: of which of them to compare every vehicle in every step, in the first episode of each context.
         seeds: episodes per context.
         late: how often SUMO plays everything again, with another vehicle of every approach a step late. How far it is
