@@ -209,7 +209,8 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
         nearer = _conflict_at_wait(net, link, distance_m, to_conflict)
         gap, to_conflict = gap + nearer, to_conflict + nearer
         gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    elif kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _never_apart(net, link, row):
+    cleared = to_conflict
+    if kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _never_apart(net, link, row):
         # It is in the conflict since its way began, and waits where that ends, as before a crossing there.
         crosses, to_conflict = True, distance_m
     if gap >= 0.0 and not before_wait:
@@ -223,7 +224,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
             safe = max(safe, stop)
     elif crosses and to_conflict >= 0.0:
         stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
-        leave_s = (to_conflict - gap) / max(state.floats[w, SPEED], STANDING_MPS)
+        leave_s = (cleared - gap) / max(state.floats[w, SPEED], STANDING_MPS)
         final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
         in_time = speed + (final - speed) / leave_s * step_s
         safe = max(safe, min(in_time, stop))
