@@ -254,7 +254,7 @@ class Ladder(NamedTuple):
 
 
 def tables(found: Ladder) -> list[Table]:
-    """Return what was found as tables to read, from the lowest rung to the highest."""
+    """Return what was found as tables to read, from the lowest rung to the highest, those that hold anything."""
     few_ = _table("1. One and two vehicles alone, to 1e-6", "vehicles", "commanded", "episodes", "the same")
     for row in found.few.itertuples():
         few_.add_row(f"{row.vehicles}", "yes" if row.commanded else "no", f"{row.episodes}", f"{row.same}")
@@ -269,7 +269,8 @@ def tables(found: Ladder) -> list[Table]:
         if row.measure in MEASURE_TITLES:
             values = ("" if np.isnan(value) else f"{value:,.{_digits(value)}f}" for value in (row.sumo, row.twin))
             done.add_row(row.policy, row.demand, MEASURE_TITLES[row.measure], *values)
-    return [few_, steps, done, *_aggregates(found.rungs, found.own), _benefits(found.gains)]
+    shown = [few_, steps, done, *_aggregates(found.rungs, found.own), _benefits(found.gains)]
+    return [table for table in shown if table.row_count]
 
 
 MEASURE_TITLES = {
