@@ -209,7 +209,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
         nearer = _conflict_at_wait(net, link, distance_m, to_conflict)
         gap, to_conflict = gap + nearer, to_conflict + nearer
         gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    cleared = to_conflict
+    cleared = to_conflict  # the other is out of the way once its rear has passed this place
     if kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _never_apart(net, link, row):
         # It is in the conflict since its way began, and waits where that ends, as before a crossing there.
         crosses, to_conflict = True, distance_m
