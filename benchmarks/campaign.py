@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +23,7 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import counted, duration
 from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
@@ -78,6 +79,8 @@ class Campaign:
         self.entries = config.entries()
         self.plan: Plan = make_plan(config)
         self.envs = {entry.name: evaluation_env(config, entry) for entry in self.entries}
+        if config.simulator == "twin":
+            _check_on_twin(self.plan, self.envs.values())
         # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
         self.runs: dict[tuple[str, int], TrainConfig] = {
             (entry.name, seed): train_config(
@@ -219,6 +222,7 @@ class Campaign:
                 out_dir=folder,
                 name=job.entry.name,
                 cache=self.config.cache,
+                simulator=self.config.simulator,
             )
 
     def _tests(self, job: Job) -> list[tuple[Path, list[Context]]]:
@@ -329,6 +333,16 @@ class Campaign:
             return max(self.runs[job.key].total_frames - self._run_record(job).frames, 0)
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
         return float(episodes * self.envs[job.entry.name].decisions)
+
+
+def _check_on_twin(plan: Plan, envs: Iterable[EnvConfig]) -> None:
+    """Raise :class:`IzooError` where the twin cannot play a test, before anything is trained for it."""
+    from izoo.envs.twin.playable import check_contexts  # it compiles, and most benchmarks need none
+    from izoo.envs.twin.twin_backend import check_settings as check_env
+
+    for env in envs:
+        check_env(env)
+    check_contexts(plan.test)
 
 
 def _place(name: str, seed: int) -> str:

@@ -26,6 +26,7 @@ vehicle parameters or an initialisation for what was learned."""
 SET_BY = {
     **{"algo": "algos", "action": "algos", "seed": "seeds", "total_frames": "frames or episodes"},
     **{"contexts": "protocol, train and form", "num_workers": "train_workers", "run_dir": "out", "resume": "out"},
+    **{"simulator": "simulator or train_simulator", "num_envs": "num_envs"},
     "env.horizon_s": "horizon_s or train_horizon_s",
 }
 """Options of ``izoo.train`` that the benchmark sets itself, and by which of its own."""
@@ -134,10 +135,13 @@ class GeneralizationConfig:
             that differs from human driving is due to commands; takes as long again.
         select: which weights of a run are tested: ``last``, or ``best`` on the validation split, which is measured
             beside training and takes time; the last where a run was too short to be validated.
+        simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
+        train_simulator: what plays training episodes, where it differs from ``simulator``: ``twin`` trains faster.
         train_options: more options of ``izoo.train`` for every trained entry, such as
             ``["algo.gamma=0.98","env.reward.eta=0.5"]``.
-        train_workers: environments that a run trains on, each in a process of its own; 1 trains in this process;
-            null: the scale's.
+        train_workers: environments that a run trains on in SUMO, each in a process of its own; 1 trains in this
+            process; null: the scale's.
+        num_envs: environments that a run trains on in the twin, all in this process; null: as ``izoo.train`` has it.
         num_workers: processes that evaluate, each with one simulator; 0: this one; null: the scale's.
         trained_in: another results folder, whose finished training runs are taken over instead of trained again: those
             of a benchmark of the same versions and training options, such as ``in_distribution`` before
@@ -166,8 +170,11 @@ class GeneralizationConfig:
     test_limit: int | None = None
     human_vehicles: bool = False
     select: Literal["last", "best"] = "last"
+    simulator: Literal["sumo", "twin"] = "sumo"
+    train_simulator: Literal["sumo", "twin"] | None = None
     train_options: tuple[str, ...] = ()
     train_workers: int | None = None
+    num_envs: int | None = None
     num_workers: int | None = None
     trained_in: str | None = None
     out: str | None = None
@@ -186,6 +193,7 @@ class GeneralizationConfig:
             "eval_seeds": (3, 10**6),
             "test_limit": (0, 10**7),
             "train_workers": (1, 1024),
+            "num_envs": (1, 65536),
             "num_workers": (0, 1024),
         }
         for name, (low, high) in ranges.items():
@@ -195,6 +203,11 @@ class GeneralizationConfig:
             raise IzooError("episodes and frames are both given; give one of them.")
         self._check_places()
         self._check_train_options()
+        if self.num_envs is not None and self.trains_in == "sumo":
+            raise IzooError(
+                f"num_envs is {self.num_envs}, but runs train in SUMO, where every environment is a process: set "
+                "train_workers, or train_simulator=twin."
+            )
         object.__setattr__(self, "algos", tuple(map(_absolute, self.algos)))
         names = [parse_entry(name).name for name in self.algos]
         if not names or len(names) > len(set(names)):
@@ -235,6 +248,11 @@ class GeneralizationConfig:
         if self.protocol == "productivity":
             changes["test"] = self.test or "atlanta"
         return dataclasses.replace(self, **changes)
+
+    @property
+    def trains_in(self) -> Literal["sumo", "twin"]:
+        """What plays training episodes, but for entries that bring their own simulator."""
+        return self.train_simulator or self.simulator
 
     def seeds_of(self, entry: Entry) -> range:
         """Return the training seeds of an entry, one for what needs none; of resolved options."""

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from izoo.benchmarks.generalization_options import is_folder
 from izoo.benchmarks.plan import Plan, place_name
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import SIMULATOR_NAMES, EnvConfig
 from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
 from izoo.evaluation.provenance import settings
@@ -100,7 +100,7 @@ def outcome_tables(results: Results) -> Group:
     entries: dict[str, Any] = results.aggregates["entries"]
     shown: list[Any] = []
     for title, columns in TABLES.items():
-        table = figure_table(f"{results.title}: {title}", "entry", [label for label, _, _ in columns])
+        table = figure_table(f"{_title(results)}: {title}", "entry", [label for label, _, _ in columns])
         for name, content in entries.items():
             seeds = content["n"]["train_seeds"]
             figures = (content["all"].get(part, {}).get(figure) for _, part, figure in columns)
@@ -115,6 +115,11 @@ def outcome_tables(results: Results) -> Group:
     return Group(*shown, Text(words))
 
 
+def _title(results: Results) -> str:
+    """Return the title of a table: what was trained on and tested on, and what played the tests."""
+    return f"{results.title}, on {SIMULATOR_NAMES[results.settings['simulator']]}"
+
+
 def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
     """The paper's form of several training seeds, and what was played on human vehicles, where there is any."""
     best = any(content["n"]["train_seeds"] > 1 for content in entries.values())
@@ -123,7 +128,7 @@ def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
     columns += ["exact gate, on CVs with\nthe parameters of\nhuman-driven vehicles"] if human else []
     if not columns:
         return []
-    table = figure_table(f"{results.title}: beside", "entry", columns)
+    table = figure_table(f"{_title(results)}: beside", "entry", columns)
     for name, content in entries.items():
         sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
         cells = [percent({"value": max(sums), "low": None}) if len(sums) > 1 else "-"] if best else []

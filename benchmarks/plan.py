@@ -116,18 +116,22 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         IzooError: ``train_options`` holds something that this algorithm does not have.
     """
     workers = config.train_workers or 1
-    on_twin = "simulator=twin" in (*config.train_options, *entry.options)
+    in_sumo = f"collector={'single' if workers == 1 else 'parallel'}"
+    in_twin = f"num_envs={'null' if config.num_envs is None else config.num_envs}"
+    on_twin = "simulator=twin" in (f"simulator={config.trains_in}", *entry.options)
     words = [
         f"algo={entry.algo}",
         f"action={entry.action}",
         f"seed={seed}",
         f"num_workers={workers}",
-        *([] if on_twin else [f"collector={'single' if workers == 1 else 'parallel'}"]),
+        f"simulator={config.trains_in}",
+        in_twin if on_twin else in_sumo,
         f"total_frames={config.frames or (config.episodes or 1) * config.train_episode().control_steps}",
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
         "evaluation.contexts=0",
         f"validation.{'contexts=16' if config.select == 'best' else 'every_batches=0'}",
+        f"validation.simulator={config.simulator}",
         *config.train_options,
         *entry.options,
     ]

@@ -106,6 +106,17 @@ def test_a_benchmark_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path
     assert_everything_is_there(folder)
 
 
+def test_everything_on_the_twin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*WORDS, "simulator=twin", "num_envs=2", f"out={tmp_path / 'a'}", f"cache={tmp_path / 'cache'}"]
+    assert generalization.main(words) == 0
+    assert "on the twin" in capsys.readouterr().out
+    assert (tmp_path / "a/train/ppo/seed0/config.yaml").read_text().count("simulator: twin") == 2
+    for submission in (tmp_path / "a/leaderboard").glob("*.json"):
+        assert json.loads(submission.read_text())["simulator"] == "twin"
+    assert generalization.main([*words, "simulator=sumo", "train_simulator=twin"]) == 2
+    assert "other settings (simulator" in capsys.readouterr().err
+
+
 def test_a_second_start_does_nothing(done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     folder, cache = done
     before = {path: path.stat().st_mtime_ns for path in folder.glob("*/*/*/*.csv")}

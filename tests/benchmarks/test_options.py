@@ -164,6 +164,10 @@ def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignor
         ({"train_options": ("+contexts.split=all",)}, "by protocol"),
         ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
         ({"eval_seeds": 2}, "eval_seeds"),
+        ({"train_options": ("simulator=twin",)}, "by simulator or train_simulator"),
+        ({"num_envs": 8}, "set train_workers, or train_simulator=twin"),
+        ({"simulator": "twin", "train_simulator": "sumo", "num_envs": 8}, "train_simulator=twin"),
+        ({"simulator": "twin", "num_envs": 0}, "num_envs"),
         ({"test": "atlanta"}, "in_distribution"),
         ({"protocol": "systematicity", "train": "atlanta"}, "procedural"),
     ],
@@ -187,7 +191,8 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> N
     config = GeneralizationConfig(
         algos=("recipe:from_scratch", "ppo"),
         frames=1000,
-        train_options=("simulator=twin",),
+        train_simulator="twin",
+        num_envs=8,
         untrained_seeds=1,
         scale="small",
     ).resolved()
@@ -198,6 +203,8 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> N
     assert run.total_frames == 1_990_000, "a recipe brings its length"
     assert run.contexts.name == "city", "the protocol says where to train"
     assert run.evaluation.contexts == 0
+    ppo = train_config(config, make_plan(config), entries["ppo"], 0, tmp_path)
+    assert (ppo.simulator, ppo.num_envs, ppo.validation.simulator) == ("twin", 8, "sumo")
     assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=evaluation_env(config).emit)
     assert evaluation_env(config, recipe).hold_s == 2.0
     assert evaluation_env(config, entries["ppo"]).hold_s is None
