@@ -40,7 +40,7 @@ class ScalingConfig:
         num_envs: environments on the twin in each world.
         counts: numbers of environments on the twin in one of the worlds, that with some 60 vehicles.
         threads: of the twin.
-        surrogate: of the twin: ``torch`` or ``compiled``.
+        surrogate: of the twin: ``torch``, ``cuda`` or ``compiled``.
         out: also write the rows as JSON to this file.
     """
 
@@ -49,7 +49,7 @@ class ScalingConfig:
     num_envs: int = 16
     counts: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)
     threads: int = 1
-    surrogate: Literal["torch", "compiled"] = "torch"
+    surrogate: Literal["torch", "cuda", "compiled"] = "torch"
     out: str | None = None
 
     def __post_init__(self) -> None:

@@ -51,7 +51,7 @@ class TwinEnv(EcoDrivingBase):
         contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` environments share the schedule.
         threads: how many threads share the environments out among them; by default one per core that is usable.
         surrogate: what computes CO2: ``torch``, the module :class:`~izoo.emissions.moves.MovesSurrogate` in one call
-            for all vehicles, or ``compiled``, the same function without torch.
+            for all vehicles; ``cuda``, the same on a GPU; or ``compiled``, the same function without torch.
     """
 
     backend: TwinBackend

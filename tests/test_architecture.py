@@ -18,7 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
-    {"files", "console"},
+    {"files", "console", "gpu"},
     {"compiling"},
     {"metrics", "emissions"},
     {"contexts"},

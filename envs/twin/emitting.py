@@ -52,14 +52,14 @@ class Emitter:
     """Computes the CO2 of a share of the environments; each thread has one.
 
     Args:
-        module: the surrogates.
+        module: the surrogates; computes where its weights are.
 
     Attributes:
         by_class: ``[C]`` int64, how many vehicles of each class emit something new; driving fills it.
     """
 
     def __init__(self, module: MovesSurrogate) -> None:
-        self._module = module
+        self._module, self._device = module, module.w1.device
         self.by_class = np.zeros(len(CLASSES), np.int64)
         self._place = np.zeros(len(CLASSES), np.int64)
         self._inputs = np.zeros((0, INPUTS), np.float32)
@@ -88,8 +88,9 @@ class Emitter:
         tiles = lay_out(self.by_class, tile, self._place, self._tile_class)
         gather(addresses, like, self._place, self._inputs)
         with torch.inference_mode():
-            inputs = torch.from_numpy(self._inputs[: tiles * tile]).view(tiles, tile, INPUTS)
-            rates = self._module.tiled_rates(inputs, torch.from_numpy(self._tile_class[:tiles])).view(-1).numpy()
+            inputs = torch.from_numpy(self._inputs[: tiles * tile]).view(tiles, tile, INPUTS).to(self._device)
+            tile_class = torch.from_numpy(self._tile_class[:tiles]).to(self._device)
+            rates = self._module.tiled_rates(inputs, tile_class).view(-1).cpu().numpy()
         lay_out(self.by_class, tile, self._place, self._tile_class)
         scatter(addresses, like, self._place, rates)
 

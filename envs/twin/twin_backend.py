@@ -29,8 +29,9 @@ from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_whole
+from izoo.gpu import check_gpu
 
-SURROGATES = ("torch", "compiled")
+SURROGATES = ("torch", "cuda", "compiled")
 CLOSED = "this environment is closed; make another one."
 
 
@@ -49,7 +50,8 @@ class TwinBackend:
         config: the environments' settings.
         num_envs: ``N``.
         threads: how many threads share the environments out among them, this one included.
-        surrogate: what computes CO2: ``torch``, the module in one call for all vehicles, or ``compiled``.
+        surrogate: what computes CO2: ``torch``, the module in one call for all vehicles; ``cuda``, the same on a GPU;
+            or ``compiled``.
 
     Attributes:
         frames: the arrays ``[N, ...]`` that this backend writes.
@@ -63,6 +65,8 @@ class TwinBackend:
         check_whole("num_envs", num_envs, 1, 65536)
         check_whole("threads", threads, 1, 1024)
         check_choice("surrogate", surrogate, SURROGATES)
+        if surrogate == "cuda":
+            check_gpu("surrogate", "torch")
         check_settings(config)
         self.config, self.num_envs, self.surrogate = config, num_envs, surrogate
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
@@ -73,7 +77,7 @@ class TwinBackend:
         self._most_vehicles = 0
         self._step_ms = to_ms(config.step_s)
         self._weights = load_weights()
-        module = MovesSurrogate(self._weights)
+        module = MovesSurrogate(self._weights).to("cuda" if surrogate == "cuda" else "cpu")
         # Each thread's environments are neighbours: lines of the cache that two of them share belong to one thread.
         bounds = [num_envs * thread // self.threads for thread in range(self.threads + 1)]
         self._shares = [slice(*pair) for pair in itertools.pairwise(bounds)]

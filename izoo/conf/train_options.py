@@ -42,12 +42,12 @@ class TwinConfig:
 
     Attributes:
         threads: threads that share the environments out among them; null: one per core.
-        surrogate: what computes CO2: ``torch``, the module in one call for all vehicles, or ``compiled``, the same
-            function without torch, which is faster on a CPU.
+        surrogate: what computes CO2: ``torch``, the module in one call for all vehicles; ``cuda``, the same on a GPU;
+            or ``compiled``, the same function without torch, which is faster on a CPU.
     """
 
     threads: int | None = None
-    surrogate: Literal["torch", "compiled"] = "torch"
+    surrogate: Literal["torch", "cuda", "compiled"] = "torch"
 
     def __post_init__(self) -> None:
         check_types("twin", self)

@@ -15,7 +15,7 @@ from torch import Tensor
 from izoo.algos.base import Algorithm, Keys, reads
 from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
-from izoo.errors import IzooError
+from izoo.gpu import check_gpu
 
 COLLECTS_ON = torch.device("cpu")
 
@@ -28,11 +28,8 @@ def learner_device(name: str) -> torch.device:
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise IzooError(
-            "device=cuda, but PyTorch finds no GPU here (torch.cuda.is_available() is False); install a build of "
-            "PyTorch with CUDA and the GPU's driver, or choose device=cpu."
-        )
+    if name == "cuda":
+        check_gpu("device", "cpu")
     return torch.device(name)
 
 

@@ -22,6 +22,7 @@ from tests.envs.worlds import Driver, at_random, crossing, defer, play, same, sh
 
 Make = Callable[..., TwinEnv]
 EPISODES = 4
+NEEDS_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 GOLDEN = "dc986a0f8ed211e7"
 """Digest of a fixed episode on the twin."""
 
@@ -283,12 +284,11 @@ def test_golden(expected: dict[int, str]) -> None:
 
 
 @pytest.mark.parametrize("hold_s", [None, 2.0])
-def test_both_surrogates_agree(make: Make, hold_s: float | None) -> None:
-    """With one of them all environments take a step together, with the other a few play a decision to the end."""
+@pytest.mark.parametrize("other", ["compiled", pytest.param("cuda", marks=NEEDS_GPU)])
+def test_the_surrogates_agree(make: Make, hold_s: float | None, other: str) -> None:
+    """With torch all environments take a step together, with compiled code a few play a decision to the end."""
     config = short(hold_s=hold_s, emit=EMIT_GROUPS)
-    parts = [
-        play(make(3, surrogate=name, config=config), config.decisions + 5)["next"] for name in ("torch", "compiled")
-    ]
+    parts = [play(make(3, surrogate=name, config=config), config.decisions + 5)["next"] for name in ("torch", other)]
     for key in (("vehicles", "emission_g"), ("agents", "reward"), ("metrics", "approach", "emission_g")):
         assert torch.allclose(parts[0][key], parts[1][key], rtol=1e-4, atol=1e-4), key
     for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
@@ -365,6 +365,12 @@ def _keep_lanes(tensordict: TensorDictBase) -> TensorDictBase:
 def test_bad_options_are_refused(make: Make, options: dict[str, Any], message: str) -> None:
     with pytest.raises(IzooError, match=message):
         make(**options)
+
+
+def test_a_missing_gpu_is_refused(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(IzooError, match=r"surrogate=cuda, but PyTorch finds no GPU.*choose surrogate=torch"):
+        make(surrogate="cuda")
 
 
 def test_environments_that_are_not_there(make: Make) -> None:
