@@ -269,7 +269,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
         yields = other > speed and not short
         passing = max(braked if yields else other, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        if not yields or other - helper[DECEL] * remaining_s > planned:
+        if not yields or other - helper[DECEL] * remaining_s > speed:
             # It takes its time to pass: the changer waits for it.
             way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
             add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
