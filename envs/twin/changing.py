@@ -227,7 +227,7 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
     drop_tail(state, v)
     take_out(state, v)
     place(state, v, lane)
-    look_behind_junction(net, state, v, lane)
+    look_behind_junction(net, state, state.lane_room, v, lane)
     if tails > 0:
         _lay_tail_behind(net, traffic, state, v, lane, tails)
     if flags & COMMANDED:

@@ -208,6 +208,6 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
         if not net.lane_ints[lane, LANE_INSIDE]:
             ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     ints[v, LANE] = lane
-    look_behind_junction(net, state, v, lane)
+    look_behind_junction(net, state, state.lane_room_before, v, lane)
     lay_tail(net, traffic, state, v, kept)
     return lane

@@ -15,10 +15,13 @@ from izoo.envs.twin.compiled import compiled
 
 
 @compiled
-def look_behind_junction(net, state, v, lane):  # type: ignore[no-untyped-def]
-    """Let ``v``, which comes to ``lane`` inside a junction, remember how full the roads behind it were before.
+def look_behind_junction(net, state, lane_room, v, lane):  # type: ignore[no-untyped-def]
+    """Let ``v``, which comes to ``lane`` inside a junction, remember how full the roads behind it are.
 
     On other lanes nothing happens. It does not look again before it comes to another lane.
+
+    Args:
+        lane_room: ``[L]`` how full each lane is, in m.
     """
     edge = net.lane_ints[lane, LANE_EDGE]
     lanes = net.edge_ints[edge, EDGE_LANES]
@@ -26,7 +29,7 @@ def look_behind_junction(net, state, v, lane):  # type: ignore[no-untyped-def]
         return
     first = net.edge_ints[edge, EDGE_FIRST_LANE]
     for k in range(min(lanes, MAX_LANES_SEEN)):
-        state.room_seen[v, k] = _room_taken_now(net, state.lane_room_before, state.ints[v, VARIANT], first + k)
+        state.room_seen[v, k] = _room_taken_now(net, lane_room, state.ints[v, VARIANT], first + k)
 
 
 @compiled
