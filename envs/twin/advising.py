@@ -111,7 +111,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
             if safe < wish:
                 best, advised = max(low, safe), True
     for k in range(state.ints[v, ADVICES]):
-        advice = state.advice[v, k]
+        advice = speed + (state.advice[v, k] - speed)
         if low <= advice <= high:
             best, advised = min(best, advice), True
     if advised:
@@ -246,7 +246,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
     # A follower that was asked to drop back by so much in the last step is that much slower, but for rounding.
-    if planned - other >= OVERTAKING_MPS - 1e-9:
+    if planned - other >= OVERTAKING_MPS:
         needed = secure_gap(helper, other, planned)
         if (needed - gap) / remaining_s < planned - other:
             add_advice(state, follower, max(other, planned - OVERTAKING_MPS))

@@ -296,6 +296,18 @@ def fetch(address, size):  # type: ignore[no-untyped-def]
         fetch_line(address + at)
 
 
+@intrinsic
+def fused(typing_context, x, y, z):  # type: ignore[no-untyped-def]
+    """Return ``x * y + z``, rounded once."""
+    if not {x, y, z} <= {types.float64}:
+        raise errors.NumbaTypeError("only float64 is multiplied and added at once")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.fma(*args)
+
+    return types.float64(x, y, z), lower
+
+
 def opener(kind: TablesType) -> Any:
     """Return a compiled function that takes the address of a directory as the tables of ``kind``."""
 

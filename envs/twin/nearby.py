@@ -86,13 +86,13 @@ def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-unty
     else:
         behind = state.changer[lane, CHANGER_NEXT]
         leader = state.ints[behind, AHEAD] if behind >= 0 else state.lanes[lane, LANE_BACK]
-    needed = floats[v, POSITION] + traffic.floats[v, MIN_GAP]
+    front, min_gap = floats[v, POSITION], traffic.floats[v, MIN_GAP]
     if leader >= 0:
-        return leader, floats[leader, POSITION] - traffic.floats[leader, LENGTH] - needed
+        return leader, floats[leader, POSITION] - traffic.floats[leader, LENGTH] - front - min_gap
     if state.lanes[lane, LANE_TAILS] > 0:
         leader = tail_on(net, traffic, state, lane, v)
         if leader >= 0:
-            return leader, back_on(net, traffic, state, leader, lane) - needed
+            return leader, back_on(net, traffic, state, leader, lane) - front - min_gap
     return leader_beyond(net, traffic, state, v, lane, True, step_s)
 
 
