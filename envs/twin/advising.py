@@ -214,11 +214,9 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
             add_advice(state, leader, other)
         return -1.0
     target = max(target, max(0.0, speed - driver[DECEL] * step_s))
-    creeping = driver[MAX_ACCEL] * step_s
-    if target < creeping and speed <= creeping and net.lane_ints[state.ints[v, LANE], LANE_INSIDE]:
-        # Who is so slow inside a junction does not stop there to fall behind.
-        add_advice(state, v, creeping)
-        return min(planned, creeping)
+    if net.lane_ints[state.ints[v, LANE], LANE_INSIDE]:
+        # Nobody stops inside a junction to fall behind.
+        target = max(target, driver[MAX_ACCEL] * step_s)
     if target >= speed:
         add_advice(state, v, target)
         return planned
