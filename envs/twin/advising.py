@@ -182,9 +182,9 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     left = floats[v, LEFT_SPACE] - floats[v, BLOCKER_LENGTH]
     planned = min(speed, stop_speed(driver, left, speed, limit, driver[DECEL], step_s))
     for k in range(state.ints[v, ADVICES]):
-        advice = state.advice[v, k]
-        if advice >= speed - driver[DECEL] * step_s:
-            planned = min(planned, advice)
+        accel = (state.advice[v, k] - speed) / step_s
+        if accel >= -driver[DECEL]:
+            planned = min(planned, speed + accel * step_s)
     if leader < 0:
         return planned
     other = floats[leader, SPEED]
