@@ -33,7 +33,7 @@ from izoo.envs.twin.arrays import (
     WAITING_MS,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, most_speed, secure_gap, stop_speed
+from izoo.envs.twin.following import brake_gap, follow_speed, least_speed, most_speed, secure_gap, stop_speed
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
     BLOCKED_BY_FOLLOWER,
@@ -286,8 +286,7 @@ def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: 
     left = gap + (planned - speed) * step_s
     if left >= secure_gap(helper, speed, planned):
         return speed
-    braked = max(0.0, speed - helper[DECEL] * step_s)
-    return max(braked, follow_speed(helper, left, speed, planned, limit, step_s))
+    return max(least_speed(helper, speed, step_s), follow_speed(helper, left, speed, planned, limit, step_s))
 
 
 @compiled
