@@ -45,7 +45,7 @@ class _Queue:
 
 
 class Conduct:
-    """Counts :data:`COUNTS` of one episode from its scenes, which come in order, a decision apart."""
+    """Counts :data:`COUNTS` of one episode from its scenes, which come in order, a step apart."""
 
     def __init__(self) -> None:
         self._counts: dict[str, float] = dict.fromkeys(COUNTS, 0.0)
@@ -73,10 +73,11 @@ class Conduct:
         self._before, self._lane = scene, lanes
 
     def counts(self) -> dict[str, float]:
-        """Return the counts so far, every name of :data:`COUNTS`."""
-        for lane in list(self._queues):
-            self._end_queue(lane)
-        return dict(self._counts)
+        """Return the counts so far, every name of :data:`COUNTS`, as if queues that still leave ended here."""
+        counts = dict(self._counts)
+        for queue in self._queues.values():
+            _add_queue(counts, queue)
+        return counts
 
     def _change(self, road: RoadNet, before: int, lane: int, exit_: int) -> None:
         place = PLACES[road.lane_location[before]]
@@ -121,13 +122,19 @@ class Conduct:
 
     def _end_queue(self, lane: int) -> None:
         queue = self._queues.pop(lane, None)
-        if queue is None or not queue.left_s:
-            return
-        self._counts["queues"] += 1
-        self._counts["start_up_s"] += queue.left_s[0] - queue.green_s
-        if len(queue.left_s) > START_UP_VEHICLES:
-            self._counts["headways"] += len(queue.left_s) - START_UP_VEHICLES
-            self._counts["headway_s"] += queue.left_s[-1] - queue.left_s[START_UP_VEHICLES - 1]
+        if queue is not None:
+            _add_queue(self._counts, queue)
+
+
+def _add_queue(counts: dict[str, float], queue: _Queue) -> None:
+    """Count a queue, if any of it has left."""
+    if not queue.left_s:
+        return
+    counts["queues"] += 1
+    counts["start_up_s"] += queue.left_s[0] - queue.green_s
+    if len(queue.left_s) > START_UP_VEHICLES:
+        counts["headways"] += len(queue.left_s) - START_UP_VEHICLES
+        counts["headway_s"] += queue.left_s[-1] - queue.left_s[START_UP_VEHICLES - 1]
 
 
 def phase_at(clock: SignalClock, time_s: float) -> int:

@@ -208,7 +208,7 @@ class GeneralizationConfig:
                 f"num_envs is {self.num_envs}, but runs train in SUMO, where every environment is a process: set "
                 "train_workers, or train_simulator=twin."
             )
-        object.__setattr__(self, "algos", tuple(map(_absolute, self.algos)))
+        object.__setattr__(self, "algos", tuple(map(shelf.absolute, self.algos)))
         names = [parse_entry(name).name for name in self.algos]
         if not names or len(names) > len(set(names)):
             raise IzooError(
@@ -283,13 +283,6 @@ def is_folder(place: str) -> bool:
     return "/" in place or Path(place).expanduser().is_dir()
 
 
-def _absolute(entry: str) -> str:
-    """Return an entry of ``algos``, a policy's file with its whole path, so that the benchmark can go on from any
-    folder."""
-    is_file = not entry.startswith(shelf.PREFIX) and Path(entry).suffix == shelf.WEIGHTS
-    return str(Path(entry).expanduser().absolute()) if is_file else entry
-
-
 def parse_entry(name: str) -> Entry:
     """Return the entry that a name means.
 
@@ -300,7 +293,10 @@ def parse_entry(name: str) -> Entry:
         return _recipe_entry(name.removeprefix(RECIPE_PREFIX))
     shipped = shelf.named(name)
     if shipped is not None:
-        return Entry(Path(shipped).name.removesuffix(shelf.WEIGHTS), "scripted", policy=name)
+        called = Path(shipped).name.removesuffix(shelf.WEIGHTS)
+        if called in DRIVER_NAMES:
+            raise IzooError(f"{name} would be called {called!r}, as a driver is; rename the file.")
+        return Entry(called, "scripted", policy=name)
     shelf.check_exported(name)
     if ":" in name:
         return Entry(name.rpartition(":")[2], "scripted", policy=name)

@@ -28,6 +28,8 @@ _PAIR = ["policy", "context", "context_hash", "approach"]
 KEY = ["policy", "adoption", "demand", "context", "context_hash", "approach"]
 GROUP = ["policy", "adoption", "demand", "lanes"]
 """What approaches are summed up by."""
+COUNTED = tuple(f"{name}_{side}" for side in ("sumo", "twin") for name in COUNTS)
+"""What is counted of drivers in an episode, on each side."""
 WIDE = 0.05
 """Differences of CO2 above this, beyond SUMO's own spread, are named."""
 
@@ -116,9 +118,11 @@ def conduct(exact: pd.DataFrame) -> pd.DataFrame:
     Measures are those of :func:`izoo.benchmarks.conduct.rates`, then :data:`izoo.benchmarks.conduct.COUNTS`.
 
     Args:
-        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them.
+        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them; those in which nobody
+            counted are left out.
     """
-    if exact.empty:
+    exact = exact.dropna(subset=[name for name in COUNTED if name in exact])
+    if exact.empty or not set(COUNTED) <= set(exact):
         return pd.DataFrame()
     rows = []
     for key, group in exact.groupby(["policy", "demand"], sort=False):

@@ -12,6 +12,7 @@ from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.evaluation.policies import HUMAN
+from izoo.zoo import shelf
 
 
 @dataclass(frozen=True)
@@ -60,10 +61,12 @@ class LadderConfig:
             raise IzooError("late=0 or env.late_vehicle=0: the comparison sets env.late_vehicle itself.")
         for demand in self.demand:
             check_choice("demand", demand, ("given", "all"))
-        for policy in {*self.policies, *self.exact}:
-            if policy == HUMAN:
-                raise IzooError("policies holds 'human', which is played in any case; leave it out.")
-            check_policy("policies", policy)
+        for name in ("policies", "exact"):
+            for policy in getattr(self, name):
+                if policy == HUMAN:
+                    raise IzooError(f"{name} holds 'human', which is played in any case; leave it out.")
+                check_policy(name, policy)
+            object.__setattr__(self, name, tuple(map(shelf.absolute, getattr(self, name))))
         if not (self.adoptions and self.demand and self.policies):
             raise IzooError("adoptions, demand and policies each need one entry or more.")
         for name in ("out", "cache"):

@@ -29,7 +29,10 @@ Commands = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass
 class Trace:
-    """What happened: ``[T, N]`` lane (-1 where the vehicle is not on the road), position (m) and speed (m/s)."""
+    """What happened: ``[T, N]`` lane (-1 where the vehicle is not on the road), position (m) and speed (m/s).
+
+    ``signals``, of the same shape, are the vehicle's lamps as SUMO encodes them, 0 where it has none on.
+    """
 
     lane: np.ndarray
     position_m: np.ndarray

@@ -79,13 +79,14 @@ class Played(NamedTuple):
     Attributes:
         parting: where the two part, ``None`` where they never do.
         steps: how many it has; the two are compared after each decision.
-        motions, conducts: how vehicles moved and what drivers did, in SUMO and on the twin.
+        motions: how vehicles moved, in SUMO and on the twin.
+        conducts: what drivers did; ``None`` where a decision lasts longer than a step, since then nobody sees when.
     """
 
     parting: Parting | None
     steps: int
     motions: tuple[Motion, Motion]
-    conducts: tuple[Conduct, Conduct]
+    conducts: tuple[Conduct, Conduct] | None
 
 
 class SideBySide:
@@ -109,6 +110,7 @@ class SideBySide:
         motions, conducts = (Motion(), Motion()), (Conduct(), Conduct())
         environments: list[Any] = [self._sumo, self._twin]
         config = self._sumo.config
+        counted = config.hold_steps == 1
         with (
             torch.random.fork_rng(devices=[]),
             set_exploration_type(ExplorationType.DETERMINISTIC),
@@ -124,9 +126,10 @@ class SideBySide:
                 scenes = [env.scene() for env in environments]
                 for motion, conduct, scene in zip(motions, conducts, scenes, strict=True):
                     motion.add(scene)
-                    conduct.add(scene)
+                    if counted:
+                        conduct.add(scene)
                 found = found or parting(step, *scenes)
-        return Played(found, step, motions, conducts)
+        return Played(found, step, motions, conducts if counted else None)
 
 
 def _advance(env: Any, policy: Policy, state: TensorDictBase) -> TensorDictBase:

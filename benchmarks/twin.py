@@ -26,7 +26,14 @@ if TYPE_CHECKING:
     from izoo.benchmarks.ladder_options import LadderConfig
     from izoo.contexts.context import Context
     from izoo.envs.config import EnvConfig
+    from izoo.evaluation.policies import Candidate
     from izoo.evaluation.selection import EpisodeSeeds
+
+STEPS_KEY = ("policy", "fingerprint", "context_hash", "seed")
+STEPS_COLUMNS = (
+    *("policy", "fingerprint", "context", "context_hash", "seed", "adoption", "demand", "lanes"),
+    *("steps", "parted", "where", "ks_speed", "ks_accel"),
+)
 
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -39,6 +46,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     from izoo.console import counted
     from izoo.envs.twin.playable import check_contexts
     from izoo.envs.twin.twin_backend import check_settings
+    from izoo.evaluation.policies import as_candidate
     from izoo.evaluation.runner import evaluate_policy
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
@@ -49,6 +57,8 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)
     check_contexts(base)
+    # Made before anything is played, so that one that is not there stops the command at once.
+    exact_of = [as_candidate(name, config.env) for name in config.exact]
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
     # Earlier results of a folder are left out of what is compared.
@@ -72,8 +82,8 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     sumo, played = evaluated("sumo", 0), evaluated("twin", 0)
     late = [evaluated("sumo", number) for number in range(1, config.late + 1)]
-    few = compare_few(base, seeds, out / "few.csv")
-    exact = compare_steps(contexts, seeds, config, out / "exact.csv")
+    few = compare_few(base, seeds, config.env.step_s, out / "few.csv")
+    exact = compare_steps(contexts, seeds, config, exact_of, out / "exact.csv")
     own = ladder.own_spread(sumo, late)
     compared = ladder.with_spread(ladder.approaches(sumo, played), own)
     rungs, gained = ladder.rungs(compared), ladder.gains(sumo, played, late)
@@ -135,66 +145,62 @@ def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
     return list({context.content_hash: context for context in found}.values())
 
 
-def compare_steps(contexts: Sequence[Context], seeds: EpisodeSeeds, config: LadderConfig, path: Path) -> pd.DataFrame:
+def compare_steps(
+    contexts: Sequence[Context], seeds: EpisodeSeeds, config: LadderConfig, candidates: Sequence[Candidate], path: Path
+) -> pd.DataFrame:
     """Play each context's first episode side by side, unless it is in the table at ``path``; return a row for each.
 
     Returns:
-        ``policy``, ``context``, ``context_hash``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted``
-        (the first step that differs; empty where none does), ``where`` (who differs there), ``ks_speed``, ``ks_accel``,
-        and with ``_sumo`` and ``_twin`` what is counted of drivers (:data:`izoo.benchmarks.conduct.COUNTS`).
+        ``policy``, ``fingerprint`` (of its code and weights), ``context``, ``context_hash``, ``seed``, ``adoption``,
+        ``demand``, ``lanes``, ``steps``, ``parted`` (the first step that differs; empty where none does), ``where``
+        (who differs there), ``ks_speed``, ``ks_accel``, and with ``_sumo`` and ``_twin`` what is counted of drivers
+        (:data:`izoo.benchmarks.conduct.COUNTS`), where decisions last no longer than a step.
     """
-    import pandas as pd
-
-    from izoo.benchmarks.conduct import COUNTS
-    from izoo.benchmarks.ladder import ks_distance
+    from izoo.benchmarks.kept_rows import KeptRows
+    from izoo.benchmarks.ladder import COUNTED, ks_distance
     from izoo.benchmarks.side_by_side import SideBySide
     from izoo.console import Progress
-    from izoo.evaluation.policies import as_candidate
-    from izoo.files import write_text
     from izoo.networks.net.build import build_net
     from izoo.networks.road import read_road
 
-    table = pd.read_csv(path, dtype={"parted": "Int64"}) if path.exists() else pd.DataFrame()
-    if f"{COUNTS[-1]}_twin" not in table:  # there is no table, or one of a version that counted less
-        table = pd.DataFrame()
-    rows: list[dict[str, Any]] = table.to_dict("records")
-    done = {(row["policy"], row["context_hash"], row["seed"]) for row in rows}
-    plays = [(p, c, seeds.of(c)[0]) for c in contexts for p in config.exact]
-    todo = [(p, c, seed) for p, c, seed in plays if (p, c.content_hash, seed) not in done]
-    if not todo:
-        return table
+    kept = KeptRows(path, (*STEPS_COLUMNS, *COUNTED), STEPS_KEY)
+    plays = {
+        (each.name, each.fingerprint, context.content_hash, seeds.of(context)[0]): (each, context)
+        for context in contexts
+        for each in candidates
+    }
+    todo = [key for key in plays if key not in kept]
     both = SideBySide(config.env)
     try:
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
-            for number, (name, context, seed) in enumerate(todo, 1):
-                policy = as_candidate(name, config.env).policy
-                played = both.play(policy, context, seed)
+            for number, key in enumerate(todo, 1):
+                (candidate, context), seed = plays[key], key[-1]
+                played = both.play(candidate.policy, context, seed)
                 sumo, twin = played.motions
-                done_by = zip(("sumo", "twin"), played.conducts, strict=True)
                 road = read_road(build_net(context.intersection))
-                lanes = max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches)
-                rows.append(
-                    {
-                        "policy": name,
-                        "context": context.name,
-                        "context_hash": context.content_hash,
-                        "seed": seed,
-                        "adoption": context.adoption,
-                        "demand": "all" if context.approach is None else "one",
-                        "lanes": lanes,
-                        "steps": played.steps,
-                        "parted": None if played.parting is None else played.parting.step,
-                        "where": "" if played.parting is None else str(played.parting),
-                        "ks_speed": ks_distance(sumo.speed, twin.speed),
-                        "ks_accel": ks_distance(sumo.accel, twin.accel),
-                        **{f"{name}_{side}": n for side, of in done_by for name, n in of.counts().items()},
-                    }
-                )
-                write_text(path, pd.DataFrame(rows).astype({"parted": "Int64"}).to_csv(index=False))
+                row: dict[str, Any] = {
+                    "policy": candidate.name,
+                    "fingerprint": candidate.fingerprint,
+                    "context": context.name,
+                    "context_hash": context.content_hash,
+                    "seed": seed,
+                    "adoption": context.adoption,
+                    "demand": "all" if context.approach is None else "one",
+                    "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
+                    "steps": played.steps,
+                    "parted": None if played.parting is None else played.parting.step,
+                    "where": "" if played.parting is None else str(played.parting),
+                    "ks_speed": ks_distance(sumo.speed, twin.speed),
+                    "ks_accel": ks_distance(sumo.accel, twin.accel),
+                    **dict.fromkeys(COUNTED),
+                }
+                for side, conduct in zip(("sumo", "twin"), played.conducts or (), strict=False):
+                    row |= {f"{name}_{side}": count for name, count in conduct.counts().items()}
+                kept.add(row)
                 bar.update(number, context.name)
     finally:
         both.close()
-    return pd.DataFrame(rows).astype({"parted": "Int64"})
+    return kept.table(plays)
 
 
 COMMAND = OptionCommand(

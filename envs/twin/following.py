@@ -24,9 +24,10 @@ TOP_SPEED_MPS = 200.0 / 3.6
 
 @compiled
 def fourth_power(x):  # type: ignore[no-untyped-def]
-    """Return ``x ** 4``, to the last bit as a C library's ``pow``: drivers are asked whether one is slower by just so much.
+    """Return ``x ** 4``, in all but one of a thousand cases to the last bit as a C library's ``pow``, and faster.
 
-    What rounding takes off each product is added again.
+    What rounding takes off each product is added again. The last bit counts where somebody was asked to be slower than
+    somebody else by just so much, and is then asked whether it is.
     """
     square = x * x
     power = square * square

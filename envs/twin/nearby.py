@@ -183,7 +183,8 @@ def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-unt
         # beside that way, less than the length of ``v`` past that place.
         rear_left = net.lane_floats[before, LANE_LENGTH] - back - way
         first = net.conflict_first[link]
-        for row in range(first, first + (net.conflict_count[link] if rear_left > 0.0 else 0)):
+        rows = net.conflict_count[link] if rear_left > 0.0 else 0
+        for row in range(first, first + rows):
             if net.conflict_ints[row, CONFLICT_KIND] != PARTING:
                 continue
             if rear_left + traffic.floats[v, LENGTH] < net.conflict_floats[row, CONFLICT_BEHIND]:

@@ -113,8 +113,12 @@ def _compared(item: Checked, uncommanded: pd.DataFrame, reference: Checked) -> p
     rows, files = _rows(item), f"{plain(item.source)} and {plain(reference.source)}"
     other = uncommanded.drop_duplicates(TASK)[[*TASK, KEPT_OUT, *HUMAN_DRIVING]]
     joined = rows.merge(other, on=TASK, how="left", suffixes=("", OTHER), indicator="found")
-    if (joined["found"] != "both").any() or len(rows.drop_duplicates(TASK)) != len(other):
-        raise IzooError(f"{files} were tested on different approaches; give only files with the same.")
+    once_each = not rows.duplicated([*TASK, "train_seed"]).any()
+    whole = (rows.groupby("train_seed").size() == len(other)).all()
+    if (joined["found"] != "both").any() or not (once_each and whole):
+        raise IzooError(
+            f"{files} were tested on different approaches; give only files with the same, each once per training seed."
+        )
     for name in HUMAN_DRIVING:
         mine, theirs = joined[name], joined[f"{name}{OTHER}"]
         if not (mine.isna() | theirs.isna() | (mine == theirs)).all():
@@ -177,8 +181,8 @@ def _figure(estimate: Mapping[str, Any] | None) -> str:
     """An estimate in percent with its sign, and its interval where it has one."""
     if estimate is None or estimate["value"] is None:
         return ""
-    value, low, high = (None if estimate[k] is None else _rounded(estimate[k]) for k in ("value", "low", "high"))
-    text = f"{value:+.1f}" if value else "0.0"
+    low, high = (None if estimate[k] is None else _rounded(estimate[k]) for k in ("low", "high"))
+    text = _signed(estimate["value"])
     return text if low is None else f"{text} [{low:.1f}, {high:.1f}]"
 
 
@@ -187,7 +191,8 @@ def _rounded(share: float) -> float:
 
 
 def _signed(share: float) -> str:
-    return f"{100.0 * share:+.1f}".replace("-0.0", "0.0")
+    value = _rounded(share)
+    return f"{value:+.1f}" if value else "0.0"
 
 
 def _whole(share: float | None) -> str:

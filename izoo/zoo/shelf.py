@@ -49,6 +49,12 @@ def named(policy: str) -> str | None:
     return None if _is_checkpoint(path) else str(path)
 
 
+def absolute(policy: str) -> str:
+    """Return ``policy``, a file ``NAME.pt`` with its whole path, so that it means the same in any folder."""
+    is_file = not policy.startswith(PREFIX) and Path(policy).suffix == WEIGHTS
+    return str(Path(policy).expanduser().absolute()) if is_file else policy
+
+
 def check_exported(policy: str) -> None:
     """Raise :class:`IzooError` where ``policy`` is a checkpoint of a run, which is no policy by itself."""
     path = Path(policy).expanduser()

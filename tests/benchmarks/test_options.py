@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
+from izoo.zoo import shelf
 
 
 def hashes(contexts) -> list[str]:  # type: ignore[no-untyped-def]
@@ -125,6 +127,12 @@ def test_entries() -> None:
     for name in ("human", "pppo", "ppo_residual_residual"):
         with pytest.raises(IzooError, match=r"choose one of: .*ppo_residual.*glide"):
             parse_entry(name)
+
+
+def test_a_policy_must_not_be_called_as_a_driver_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    shutil.copy(shelf.weights("measured_search"), tmp_path / "uncommanded.pt")
+    with pytest.raises(IzooError, match="called 'uncommanded', as a driver is; rename the file"):
+        parse_entry(str(tmp_path / "uncommanded.pt"))
 
 
 def test_beside_what_is_trained_stands_what_is_not() -> None:

@@ -115,6 +115,15 @@ def test_files_of_other_episodes_are_refused(run: Run, tmp_path: Path) -> None:
     assert code == 2 and "human driving differs" in said
 
 
+@pytest.mark.parametrize("change", [lambda rows: rows.pop(), lambda rows: rows.append(rows[0])])
+def test_every_training_seed_has_every_approach_once(
+    change: Callable[[list[Any]], object], run: Run, tmp_path: Path
+) -> None:
+    other = changed(FILES / "ppo.json", tmp_path, lambda content: change(content["rows"]))
+    code, _, said = run(FILES / "uncommanded.json", other)
+    assert code == 2 and "each once per training seed" in said
+
+
 def test_a_file_that_was_changed_by_hand_is_refused(run: Run, tmp_path: Path) -> None:
     better = changed(
         FILES / "glide.json", tmp_path, lambda content: content["rows"][0].update(benefit_exact=0.9), sealed=False
