@@ -126,7 +126,7 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         f"num_workers={workers}",
         f"simulator={config.trains_in}",
         in_twin if on_twin else in_sumo,
-        f"total_frames={config.frames or (config.episodes or 1) * config.train_episode().control_steps}",
+        *([] if config.frames is None else [f"total_frames={config.frames}"]),
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
         "evaluation.contexts=0",

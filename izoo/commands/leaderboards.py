@@ -179,7 +179,8 @@ def _about(line: Mapping[str, Any]) -> str:
 
     n = line["n"]
     tested = f"{n['approaches']} approaches on {SIMULATOR_NAMES[line['simulator']]}\ntraining seeds: {n['train_seeds']}"
-    return f"{tested}\ndemand served: {stacked(line['aggregates']['all']['served']['policy'])}"
+    served = line["aggregates"]["all"].get("served", {}).get("policy")
+    return f"{tested}\ndemand served: {stacked(served)}"
 
 
 LEADERBOARD = SubcommandCommand(

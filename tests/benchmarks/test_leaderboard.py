@@ -87,6 +87,12 @@ def test_an_honest_submission_survives_the_file(tmp_path: Path) -> None:
     assert checked.marks == () and checked.notes == ()
 
 
+def test_a_file_without_figures_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.json").write_text(json.dumps(sealed({**submission(), "aggregates": {}})))
+    assert command.main(["merge", str(tmp_path / "empty.json"), "--out", str(tmp_path / "board.json")]) == 2
+    assert "empty.json" in capsys.readouterr().err and not (tmp_path / "board.json").exists()
+
+
 def test_aggregates_keep_training_seeds_apart() -> None:
     rows = pd.concat([run_rows(table(k), "ppo", k) for k in range(4)], ignore_index=True)
     found = aggregate(rows)
