@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +23,6 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import counted, duration
 from izoo.contexts.context import Context
-from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
@@ -42,6 +41,7 @@ from izoo.reporting.results import (
     write_results,
 )
 from izoo.training import checkpoint, runs
+from izoo.training.collectors import check_collector
 from izoo.training.loop import train
 from izoo.training.records import MetricsTable
 
@@ -79,8 +79,6 @@ class Campaign:
         self.entries = config.entries()
         self.plan: Plan = make_plan(config)
         self.envs = {entry.name: evaluation_env(config, entry) for entry in self.entries}
-        if config.simulator == "twin":
-            _check_on_twin(self.plan, self.envs.values())
         # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
         self.runs: dict[tuple[str, int], TrainConfig] = {
             (entry.name, seed): train_config(
@@ -90,10 +88,27 @@ class Campaign:
             if entry.kind == "trained"
             for seed in range(config.seeds or 0)
         }
+        self._check_on_twin()
         self.versions = versions()
         self.elsewhere = self._trained_elsewhere()
         self.pace = Pace()
         self.results = self._index()
+
+    def _check_on_twin(self) -> None:
+        """Raise :class:`IzooError` where the twin cannot play what it shall, before anything is played or trained."""
+        on_twin = self.config.simulator == "twin"
+        runs_there = [run for run in self.runs.values() if run.simulator == "twin"]
+        if not on_twin and not runs_there:
+            return
+        from izoo.envs.twin.playable import check_contexts  # it compiles, and many benchmarks need none
+        from izoo.envs.twin.twin_backend import check_settings as check_env
+
+        for run in runs_there:
+            check_collector(run)
+        for env in self.envs.values() if on_twin else ():
+            check_env(env)
+        if on_twin:
+            check_contexts(self.plan.test)
 
     def jobs(self) -> list[Job]:
         """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""
@@ -333,16 +348,6 @@ class Campaign:
             return max(self.runs[job.key].total_frames - self._run_record(job).frames, 0)
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
         return float(episodes * self.envs[job.entry.name].decisions)
-
-
-def _check_on_twin(plan: Plan, envs: Iterable[EnvConfig]) -> None:
-    """Raise :class:`IzooError` where the twin cannot play a test, before anything is trained for it."""
-    from izoo.envs.twin.playable import check_contexts  # it compiles, and most benchmarks need none
-    from izoo.envs.twin.twin_backend import check_settings as check_env
-
-    for env in envs:
-        check_env(env)
-    check_contexts(plan.test)
 
 
 def _place(name: str, seed: int) -> str:

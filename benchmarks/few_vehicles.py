@@ -21,7 +21,10 @@ TOLERANCE = 1e-6
 PLAYS = ((1, False), (2, False), (2, True))
 """How many vehicles, and whether their speeds are commanded, in waves."""
 KEY = ("context_hash", "seed", "step_s", "vehicles", "commanded")
-COLUMNS = ("context", *KEY, "parted", "where")
+COLUMNS = {
+    **{"context": "str", "context_hash": "str", "seed": "int64", "step_s": "float", "vehicles": "int64"},
+    **{"commanded": "bool", "parted": "Int64", "where": "str"},
+}
 
 
 def compare_few(contexts: Sequence[Context], seeds: EpisodeSeeds, step_s: float, path: Path) -> pd.DataFrame:

@@ -135,13 +135,16 @@ class GeneralizationConfig:
             that differs from human driving is due to commands; takes as long again.
         select: which weights of a run are tested: ``last``, or ``best`` on the validation split, which is measured
             beside training and takes time; the last where a run was too short to be validated.
-        simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
-        train_simulator: what plays training episodes, where it differs from ``simulator``: ``twin`` trains faster.
+        simulator: what plays the episodes of tests and validations, and of training: ``sumo``, which is what counts, or
+            ``twin``, its compiled copy.
+        train_simulator: what plays training episodes, where it differs from ``simulator``: ``twin`` trains faster. A
+            recipe trains where it says itself.
         train_options: more options of ``izoo.train`` for every trained entry, such as
             ``["algo.gamma=0.98","env.reward.eta=0.5"]``.
         train_workers: environments that a run trains on in SUMO, each in a process of its own; 1 trains in this
             process; null: the scale's.
-        num_envs: environments that a run trains on in the twin, all in this process; null: as ``izoo.train`` has it.
+        num_envs: environments that a run trains on in the twin, all in this process; null: as ``izoo.train`` has it. A
+            recipe brings its own number.
         num_workers: processes that evaluate, each with one simulator; 0: this one; null: the scale's.
         trained_in: another results folder, whose finished training runs are taken over instead of trained again: those
             of a benchmark of the same versions and training options, such as ``in_distribution`` before
@@ -293,13 +296,10 @@ def parse_entry(name: str) -> Entry:
         return _recipe_entry(name.removeprefix(RECIPE_PREFIX))
     shipped = shelf.named(name)
     if shipped is not None:
-        called = Path(shipped).name.removesuffix(shelf.WEIGHTS)
-        if called in DRIVER_NAMES:
-            raise IzooError(f"{name} would be called {called!r}, as a driver is; rename the file.")
-        return Entry(called, "scripted", policy=name)
+        return _policy_entry(Path(shipped).name.removesuffix(shelf.WEIGHTS), name)
     shelf.check_exported(name)
     if ":" in name:
-        return Entry(name.rpartition(":")[2], "scripted", policy=name)
+        return _policy_entry(name.rpartition(":")[2], name)
     if name in DRIVER_NAMES and name != "human":
         return Entry(name, "scripted", policy=name)
     if name.startswith(FLOOR_INFIX):
@@ -315,6 +315,13 @@ def parse_entry(name: str) -> Entry:
         others = [f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", f"FILE{shelf.WEIGHTS}", "module:function"]
         raise unknown_choice("entry of algos", name, [*presets, *residual, *drivers, *others])
     return Entry(name, "trained", algo=preset, action=action)
+
+
+def _policy_entry(called: str, policy: str) -> Entry:
+    """Return the entry of somebody's policy, which must not be taken for one of the entries that stand beside it."""
+    if called in ("human", *REFERENCES) or called.endswith(UNTRAINED_SUFFIX):
+        raise IzooError(f"{policy} would be called {called!r}, as what the benchmark puts beside it is; rename it.")
+    return Entry(called, "scripted", policy=policy)
 
 
 def _recipe_entry(name: str) -> Entry:

@@ -121,8 +121,8 @@ def conduct(exact: pd.DataFrame) -> pd.DataFrame:
         exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them; those in which nobody
             counted are left out.
     """
-    exact = exact.dropna(subset=[name for name in COUNTED if name in exact])
-    if exact.empty or not set(COUNTED) <= set(exact):
+    exact = exact.dropna(subset=list(COUNTED))
+    if exact.empty:
         return pd.DataFrame()
     rows = []
     for key, group in exact.groupby(["policy", "demand"], sort=False):

@@ -100,7 +100,7 @@ def outcome_tables(results: Results) -> Group:
     entries: dict[str, Any] = results.aggregates["entries"]
     shown: list[Any] = []
     for title, columns in TABLES.items():
-        table = figure_table(f"{_title(results)}: {title}", "entry", [label for label, _, _ in columns])
+        table = figure_table(f"{title_of(results)}: {title}", "entry", [label for label, _, _ in columns])
         for name, content in entries.items():
             seeds = content["n"]["train_seeds"]
             figures = (content["all"].get(part, {}).get(figure) for _, part, figure in columns)
@@ -115,7 +115,7 @@ def outcome_tables(results: Results) -> Group:
     return Group(*shown, Text(words))
 
 
-def _title(results: Results) -> str:
+def title_of(results: Results) -> str:
     """Return the title of a table: what was trained on and tested on, and what played the tests."""
     return f"{results.title}, on {SIMULATOR_NAMES[results.settings['simulator']]}"
 
@@ -128,7 +128,7 @@ def _beside(results: Results, entries: Mapping[str, Any]) -> list[Table]:
     columns += ["exact gate, on CVs with\nthe parameters of\nhuman-driven vehicles"] if human else []
     if not columns:
         return []
-    table = figure_table(f"{_title(results)}: beside", "entry", columns)
+    table = figure_table(f"{title_of(results)}: beside", "entry", columns)
     for name, content in entries.items():
         sums = [run["exact"]["ratio_of_sums"] for run in content["per_seed"]]
         cells = [percent({"value": max(sums), "low": None}) if len(sums) > 1 else "-"] if best else []

@@ -107,9 +107,9 @@ def plot(table: pd.DataFrame, path: Path, title: str) -> None:
         figure.savefig(partial, dpi=150, format="png")
 
 
-def table(points: pd.DataFrame) -> Table:
+def table(points: pd.DataFrame, title: str) -> Table:
     """Return the points as a table to read."""
-    shown = Table(title="Trade-offs on the test contexts", title_justify="left")
+    shown = Table(title=title, title_justify="left")
     for column in ("point", "seed", "g per vehicle", "travel time s", "vehicles", "front"):
         shown.add_column(column, justify="left" if column == "point" else "right")
     for row in points.itertuples():

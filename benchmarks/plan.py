@@ -119,6 +119,9 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
     in_sumo = f"collector={'single' if workers == 1 else 'parallel'}"
     in_twin = f"num_envs={'null' if config.num_envs is None else config.num_envs}"
     on_twin = "simulator=twin" in (f"simulator={config.trains_in}", *entry.options)
+    validation = ["validation.every_batches=0"]
+    if config.select == "best":
+        validation = ["validation.contexts=16", f"validation.simulator={config.simulator}"]
     words = [
         f"algo={entry.algo}",
         f"action={entry.action}",
@@ -130,8 +133,7 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         f"env.horizon_s={config.train_episode().horizon_s}",
         f"env.warmup_s={config.train_episode().warmup_s}",
         "evaluation.contexts=0",
-        f"validation.{'contexts=16' if config.select == 'best' else 'every_batches=0'}",
-        f"validation.simulator={config.simulator}",
+        *validation,
         *config.train_options,
         *entry.options,
     ]

@@ -25,6 +25,7 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import pareto
     from izoo.benchmarks.campaign import Campaign
+    from izoo.benchmarks.outcome import title_of
     from izoo.files import write_text
     from izoo.reporting.material import TRADEOFFS_FILE
 
@@ -37,8 +38,8 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
         results = campaign.run(submit=False)
         points = pareto.points(folder, results, config.weights())
         write_text(folder / TRADEOFFS_FILE, points.to_csv(index=False))
-        pareto.plot(points, folder / PLOT_FILE, results.title)
-    Console().print(pareto.table(points))
+        pareto.plot(points, folder / PLOT_FILE, title_of(results))
+    Console().print(pareto.table(points, f"Trade-offs, {title_of(results)}"))
     print(f"Results: {folder / TRADEOFFS_FILE} and {PLOT_FILE}", flush=True)
     return folder
 

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from izoo.evaluation.selection import EpisodeSeeds
 
 STEPS_KEY = ("policy", "fingerprint", "context_hash", "seed")
-STEPS_COLUMNS = (
-    *("policy", "fingerprint", "context", "context_hash", "seed", "adoption", "demand", "lanes"),
-    *("steps", "parted", "where", "ks_speed", "ks_accel"),
-)
+STEPS_COLUMNS = {
+    **{"policy": "str", "fingerprint": "str", "context": "str", "context_hash": "str", "seed": "int64"},
+    **{"adoption": "float", "demand": "str", "lanes": "int64", "steps": "int64", "parted": "Int64", "where": "str"},
+    **{"ks_speed": "float", "ks_accel": "float"},
+}
 
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -163,7 +164,7 @@ def compare_steps(
     from izoo.networks.net.build import build_net
     from izoo.networks.road import read_road
 
-    kept = KeptRows(path, (*STEPS_COLUMNS, *COUNTED), STEPS_KEY)
+    kept = KeptRows(path, STEPS_COLUMNS | dict.fromkeys(COUNTED, "float"), STEPS_KEY)
     plays = {
         (each.name, each.fingerprint, context.content_hash, seeds.of(context)[0]): (each, context)
         for context in contexts

@@ -96,6 +96,15 @@ def add_advice(state, v, speed):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _asked_mps2(state, v, k, step_s):  # type: ignore[no-untyped-def]
+    """Return the acceleration (m/s^2) to the ``k``-th speed that ``v`` was advised.
+
+    SUMO keeps advice so. Going there and back may cost the last bit, which decides whether braking is too hard.
+    """
+    return (state.advice[v, k] - state.floats[v, SPEED]) / step_s
+
+
+@compiled
 def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-untyped-def]
     """Return the speed in ``[low, high]`` (m/s) for the coming step, ``wish`` where nobody advises otherwise."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
@@ -111,7 +120,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
             if safe < wish:
                 best, advised = max(low, safe), True
     for k in range(state.ints[v, ADVICES]):
-        advice = speed + (state.advice[v, k] - speed)
+        advice = speed + _asked_mps2(state, v, k, step_s) * step_s
         if low <= advice <= high:
             best, advised = min(best, advice), True
     if advised:
@@ -182,7 +191,7 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
     left = floats[v, LEFT_SPACE] - floats[v, BLOCKER_LENGTH]
     planned = min(speed, stop_speed(driver, left, speed, limit, driver[DECEL], step_s))
     for k in range(state.ints[v, ADVICES]):
-        accel = (state.advice[v, k] - speed) / step_s
+        accel = _asked_mps2(state, v, k, step_s)
         if accel >= -driver[DECEL]:
             planned = min(planned, speed + accel * step_s)
     if leader < 0:
@@ -243,7 +252,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
             add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, step_s))
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
-    # A follower that was asked to drop back by so much in the last step is that much slower, but for rounding.
+    # Whether one that was asked to drop back by so much in the last step is that much slower, rounding decides.
     if planned - other >= OVERTAKING_MPS:
         needed = secure_gap(helper, other, planned)
         if (needed - gap) / remaining_s < planned - other:

@@ -28,6 +28,7 @@ from izoo.contexts.source import Schedule
 from izoo.envs.twin.twin_backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.evaluation import ray_cluster as cluster
+from izoo.gpu import check_gpu
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.past import EpisodePast
@@ -217,6 +218,8 @@ def check_collector(config: TrainConfig) -> None:
     """
     if config.simulator == "twin":
         check_settings(config.env)
+        if config.twin.surrogate == "cuda":
+            check_gpu("twin.surrogate", "torch")
     policies, envs = config.algo.candidates, num_envs(config)
     if policies > 1 and (config.simulator != "twin" or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(

@@ -127,17 +127,27 @@ def test_where_two_scenes_part() -> None:
 
 
 def test_rows_are_kept_and_those_of_other_plays_are_left_out(tmp_path: Path) -> None:
-    path, columns = tmp_path / "rows.csv", ("name", "seed", "parted", "where")
-    kept = KeptRows(path, columns, ("name", "seed"))
-    assert kept.table([]).empty and list(kept.table([])) == list(columns)
-    kept.add({"name": "a", "seed": 1, "parted": None, "where": ""})
-    kept.add({"name": "b", "seed": 1, "parted": 7, "where": "step 7"})
-    again = KeptRows(path, columns, ("name", "seed"))
-    assert ("a", 1) in again and ("a", 2) not in again
-    found = again.table([("b", 1), ("c", 1)])
+    types = {"name": "str", "seed": "int64", "done": "bool", "parted": "Int64", "where": "str"}
+    path, key = tmp_path / "rows.csv", ("name", "seed", "done")
+    kept = KeptRows(path, types, key)
+    assert kept.table([]).empty and list(kept.table([])) == list(types)
+    kept.add({"name": "0012", "seed": 1, "done": False, "parted": None, "where": ""})
+    kept.add({"name": "b", "seed": 1, "done": True, "parted": 7, "where": "step 7"})
+    again = KeptRows(path, types, key)
+    assert ("0012", 1, False) in again and ("0012", 2, False) not in again
+    found = again.table([("b", 1, True), ("c", 1, True)])
     assert found["parted"].tolist() == [7] and found["name"].tolist() == ["b"]
-    assert again.table([("a", 1)])["parted"].isna().all()
-    assert ("a", 1) not in KeptRows(path, (*columns, "more"), ("name", "seed"))
+    plain = again.table([("0012", 1, False)])
+    assert plain["parted"].isna().all() and plain["where"].tolist() == [""]
+
+
+@pytest.mark.parametrize("content", ["", "name,seed\na,1\n", "name,seed,more\na,x,1\n"])
+def test_a_file_that_is_no_such_table_is_begun_anew(
+    content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rows.csv").write_text(content)
+    kept = KeptRows(tmp_path / "rows.csv", {"name": "str", "seed": "int64", "more": "float"}, ("name", "seed"))
+    assert ("a", 1) not in kept and "begun anew" in capsys.readouterr().out
 
 
 def test_who_played_without_counts_is_left_out_of_what_drivers_did() -> None:

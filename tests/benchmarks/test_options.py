@@ -129,10 +129,17 @@ def test_entries() -> None:
             parse_entry(name)
 
 
-def test_a_policy_must_not_be_called_as_a_driver_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_policy_must_not_be_taken_for_what_stands_beside_it(tmp_path) -> None:  # type: ignore[no-untyped-def]
     shutil.copy(shelf.weights("measured_search"), tmp_path / "uncommanded.pt")
-    with pytest.raises(IzooError, match="called 'uncommanded', as a driver is; rename the file"):
-        parse_entry(str(tmp_path / "uncommanded.pt"))
+    shutil.copy(shelf.weights("measured_search"), tmp_path / "ppo_untrained.pt")
+    for name in (
+        str(tmp_path / "uncommanded.pt"),
+        "mine:uncommanded",
+        "mine:human",
+        str(tmp_path / "ppo_untrained.pt"),
+    ):
+        with pytest.raises(IzooError, match="as what the benchmark puts beside it is; rename it"):
+            parse_entry(name)
 
 
 def test_beside_what_is_trained_stands_what_is_not() -> None:
