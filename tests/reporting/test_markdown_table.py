@@ -22,12 +22,12 @@ LEARNERS = ("ppo", "mappo", "gcrl", "ddpg")
 TABLES: dict[str, list[Path]] = {
     "results": [FILES, *(LONG / f"{name}.json" for name in LEARNERS)],
     "without blinkers": [
-        *(FILES / "without_blinkers" / f"{name}.json" for name in LEARNERS),
+        *(FILES / "without_blinkers" / f"{name}.json" for name in (*LEARNERS, "ppo_5000")),
         Path("--uncommanded"),
         FILES / "uncommanded.json",
     ],
     "without blinkers in atlanta": [
-        *(FILES / "without_blinkers" / f"{name}_atlanta.json" for name in LEARNERS),
+        *(FILES / "without_blinkers" / f"{name}_atlanta.json" for name in (*LEARNERS, "ppo_5000")),
         Path("--uncommanded"),
         FILES / "atlanta" / "uncommanded.json",
     ],
