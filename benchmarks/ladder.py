@@ -301,7 +301,7 @@ def _aggregates(summed: pd.DataFrame, own: pd.DataFrame) -> list[Table]:
         compared["SUMO with a late vehicle against SUMO"] = own
     for title, rungs_ in compared.items():
         found.append(
-            _table(f"4. CO2 per vehicle, {title}", *_ABOUT, "n", "mean |d|", "median", "bias", "worst", "> 5 %")
+            _table(f"4. CO2 per vehicle, {title}", *_ABOUT, "n", "mean|d|", "median", "bias", "worst", "> 5 %")
         )
         for row in rungs_.itertuples():
             found[-1].add_row(
@@ -309,7 +309,7 @@ def _aggregates(summed: pd.DataFrame, own: pd.DataFrame) -> list[Table]:
                 *(f"{row.co2_bias:+.1%}", f"{row.co2_worst:.0%}", _wide(row)),
             )
     for title, rungs_ in compared.items():
-        found.append(_table(f"4. Vehicles, {title}", *_ABOUT, "crossed", "mean |d|", "travel", "stopped"))
+        found.append(_table(f"4. Vehicles, {title}", *_ABOUT, "crossed", "mean|d|", "travel", "stopped"))
         for row in rungs_.itertuples():
             found[-1].add_row(
                 *(*_about(row), f"{row.crossed:+.1%}", f"{row.crossed_mean_abs:.1%}"),

@@ -257,13 +257,13 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
 def test_tables_fit_a_terminal_of_80_columns() -> None:
     rows = [episode("uncommanded", "A", 1, 10, 1000.0, lanes=lanes) | {"context": f"c{lanes}"} for lanes in (1, 2)]
     table = pd.DataFrame(rows)
-    table = pd.concat([table, table.assign(policy="zoo:measured_search")], ignore_index=True)
+    table = pd.concat([table, table.assign(policy="measured_search")], ignore_index=True)
     own = ladder.own_spread(table, [table])
     rungs = ladder.rungs(ladder.with_spread(ladder.approaches(table, table), own))
     gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-0.1], "twin": [-0.2], "difference": [-0.1]})
     gained = gained.assign(adoption=1.0, demand="all", own=0.01)
     few = pd.DataFrame({"vehicles": [1, 2], "commanded": [False, True], "episodes": 160, "same": 160})
-    exact = {"policy": ["uncommanded", "zoo:measured_search"], "demand": "given", "kind": "several lanes"}
+    exact = {"policy": ["uncommanded", "measured_search"], "demand": "given", "kind": "several lanes"}
     exact |= {"episodes": 160, "same": 7, "median_parted": 1234.0, "ks_speed": 0.001, "ks_accel": 0.001}
     done = {"policy": "uncommanded", "demand": "given", "measure": list(ladder.MEASURE_TITLES), "sumo": 12345.6}
     found = (few, pd.DataFrame(exact), pd.DataFrame(done | {"twin": 12345.0}), rungs, ladder.rungs(own, "late"), gained)
@@ -273,6 +273,7 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
         first = "vehicles" if shown.columns[0].header == "vehicles" else "uncommanded"
         assert first in out.getvalue(), "folded into a column of letters"
+        assert "measured_searc\n" not in out.getvalue()
         assert all(str(column.header) in out.getvalue() for column in shown.columns)
 
 

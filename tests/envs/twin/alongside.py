@@ -178,7 +178,7 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     if speed > 0.1:
         ints[v, WAITING_MS] = 0
     place(state, v, lane)
-    look_behind_junction(net, state, v, lane)
+    look_behind_junction(net, state, state.lane_room_before, v, lane)
     lay_tail(net, traffic, state, v, tails)
     entered_ms = state.clock[NOW_MS] - step_ms
     if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
