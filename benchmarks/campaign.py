@@ -23,6 +23,8 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import counted, duration
 from izoo.contexts.context import Context
+from izoo.envs.twin import twin_backend
+from izoo.envs.twin.playable import check_contexts
 from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
@@ -88,26 +90,19 @@ class Campaign:
             if entry.kind == "trained"
             for seed in range(config.seeds or 0)
         }
-        self._check_on_twin()
+        self._check_simulators()
         self.versions = versions()
         self.elsewhere = self._trained_elsewhere()
         self.pace = Pace()
         self.results = self._index()
 
-    def _check_on_twin(self) -> None:
-        """Raise :class:`IzooError` where the twin cannot play what it shall, before anything is played or trained."""
-        on_twin = self.config.simulator == "twin"
-        runs_there = [run for run in self.runs.values() if run.simulator == "twin"]
-        if not on_twin and not runs_there:
-            return
-        from izoo.envs.twin.playable import check_contexts  # it compiles, and many benchmarks need none
-        from izoo.envs.twin.twin_backend import check_settings as check_env
-
-        for run in runs_there:
+    def _check_simulators(self) -> None:
+        """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
+        for run in self.runs.values():
             check_collector(run)
-        for env in self.envs.values() if on_twin else ():
-            check_env(env)
-        if on_twin:
+        if self.config.simulator == "twin":
+            for env in self.envs.values():
+                twin_backend.check_settings(env)
             check_contexts(self.plan.test)
 
     def jobs(self) -> list[Job]:
