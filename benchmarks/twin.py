@@ -171,6 +171,8 @@ def compare_steps(
         for each in candidates
     }
     todo = [key for key in plays if key not in kept]
+    if not todo:
+        return kept.table(plays)
     both = SideBySide(config.env)
     try:
         with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:

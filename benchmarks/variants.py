@@ -300,7 +300,7 @@ class OnTwin:
     plan: Plan
     envs: int
     threads: int
-    surrogate: Literal["torch", "cuda", "compiled"] = "torch"
+    surrogate: Literal["torch", "compiled"] = "torch"
     policy: TensorDictModuleBase | None = None
 
     def __call__(self, episode: int) -> tuple[Context, int]:
@@ -360,7 +360,7 @@ class OnTwinWithResets:
     plan: Plan
     envs: int
     threads: int
-    surrogate: Literal["torch", "cuda", "compiled"] = "torch"
+    surrogate: Literal["torch", "compiled"] = "torch"
 
     def play(self, scenario: int) -> Sample:
         """Time the episodes after the first reset up to the last one's end."""

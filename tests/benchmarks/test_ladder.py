@@ -271,9 +271,7 @@ def test_tables_fit_a_terminal_of_80_columns() -> None:
         out = io.StringIO()
         Console(file=out, width=80).print(shown)
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
-        first = "vehicles" if shown.columns[0].header == "vehicles" else "uncommanded"
-        assert first in out.getvalue(), "folded into a column of letters"
-        assert "measured_searc\n" not in out.getvalue()
+        assert all(str(cell) in out.getvalue() for cell in shown.columns[0].cells), "a name is folded"
         assert all(str(column.header) in out.getvalue() for column in shown.columns)
 
 

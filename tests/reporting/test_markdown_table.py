@@ -31,6 +31,11 @@ TABLES: dict[str, list[Path]] = {
         Path("--uncommanded"),
         FILES / "atlanta" / "uncommanded.json",
     ],
+    "without blinkers, all approaches": [
+        FILES / "without_blinkers" / "ppo_5000_all_approaches.json",
+        Path("--uncommanded"),
+        FILES / "all_approaches" / "uncommanded.json",
+    ],
     "all approaches": [FILES / "all_approaches"],
     "atlanta": [FILES / "atlanta", *(LONG / f"{name}_atlanta.json" for name in LEARNERS)],
     "atlanta in distribution": [
