@@ -176,6 +176,7 @@ class DDPG:
                 {"params": self.parameters["critic"], "lr": config.critic_lr},
             ],
             weight_decay=config.weight_decay,
+            fused=True,
         )
         self.replay = Replay(
             config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta, device

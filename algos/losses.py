@@ -19,12 +19,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torch.distributions import Normal, kl_divergence
 from torchrl.modules import ValueNorm
 from torchrl.objectives import ClipPPOLoss, DDPGLoss, TD3Loss, ValueEstimators
 
 from izoo.algos import base
 from izoo.algos.masked_gae import MaskedGAE
 from izoo.algos.masked_rows import check_finite, is_set_module, on_rows, path_of, rows_of
+from izoo.algos.resting import normal_of
 from izoo.algos.sets import COLUMN, FRAME
 from izoo.errors import IzooError
 
@@ -148,10 +150,23 @@ class MaskedPPOLoss(ClipPPOLoss):
             check_finite(rows)
         losses = super().forward(rows)
         if self.kl_weight > 0:
-            divergence = self.divergence(rows).mean()
-            losses.set("kl", divergence.detach())
-            losses.set("loss_kl", self.kl_weight * divergence)
+            losses.set("kl", self._divergence.detach())
+            losses.set("loss_kl", self.kl_weight * self._divergence)
         return losses
+
+    def _log_weight(self, tensordict: TensorDictBase, *shapes: Any, **options: Any) -> Any:
+        """Compare the policy with the one that collected: TorchRL's ratios, and the divergence where it is punished.
+
+        TorchRL makes the policy's distribution here, and writes its median and spread over those of the rows. KL is
+        that of the normals before the tanh, a bijection, which does not change it; of advice, before it is censored,
+        which is no less.
+        """
+        keys = self.tensor_keys
+        old = Normal(tensordict.get(keys.loc), tensordict.get(keys.scale)) if self.kl_weight > 0 else None
+        compared = super()._log_weight(tensordict, *shapes, **options)
+        if old is not None:
+            self._divergence = kl_divergence(old, normal_of(compared[1])).sum(-1).mean()
+        return compared
 
     def _critic_loss_inputs(self, target_return: Tensor, state_value: Tensor, old_state_value: Tensor | None) -> Any:
         """Return what the value loss compares: TorchRL's hook for normalisation."""
@@ -165,17 +180,6 @@ class MaskedPPOLoss(ClipPPOLoss):
         if self.value_error_clip is not None:
             loss = loss.clamp(max=float(self.critic_coeff) * self.value_error_clip)
         return (loss, *rest)
-
-    def divergence(self, rows: TensorDictBase) -> Tensor:
-        """Return KL(collecting policy || policy) per row; the tanh, a bijection, does not change it.
-
-        Of advice it is that of the normal before it is censored, which is no less.
-        """
-        keys = self.tensor_keys
-        old = torch.distributions.Normal(rows.get(keys.loc), rows.get(keys.scale))
-        with self.actor_network_params.to_module(self.actor_network):
-            new = self.actor_network.get_dist(rows.select(*self.actor_network.in_keys)).base_dist
-        return torch.distributions.kl_divergence(old, getattr(new, "base_dist", new)).sum(-1)
 
 
 class MaskedMAPPOLoss(MaskedPPOLoss):

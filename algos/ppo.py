@@ -82,7 +82,7 @@ class PPO:
         self.critic = self.make_critic(features).to(device)
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()
-        self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5)
+        self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5, fused=True)
         self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:

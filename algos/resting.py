@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 from torch.distributions import Distribution, Normal, constraints
+from torchrl.modules import TanhNormal
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 MOST_EXCESS = 4.0
@@ -102,3 +103,9 @@ def _tail_entropy(z: Tensor, scale: Tensor) -> Tensor:
     beyond = torch.special.ndtr(-z)
     density = torch.exp(-0.5 * z.square() - HALF_LOG_2_PI)
     return (scale.log() + HALF_LOG_2_PI) * beyond + 0.5 * (z * density + beyond)
+
+
+def normal_of(policy: RestingNormal | TanhNormal) -> Normal:
+    """Return the normal behind what a policy would do: before its tanh, or before it is censored."""
+    base_dist = policy.base_dist
+    return getattr(base_dist, "base_dist", base_dist)

@@ -14,7 +14,9 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torch import Tensor
-from torch.distributions import Normal, kl_divergence
+from torch.distributions import kl_divergence
+
+from izoo.algos.resting import normal_of
 
 EXPERT_ADVICE = ("agents", "expert_advice")
 """``[*B, A, 1]``: what the expert would have advised."""
@@ -81,8 +83,8 @@ class WarmStart:
         assert self.start is not None
         inputs = rows.select(*actor.in_keys)
         with torch.no_grad(), self.start.to_module(actor):
-            old = _normal(actor, inputs.copy())
-        return kl_divergence(old, _normal(actor, inputs)).mean()
+            old = normal_of(actor.get_dist(inputs.copy()))
+        return kl_divergence(old, normal_of(actor.get_dist(inputs))).mean()
 
     def state_dict(self) -> dict[str, Any]:
         """Return how far it is, and the imitation at its end."""
@@ -109,8 +111,3 @@ def imitation_loss(actor: ProbabilisticTensorDictSequential, rows: TensorDictBas
     own = distribution.base_dist
     own.scale = own.scale.clamp_min(LEAST_SPREAD)
     return -distribution.log_prob(rows.get(EXPERT_ADVICE)).mean()
-
-
-def _normal(actor: Any, rows: TensorDictBase) -> Normal:
-    found = actor.get_dist(rows).base_dist
-    return getattr(found, "base_dist", found)
