@@ -55,7 +55,7 @@ def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: floa
             slots decides nothing; ``None`` for all.
         range_m: neighbours are at most so far away; ``None`` for any distance.
     """
-    bound = math.inf if range_m is None else range_m
+    bound = torch.finfo(position_m.dtype).max if range_m is None else range_m
     if count is None or count == 0:
         return torch.full_like(position_m, bound if count is None else -1.0)
     distance = (position_m.unsqueeze(-1) - position_m.unsqueeze(-2)).abs().masked_fill(~others, math.inf)
