@@ -1,4 +1,4 @@
-"""Leaderboard files as a table in Markdown, and the benchmark's page, whose tables are what the command prints."""
+"""Leaderboard files as a table in Markdown, and the pages of results, whose tables are what the command prints."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ TABLES: dict[str, list[Path]] = {
     ],
     "systematicity": [FILES / "systematicity"],
 }
-"""What the command is given for each table of the page, by the comment before it."""
+"""What the command is given for each table of the pages, by the comment before it."""
 Run = Callable[..., tuple[int, str, str]]
 
 
 @functools.cache
-def page() -> str:
-    return (DOCS / "benchmark.md").read_text()
+def pages() -> str:
+    return "".join((DOCS / name).read_text() for name in ("benchmark.md", "notes/results.md"))
 
 
 @pytest.fixture
@@ -79,15 +79,15 @@ def changed(path: Path, where: Path, change: Callable[[dict[str, Any]], object],
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_the_page_shows_what_the_command_prints(name: str, run: Run) -> None:
-    (shown,) = re.findall(rf"<!-- {name} -->\n(.*?)\n<!-- end of {name} -->", page(), re.DOTALL)
+def test_the_pages_show_what_the_command_prints(name: str, run: Run) -> None:
+    (shown,) = re.findall(rf"<!-- {name} -->\n(.*?)\n<!-- end of {name} -->", pages(), re.DOTALL)
     code, printed, _ = run(*TABLES[name])
     assert code == 0
     assert printed.splitlines() == shown.splitlines()
 
 
 def test_every_table_of_this_kind_is_checked() -> None:
-    assert page().count(f"| {' | '.join(COLUMNS)} |") == len(TABLES)
+    assert pages().count(f"| {' | '.join(COLUMNS)} |") == len(TABLES)
     there = {path for path in FILES.rglob("*.json") if path.parent.name != "64_episodes"}
     named = [path for paths in TABLES.values() for path in paths if path.exists()]
     assert there == {file for path in named for file in (path.glob("*.json") if path.is_dir() else [path])}
