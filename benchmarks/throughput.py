@@ -34,7 +34,7 @@ from izoo.errors import IzooError, check_range
 from izoo.files import write_json
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.variants import Sample
+    from izoo.benchmarks.throughput_plan import Sample
 
 ROUNDS = 3
 PROFILED_ENVS = 64
@@ -97,7 +97,8 @@ def measure(names: Sequence[str], workers: int, steps: int, twins: Sequence[tupl
     """
     import torch
 
-    from izoo.benchmarks.variants import Plan, make_variants, scenarios
+    from izoo.benchmarks.throughput_plan import Plan, scenarios
+    from izoo.benchmarks.variants import make_variants
 
     torch.set_num_threads(1)
     plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, workers, steps)
@@ -154,7 +155,7 @@ def print_tables(rows: Sequence[Row]) -> None:
 def profile(config: ThroughputConfig) -> list[dict[str, float]]:
     """Measure and print where a step of the twin goes, in one thread, scenario after scenario."""
     from izoo.benchmarks import twin_parts
-    from izoo.benchmarks.variants import scenarios
+    from izoo.benchmarks.throughput_plan import scenarios
 
     envs = min(max(config.twin_envs), PROFILED_ENVS)
     rows: list[dict[str, float]] = []
