@@ -1,0 +1,166 @@
+"""The exact state of environments on the twin: saved, loaded, branched, and refused where it is another's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from izoo.envs import TwinEnv
+from izoo.envs.config import EMIT_GROUPS, RewardConfig
+from izoo.errors import IzooError
+from tests.envs.conftest import MakeTwin
+from tests.envs.test_determinism import schedule
+from tests.envs.worlds import crossing, play, same, short, steer
+
+
+def test_what_is_loaded_goes_on_bit_for_bit(make_twin: MakeTwin) -> None:
+    """Over the end of the episodes, with every key; also what the environment does in between is forgotten."""
+    options = {"config": short(emit=EMIT_GROUPS)}
+    env, other = make_twin(3, schedule(), **options), make_twin(3, schedule(), threads=2, **options)
+    state = env.reset()
+    for _ in range(41):
+        _, state = env.step_and_maybe_reset(steer(state))
+    saved = env.state_dict()
+    whole = play(env, 90, start=state)
+    play(other, 7)
+    other.load_state_dict(saved)
+    assert same(other.present(), state.select(*other.present().keys(True, True)))
+    resumed = play(other, 90, start=other.present())
+    assert whole["next", "done"].any() and set(whole.keys(True, True)) == set(resumed.keys(True, True))
+    for key in whole.keys(True, True):
+        assert torch.equal(whole[key], resumed[key]), key
+    assert [tensor.tolist() for tensor in env.state_dict()["packed"]] == [
+        tensor.tolist() for tensor in other.state_dict()["packed"]
+    ]
+
+
+def test_branches_begin_alike_and_go_their_own_ways(make_twin: MakeTwin) -> None:
+    env = make_twin(2, schedule())
+    state = env.reset()
+    for _ in range(20):
+        _, state = env.step_and_maybe_reset(steer(state))
+    branches = env.branch(3)
+    try:
+        begin = branches.present()
+        for copy in range(6):
+            assert same(begin[copy], state.select(*begin.keys(True, True))[copy // 3])
+        steered = steer(begin.clone())
+        steered["agents", "action"][3] -= 1.0
+        frames, going_on = [], steered
+        for _ in range(30):
+            frame, going_on = branches.step_and_maybe_reset(going_on)
+            frames.append(frame)
+            steer(going_on)["agents", "action"][3] -= 1.0
+        seen = torch.stack(frames, -1)["next", "agents", "observation"]
+        original = play(env, 30, start=state)["next", "agents", "observation"]
+        assert torch.equal(seen[0], original[0]) and torch.equal(seen[2], original[0])
+        assert torch.equal(seen[5], original[1]) and not torch.equal(seen[3], original[1])
+    finally:
+        branches.close()
+
+
+def test_branches_are_brought_back_to_their_environments(make_twin: MakeTwin) -> None:
+    """Over and over, also after the ends of their own episodes; what they play next is of their own."""
+    env = make_twin(2, schedule())
+    env.reset()
+    branches = env.branch(2)
+    try:
+        numbers = branches.state_dict()["next_episodes"]
+        assert len(numbers) == 4 and min(numbers) >= 2
+        for _ in range(2):
+            play(env, 15, start=env.present())
+            play(branches, env.config.control_steps + 5, start=branches.present())
+            played = branches.state_dict()["next_episodes"]
+            env.branch_into(branches)
+            assert branches.state_dict()["next_episodes"] == played != numbers
+            here, there = env.present(), branches.present()
+            assert all(same(there[copy], here[copy // 2]) for copy in range(4))
+            theirs, ours = (play(each, 20, start=each.present())["next", "agents"] for each in (branches, env))
+            assert ours["mask"].any() and all(same(theirs[copy], ours[copy // 2]) for copy in range(4))
+        with pytest.raises(IzooError, match="3 environments are no copies of 2"):
+            env.branch_into(make_twin(3, schedule()))
+    finally:
+        branches.close()
+
+
+def test_nothing_to_branch_before_the_first_reset(make_twin: MakeTwin) -> None:
+    with pytest.raises(IzooError, match=r"branch\(\) came before reset"):
+        make_twin().branch(2)
+
+
+@pytest.fixture(scope="module")
+def saved() -> dict[str, Any]:
+    """State of two environments in the midst of their first episodes."""
+    env = TwinEnv(2, schedule(), config=short(), threads=1)
+    try:
+        with pytest.raises(IzooError, match=r"state_dict\(\) came before reset"):
+            env.state_dict()
+        play(env, 15)
+        return env.state_dict()
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("contexts", "options", "message"),
+    [
+        (schedule(), {"num_envs": 3}, "is that of 2 environments, and this has 3"),
+        (crossing(lane_count=1), {}, r"does not fit episode 0 of the schedule, which is seed \d+ of .*: it is that of"),
+        (schedule(), {"config": short(sensor_range_m=50.0)}, r"other settings: env.sensor_range_m None \(here 50.0\);"),
+        (schedule(), {"config": short(step_s=1.0)}, r"other settings: env.step_s 0.5 \(here 1.0\);"),
+        (schedule(), {"config": short(reward=RewardConfig(eta=0.5))}, r"other settings: env.reward.eta"),
+    ],
+    ids=["environments", "context", "sensors", "steps", "reward"],
+)
+def test_states_of_others_are_refused(
+    make_twin: MakeTwin, saved: dict[str, Any], contexts: Any, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(IzooError, match=message):
+        make_twin(**({"num_envs": 2, "contexts": contexts} | options)).load_state_dict(saved)
+
+
+@pytest.mark.parametrize("changes", [{"adoption": 0.4}, {"green_s": 24.0}])
+def test_states_of_contexts_that_look_alike_are_refused(make_twin: MakeTwin, changes: dict[str, Any]) -> None:
+    """The tables of these are as large."""
+    env, other = make_twin(1), make_twin(1, crossing(**changes))
+    env.reset()
+    with pytest.raises(IzooError, match="does not fit episode 0"):
+        other.load_state_dict(env.state_dict())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: state.clear(), "no settings, plays, episodes, next_episodes, packed; give what state_dict"),
+        (lambda state: state.pop("packed"), "no packed; give what state_dict"),
+        (lambda state: (state.pop("plays"), state.pop("settings")), "an earlier version of izoo saved it"),
+        (lambda state: state["plays"].__setitem__(1, ["0" * 64, 3]), "does not fit episode 1 of the schedule"),
+        (lambda state: state["packed"].__setitem__(1, state["packed"][1][:-9]), "does not fit episode 1 .* damaged"),
+        (lambda state: state["packed"].pop(), "that of 1 or 2 environments"),
+    ],
+    ids=["empty", "an entry less", "of an earlier version", "another context", "damaged", "half"],
+)
+def test_a_refused_state_leaves_the_environments_as_they_are(
+    make_twin: MakeTwin, saved: dict[str, Any], change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    env, undisturbed = make_twin(2, schedule()), make_twin(2, schedule())
+    play(env, 20), play(undisturbed, 20)
+    state = {name: value if name == "settings" else list(value) for name, value in saved.items()}
+    change(state)
+    with pytest.raises(IzooError, match=message):
+        env.load_state_dict(state)
+    ours, theirs = (play(each, 100, start=each.present()) for each in (env, undisturbed))
+    assert ours["next", "done"].any()
+    assert torch.equal(ours["next", "agents", "observation"], theirs["next", "agents", "observation"])
+
+
+def test_a_closed_environment_says_so(make_twin: MakeTwin, saved: dict[str, Any]) -> None:
+    env = make_twin(2, schedule())
+    env.reset()
+    env.close()
+    for call in (env.reset, env.render, env.state_dict, env.present, env.scene, lambda: env.load_state_dict(saved)):
+        with pytest.raises(IzooError, match="this environment is closed; make another one"):
+            call()
