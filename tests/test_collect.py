@@ -100,6 +100,8 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
         (["out=o", "frames=0"], "frames is 0"),
         (["out=o", "contexts=dataset", "contexts.path=missing"], "missing"),
         (["out=o", "policy=."], "holds no checkpoint"),
+        (["out=o", "contexts=pcg_easy", "simulator=twin", "twin.surrogate=cuda"], "choose twin.surrogate=torch"),
+        (["out=o", "contexts=pcg", "env.num_approaches=2"], "num_approaches"),
     ],
 )
 def test_bad_input_leaves_nothing_behind(
@@ -110,6 +112,7 @@ def test_bad_input_leaves_nothing_behind(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert collect.main(words) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -27,6 +27,7 @@ from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import ensure_empty, write_json
+from izoo.gpu import check_gpu
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
 
@@ -65,19 +66,14 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
+    fresh = not out.exists()
     ensure_empty(out, "out")
-    with workers_ignore_interrupts():
-        env = _make_env(config, RandomSchedule(source, config.seed))
-        torch.manual_seed(config.seed)
-        collector = Collector(
-            env,
-            policy,
-            frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            trust_policy=True,
-            auto_register_policy_transforms=False,
-        )
+    try:
+        collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
+    except BaseException:
+        if fresh:
+            out.rmdir()
+        raise
     writer = ShardWriter(config, out)
     try:
         with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
@@ -99,11 +95,29 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     return out
 
 
+def _make_collector(config: CollectConfig, policy: TensorDictModuleBase, schedule: RandomSchedule) -> Collector:
+    """Return the source of batches, which has begun its first episodes."""
+    with workers_ignore_interrupts():
+        env = _make_env(config, schedule)
+        torch.manual_seed(config.seed)
+        return Collector(
+            env,
+            policy,
+            frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            trust_policy=True,
+            auto_register_policy_transforms=False,
+        )
+
+
 def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
     if config.simulator == "sumo":
         return SumoParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
     count = TWIN_ENVS if config.num_envs is None else config.num_envs
     twin = config.twin
+    if twin.surrogate == "cuda":
+        check_gpu("twin.surrogate", "torch")
     return TwinEnv(count, schedule, config=config.env, seed=config.seed, threads=twin.threads, surrogate=twin.surrogate)
 
 
