@@ -31,7 +31,8 @@ COLUMNS = (
 )
 SCRIPTED = (UNCOMMANDED, "glide", "constant_2.0", "measured_search")
 """Policies without training that stand first, in this order; others follow by name."""
-LEARNERS = {"ppo": "PPO", "mappo": "MAPPO", "gcrl": "Graph RL", "ddpg": "DDPG"}
+NAMES = {"ppo": "PPO", "mappo": "MAPPO", "gcrl": "Graph RL", "ddpg": "DDPG"}
+LEARNERS = NAMES | {f"{name}_paper": f"{shown}, the paper's preset" for name, shown in NAMES.items()}
 """What learners are called, in the order of their rows; others follow by name, called as they are."""
 KEPT_OUT = "kept_out_policy"
 HUMAN_DRIVING = ("throughput_baseline", "kept_out_baseline")
