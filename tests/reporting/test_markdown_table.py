@@ -31,6 +31,11 @@ TABLES: dict[str, list[Path]] = {
         Path("--uncommanded"),
         FILES / "atlanta" / "uncommanded.json",
     ],
+    "without blinkers, trained in atlanta": [
+        *(FILES / "without_blinkers" / f"{name}_atlanta_in_distribution.json" for name in LEARNERS),
+        Path("--uncommanded"),
+        FILES / "atlanta" / "uncommanded.json",
+    ],
     "without blinkers, all approaches": [
         FILES / "without_blinkers" / "ppo_5000_all_approaches.json",
         Path("--uncommanded"),
