@@ -50,11 +50,21 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
 def check_range(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
     """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise IzooError(f"{what} is {value!r}; it must be a number in [{low:g}, {high:g}]{f' {unit}' if unit else ''}.")
+        raise IzooError(f"{what} is {value!r}; it must be a number in {_interval(low, high, unit)}.")
     number: Any = value
     if not low <= number <= high:
-        suffix = f" {unit}" if unit else ""
-        raise IzooError(f"{what} is {value!r}; it must lie in [{low:g}, {high:g}]{suffix}.")
+        raise IzooError(f"{what} is {value!r}; it must lie in {_interval(low, high, unit)}.")
+
+
+def _interval(low: float, high: float, unit: str) -> str:
+    return f"[{_bound(low)}, {_bound(high)}]{f' {unit}' if unit else ''}"
+
+
+def _bound(value: float) -> str:
+    """Return a bound in short; in full where that would round a whole number."""
+    short = f"{value:g}"
+    is_whole = math.isfinite(value) and value == int(value)
+    return str(int(value)) if is_whole and float(short) != value else short
 
 
 def check_whole(what: str, value: object, low: int, high: int) -> int:

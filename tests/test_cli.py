@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from izoo import collect, console, evaluate, train
 from izoo.algos.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
+from izoo.commands.option_command import OptionCommand
 from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
@@ -104,6 +107,7 @@ BAD = {
     "--hlep": "Did you mean '--help'?",
     "+new=1": "unknown option 'new'",
     "num_workers=0": "num_workers is 0",
+    "seed=2147483648": "must lie in [0, 2147483647]",
     "resume=nowhere": "does not exist",
     "contexts=dataset": "contexts.path=DIR",
     "contexts=pcg contexts.green_s=20..x": "low..high",
@@ -158,6 +162,9 @@ def test_help_names_every_option_with_its_meaning(capsys: pytest.CaptureFixture[
         bare = [lines[k].strip() for k in options if not (k + 1 < len(lines) and lines[k + 1].startswith("      "))]
         assert undocumented == [] and bare == []
         assert max(map(len, page.splitlines())) <= 140
+        assert re.findall(r":class:|\bNone\b", page) == [], "words of Python that cannot be typed"
+        assert "threads that share the environments out among them" in page
+        assert "a whole multiple of step_s; null: one step" in page
 
 
 @pytest.mark.parametrize("reader", ["head -n 1", "true"])
@@ -207,6 +214,44 @@ def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pyte
 def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert train.main(["--cfg", "seed=5"]) == 0
     assert "seed: 5" in capsys.readouterr().out
+
+
+def test_cfg_of_a_sweep_prints_every_combination_and_runs_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert train.main(["-m", "--cfg", "seed=0,1", "algo=ppo,ddpg", "evaluation.seeds=2,3"]) == 2
+    capsys.readouterr()
+
+    def work(*_: object) -> None:
+        raise AssertionError("--cfg stops before the work")
+
+    monkeypatch.setattr(OptionCommand, "_work", work)
+    assert train.main(["-m", "--cfg", "seed=0,1", "algo=ppo,ddpg"]) == 0
+    first_line, _, rest = capsys.readouterr().out.partition("\n")
+    assert first_line.startswith("izoo ")
+    shown = [(config["seed"], config["algo"]["name"]) for config in yaml.safe_load_all(rest)]
+    assert shown == [(0, "ppo"), (0, "ddpg"), (1, "ppo"), (1, "ddpg")]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cfg_of_a_large_sweep_says_that_not_all_is_shown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(compose, "MAX_CHECKED", 2)
+    assert collect.main(["-m", "--cfg", "seed=0,1,2"]) == 0
+    out = capsys.readouterr().out
+    assert "seed: 1" in out and "seed: 2" not in out and "no more than 2 combinations are shown" in out
+
+
+def test_entries_of_a_list_that_need_quotes_are_shown_with_them(capsys: pytest.CaptureFixture[str]) -> None:
+    remedy = 'train_options=["algo.frames_per_batch=200","algo.hidden=[8,8]"]'
+    unquoted = remedy.replace('"', "")
+    assert generalization.main(["--cfg", unquoted]) == 2
+    error = capsys.readouterr().err
+    assert "put double quotes around entries that hold =" in error and f"'{remedy}'" in error
+    assert generalization.main(["--cfg", remedy]) == 0
+    assert "- algo.hidden=[8,8]" in capsys.readouterr().out
 
 
 def test_the_first_line_comes_at_once(tmp_path: Path) -> None:

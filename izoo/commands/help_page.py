@@ -32,7 +32,7 @@ def help_text(command: OptionCommand, config_class: type, groups: dict[str, tupl
     lines += [f"  python -m {example}" for example in command.examples]
     lines += ["", "Flags:", "  -h, --help      this page", "  -m, --multirun  run once for each combination of"]
     lines[-1] += " comma-separated values, as in seed=0,1,2"
-    lines += ["  --cfg           print the resolved options and stop"]
+    lines += ["  --cfg           print the resolved options and stop; with -m, those of every combination"]
     default = config_class()
     fields = [field.name for field in dataclasses.fields(config_class)]
     chosen = [name for name in groups if name in fields]
@@ -106,4 +106,5 @@ def _section(text: str) -> dict[str, str]:
             docs.update({name: f"{docs[name]} {line.strip()}" for name in names})
         elif line.strip():
             break
-    return {name: doc.replace("``", "") for name, doc in docs.items()}
+    # "null" is what can be typed where Python says None.
+    return {name: doc.replace("``None``", "null").replace("``", "") for name, doc in docs.items()}

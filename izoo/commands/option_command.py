@@ -101,7 +101,7 @@ class OptionCommand:
             return 0
         options = self.options([word for word in words if not word.startswith("-")])
         if "-m" in flags or "--multirun" in flags:
-            return _multirun(self, config_class, options)
+            return _multirun(self, config_class, options, show="--cfg" in flags)
         config: Any = compose.compose_config(self.name, config_class, options)
         if "--cfg" in flags:
             print(to_yaml(config), end="")
@@ -119,8 +119,8 @@ class OptionCommand:
         pkgutil.resolve_name(self.work)(config, given)
 
 
-def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]) -> int:
-    """Run once for each combination, through Hydra's launcher; the first bad input stops the sweep."""
+def _multirun(command: OptionCommand, config_class: type, options: Sequence[str], show: bool) -> int:
+    """Run once for each combination, through Hydra's launcher, or ``show`` their options; bad input stops the sweep."""
     import hydra
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import DictConfig
@@ -131,6 +131,9 @@ def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]
     compose.register(command.name, config_class)
     compose.check_names(command.name, overrides)
     combinations: list[Any] = compose.check_combinations(command.name, config_class, overrides)
+    if show:
+        _print_combinations(combinations, compose.MAX_CHECKED)
+        return 0
     given = _given(options)
     for name in FOLDERS:
         folders = [folder for config in combinations if (folder := getattr(config, name, None)) is not None]
@@ -165,6 +168,14 @@ def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]
     finally:
         sys.argv = arguments
     return 0
+
+
+def _print_combinations(combinations: Sequence[Any], most: int) -> None:
+    """Print the options of every combination as a YAML document; ``most`` is how many are composed."""
+    for number, config in enumerate(combinations, 1):
+        print(f"---\n# combination {number}\n{to_yaml(config)}", end="")
+    if len(combinations) == most:
+        print(f"---\n# no more than {most} combinations are shown")
 
 
 def _given(options: Sequence[str]) -> frozenset[str]:

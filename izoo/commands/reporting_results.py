@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from izoo.conf.report_options import ReportConfig
+from izoo.errors import IzooError
 from izoo.reporting import page, sweeps
 
 
@@ -13,10 +15,14 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Args:
         config: the options.
-        given: unused; commands share one signature.
+        given: the options that were written.
+
+    Raises:
+        IzooError: options of the page are given for a sweep, which has none.
     """
     folder = Path(str(config.results)).expanduser()
     if sweeps.is_sweep(folder):
+        _check_sweep(folder, given)
         path = sweeps.report(folder)
         print(f"Table: {path}", flush=True)
         return path
@@ -31,3 +37,13 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
     )
     print(f"Report: {path} ({path.stat().st_size / 1e6:.1f} MB)", flush=True)
     return path
+
+
+def _check_sweep(folder: Path, given: frozenset[str]) -> None:
+    """Refuse options that are about the page."""
+    names = [field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results"}]
+    if names:
+        raise IzooError(
+            f"{folder} is the folder of a sweep, to which {', '.join(names)} cannot apply: its table is written to "
+            f"{folder / sweeps.SWEEP_FILE}. Leave {', '.join(names)} out, or give the folder of one run."
+        )

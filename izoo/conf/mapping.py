@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
@@ -125,7 +126,7 @@ def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
 
 def _convert_sequence(kind: Any, value: Any, path: str) -> Any:
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise IzooError(f"{path} is {value!r}; it must be a list, for example [1,2].")
+        raise IzooError(f"{path} is {value!r}; {_list_remedy(value, path)}")
     args = get_args(kind)
     if get_origin(kind) is list or (len(args) == 2 and args[1] is Ellipsis):
         converted = [_convert(args[0], item, f"{path}[{index}]") for index, item in enumerate(value)]
@@ -135,6 +136,16 @@ def _convert_sequence(kind: Any, value: Any, path: str) -> Any:
     return tuple(
         _convert(arg, item, f"{path}[{index}]") for index, (arg, item) in enumerate(zip(args, value, strict=True))
     )
+
+
+def _list_remedy(value: Any, path: str) -> str:
+    """Say how a list is written; one that has arrived as text, for its entries hold ``=``, lacks quotes."""
+    if not (isinstance(value, str) and value.startswith("[") and value.endswith("]") and "=" in value):
+        return "it must be a list, for example [1,2]."
+    # A comma inside an entry, as in a.b=[8,8], stands before no name.
+    entries = [entry.strip(" \"'") for entry in re.split(r",(?=[\s\"']*[\w.]+=)", value[1:-1])]
+    quoted = ",".join(f'"{entry}"' for entry in entries)
+    return f"put double quotes around entries that hold =, and single quotes around the option: '{path}=[{quoted}]'."
 
 
 def _convert_scalar(kind: Any, value: Any, path: str) -> Any:

@@ -16,7 +16,7 @@ class ReportConfig:
             has written; or that of a sweep, with training runs at any depth, as izoo.train -m leaves them: then a row
             for every combination of the options in which the runs differ is printed and written to ``sweep.csv``
             there, a row per run to ``sweep_runs.csv``, and the learning curves to ``sweep.png``. Runs that have not
-            finished are counted and named.
+            finished are counted and named. The other options are about the page, and are refused for a sweep.
         out: the page; null: ``RESULTS/report.html``.
         title: its title; null: what the folder says, such as "train -> test".
         replay: show the best and the worst approach of every policy, played again beside the baseline. That takes some

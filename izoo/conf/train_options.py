@@ -57,10 +57,9 @@ class TwinConfig:
 
 @dataclass(frozen=True)
 class TrainingTwinConfig(TwinConfig):
-    """How a training run uses the twin; of no concern on SUMO.
+    """How a training run uses the twin; of no concern on SUMO. It has the options of :class:`TwinConfig`, too.
 
     Attributes:
-        threads, surrogate: see :class:`TwinConfig`.
         stagger: environments of a training run begin at random phases of their first episodes, so that every batch sees
             all times of an episode; until there nobody commands the CVs, and these episodes are left out of what is
             logged. false: all episodes begin, and end, together.

@@ -35,6 +35,10 @@ MEASURES = {
 """Columns of a run that are averaged over seeds: heading, and how a value is shown. Benefits are means over approaches
 with the exact gate; the return is the mean of the last :data:`LAST_ROWS` batches that report one."""
 LAST_ROWS = 5
+FEW_OPTIONS = 3
+"""So many options are named in the picture, and shown on any terminal; ``sweep.csv`` has all."""
+CHARACTERS_PER_OPTION = 25
+"""A terminal shows one option for so many characters of its width; the other columns need the rest."""
 Row = dict[str, Any]
 
 
@@ -143,7 +147,13 @@ def report(folder: Path, console: Console | None = None) -> Path:
     rows = [read_run(run_dir) for run_dir in found]
     table, options = aggregate(rows)
     console = console or Console()
-    console.print(_printed(table, options))
+    shown = options[: max(FEW_OPTIONS, console.width // CHARACTERS_PER_OPTION)]
+    console.print(_printed(table, shown, numbered=len(options) > FEW_OPTIONS))
+    if len(shown) < len(options):
+        more = (
+            f"  {len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
+        )
+        console.print(more, highlight=False)
     for row in rows:
         if row["state"] != "finished":
             console.print(f"  {row['run']}: {row['state']}, {row['frames']:,} frames", highlight=False)
@@ -151,25 +161,38 @@ def report(folder: Path, console: Console | None = None) -> Path:
     try:
         write_csv(pd.DataFrame(rows), folder / RUNS_FILE)
         write_csv(table, path)
+        choices = list(dict.fromkeys(_choice(row, options) for row in rows))
         curves: dict[str, list[MetricsTable]] = {}
         for run_dir, row in zip(found, rows, strict=True):
             metrics = MetricsTable.read(run_dir / runs.METRICS_FILE)
             if metrics.rows:
-                curves.setdefault(", ".join(_choice(row, options)), []).append(metrics)
+                choice = _choice(row, options)
+                curves.setdefault(_legend_entry(choice, choices.index(choice) + 1), []).append(metrics)
         if curves:
-            plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options))
+            rest = f" and {len(options) - FEW_OPTIONS} more" if len(options) > FEW_OPTIONS else ""
+            plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options[:FEW_OPTIONS]) + rest)
     except OSError as error:
         raise IzooError(f"cannot write {path}: {error.strerror}.") from error
     return path
 
 
-def _printed(table: pd.DataFrame, options: Sequence[str]) -> Table:
+def _legend_entry(choice: Sequence[str], number: int) -> str:
+    """Return what a choice is called: its options, or its row in the table and the first of them."""
+    row = f"row {number}: " if len(choice) > FEW_OPTIONS else ""
+    return row + ", ".join(choice[:FEW_OPTIONS])
+
+
+def _printed(table: pd.DataFrame, options: Sequence[str], numbered: bool) -> Table:
+    """Return the table for a terminal; rows are ``numbered`` where the options shown may not tell them apart."""
     shown = [measure for measure in MEASURES if table[f"{measure}_mean"].notna().any()]
-    printed = Table(title="Means over runs (interquartile means in brackets)", title_justify="left")
+    printed = Table(title="Means over runs (interquartile means in brackets)", title_justify="left", padding=0)
+    if numbered:
+        printed.add_column("row", justify="right")
     for heading in (*options, "finished", *(MEASURES[measure][0] for measure in shown), "frames", "h per run"):
-        printed.add_column(heading, justify="left" if heading in options else "right")
-    for line in table.to_dict("records"):
-        cells = [str(line[path]) for path in options] + [f"{line['finished']}/{line['runs']}"]
+        printed.add_column(heading, justify="left" if heading in options else "right", overflow="fold")
+    for number, line in enumerate(table.to_dict("records"), 1):
+        cells = [str(number)] if numbered else []
+        cells += [str(line[path]) for path in options] + [f"{line['finished']}/{line['runs']}"]
         for measure in shown:
             form = MEASURES[measure][1]
             mean, iqm = line[f"{measure}_mean"], line[f"{measure}_iqm"]

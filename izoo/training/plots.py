@@ -36,6 +36,8 @@ VALIDATION_PANELS = (
 )
 SMOOTHING_POINTS = 20
 BAND_POINTS = 100
+LEGEND_CHARACTERS = 40
+"""Longer names of choices lose their middle, so that the legend leaves room for the panels."""
 
 
 def learning_curve(table: MetricsTable, path: Path, title: str, validation: MetricsTable | None = None) -> None:
@@ -95,6 +97,7 @@ def draw_compared(runs: Mapping[str, Sequence[MetricsTable]], title: str) -> Fig
     figure.suptitle(title)
     for axes, (name, label) in zip(figure.subplots(1, len(panels)), panels, strict=True):
         for (choice, tables), colour in zip(runs.items(), cycle(matplotlib.color_sequences["tab10"]), strict=False):
+            choice = _shortened(choice)
             lines = [_smooth_line(table, name) for table in tables if table.series(name)[1]]
             between = band(lines)
             if between is None:
@@ -177,6 +180,11 @@ def _label(axes: Axes, label: str) -> None:
     axes.grid(alpha=0.3)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def _shortened(text: str) -> str:
+    half = LEGEND_CHARACTERS // 2
+    return text if len(text) <= LEGEND_CHARACTERS else f"{text[: half - 1]}…{text[-half:]}"
 
 
 def _width(values: list[float]) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -12,7 +14,8 @@ from matplotlib import image
 from izoo import report, train
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import PPOConfig
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import TrainConfig, training_env
+from izoo.envs import RewardConfig
 from izoo.reporting import sweeps
 from izoo.training import runs
 from izoo.training.records import MetricsTable
@@ -71,6 +74,47 @@ def test_options_that_vary_become_columns(folder: Path) -> None:
     assert list(table.columns[:2]) == ["algo.lr", "algo.name"] or list(table.columns[:2]) == ["algo.name", "algo.lr"]
     assert len(table) == 3
     assert pd.isna(table.loc[table["algo.lr"] == 1e-3, "benefit_best_mean"]).all()
+
+
+def test_many_options_leave_a_table_that_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a terminal of 80 columns the first few are shown; which choice a row is, says its number."""
+    monkeypatch.setenv("COLUMNS", "80")
+    named = {}
+    monkeypatch.setattr(sweeps.plots, "compare_curves", lambda curves, path, title: named.update({title: list(curves)}))
+    weights = [
+        field.name for field in dataclasses.fields(RewardConfig) if field.type == "float" and field.name != "eta"
+    ]
+    for number in range(3):
+        changed = {name: getattr(RewardConfig(), name) * (1.0 + 0.1 * number) + 0.001 * number for name in weights}
+        env = dataclasses.replace(training_env(), reward=RewardConfig(**changed))
+        algo = PPOConfig(lr=1e-3 * (1 + number), gamma=0.9 + 0.01 * number, gae_lambda=0.9 + 0.01 * number)
+        config = TrainConfig(algo=algo, env=env, total_frames=1000)
+        make_run(tmp_path / f"{number}-run", config, 1000, -1.0, (0.01 * (1 + number),), 0.1)
+    assert report.main([str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    table = pd.read_csv(tmp_path / sweeps.SWEEP_FILE)
+    options = list(table.columns[: list(table.columns).index("runs")])
+    assert len(options) > 8
+    assert f"{len(options)} options differ, of which 3 are shown; sweep.csv has all" in out
+    for number in range(3):
+        assert re.search(rf"│ *{number + 1}│{0.001 * (1 + number):g} *│.*{1 + number}\.0%", out), out
+    ((title, choices),) = named.items()
+    assert title == f"algo.lr, algo.gamma, algo.gae_lambda and {len(options) - 3} more"
+    assert choices == ["row 1: 0.001, 0.9, 0.9", "row 2: 0.002, 0.91, 0.91", "row 3: 0.003, 0.92, 0.92"]
+
+
+@pytest.mark.parametrize("word", ["out=page.html", "title=T", "replay=false", "partial=true"])
+def test_options_of_the_page_are_refused(
+    folder: Path, word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert report.main([str(folder), word]) == 2
+    name = word.partition("=")[0]
+    error = capsys.readouterr().err
+    assert f"the folder of a sweep, to which {name} cannot apply" in error and len(error.splitlines()) == 1
+    assert not (folder / sweeps.SWEEP_FILE).exists() and not (folder / "page.html").exists()
 
 
 def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

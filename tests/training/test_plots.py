@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from pathlib import Path
 
 import pytest
@@ -70,3 +71,14 @@ def test_several_runs_of_a_choice_are_a_band_and_their_mean(tmp_path: Path) -> N
     assert mean.get_ydata() == pytest.approx([-3.0] * 100) and single.get_ydata() == pytest.approx([-1.0] * 33)
     assert mean.get_xdata()[-1] == corners[:, 0].max() == 2000.0, "as far as all of them have come"
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo, 3 runs", "ddpg"]
+
+
+def test_long_names_of_choices_leave_room_for_the_panels(tmp_path: Path) -> None:
+    made = table(tmp_path / "m.csv", ["return", "emission_g_per_vehicle"], 50)
+    figure = draw_compared({f"a{'x' * 300}1": [made], f"a{'x' * 300}2": [made], "short": [made]}, "sweep")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        figure.canvas.draw()
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [(name[0], name[-1], len(name)) for name in names] == [("a", "1", 40), ("a", "2", 40), ("s", "t", 5)]
+    assert all(axes.get_window_extent().width > 0.2 * figure.bbox.width for axes in figure.axes)
