@@ -18,6 +18,10 @@ Build = Callable[..., "Algorithm"]
 """What builds an algorithm from its options, the length of an observation, the bounds of its action and, where an
 action of 0 is doing nothing, ``rest=``, a :class:`Rest`."""
 
+SPREADS = (0.02, 10.0)
+"""Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
+(:func:`izoo.algos.gaussian.normal_parameters`), and the band of doing nothing is reckoned from it."""
+
 
 @dataclass(frozen=True)
 class Rest:
@@ -37,7 +41,7 @@ class Rest:
     def __post_init__(self) -> None:
         check_types("action", self)
         check_range("action.act_share", self.act_share, 1e-6, 0.5)
-        check_range("action.spread", self.spread, 1e-3, 10.0)
+        check_range("action.spread", self.spread, *SPREADS)
 
     @property
     def dead(self) -> float:

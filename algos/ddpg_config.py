@@ -110,6 +110,8 @@ class DDPGConfig(AlgoConfig):
         check_range("algo.tau", self.tau, 1e-9, 0.5)
         for name in ("noise_sigma", "saturation_coeff"):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)
+        if self.max_grad_norm is not None:
+            check_range("algo.max_grad_norm", self.max_grad_norm, 1e-9, 1e9)
         if self.rows_per_frame is not None:
             check_range("algo.rows_per_frame", self.rows_per_frame, 1e-3, 10**6)
         if self.noise_frames is not None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from izoo.algos.action import SPREADS
 from izoo.algos.registry import AlgoConfig
 from izoo.errors import IzooError, check_range, check_types
 
@@ -123,8 +124,15 @@ class PPOConfig(AlgoConfig):
             check_range("algo.target_kl", self.target_kl, 1e-6, 100.0)
         for name in ("gamma", "gae_lambda"):
             check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("lr", "clip_epsilon", "reward_scale", "initial_spread"):
+        for name in ("lr", "reward_scale", "kl_target"):
             check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_range("algo.clip_epsilon", self.clip_epsilon, 1e-12, 0.999)
+        check_range("algo.initial_spread", self.initial_spread, *SPREADS)
+        for name in ("value_coeff", "entropy_coeff", "kl_coeff"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 1e6)
+        for name in ("max_grad_norm", "value_error_clip"):
+            if getattr(self, name) is not None:
+                check_range(f"algo.{name}", getattr(self, name), 1e-9, 1e9)
         check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
         if self.warm_start_lr is not None:
             check_range("algo.warm_start_lr", self.warm_start_lr, 1e-12, 100.0)

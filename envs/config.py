@@ -91,9 +91,10 @@ class EnvConfig:
         check_range("watchdog_s", self.watchdog_s, 0.1, 86400.0, "s")
         if self.sensor_range_m is not None:
             check_range("sensor_range_m", self.sensor_range_m, 1.0, 1e5, "m")
-        if self.horizon_s <= self.warmup_s:
+        if self.control_steps < 1:
             raise IzooError(
-                f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one."
+                f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one, "
+                f"by a step of {self.step_s:g} s at least."
             )
 
     def _check_hold(self) -> None:

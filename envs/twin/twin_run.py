@@ -197,4 +197,5 @@ def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:
     net = names.net.edge_ints
     rows = {name: row for row, name in enumerate(names.edge_ids)}
     found = [net[rows[edge], [EDGE_FIRST_LANE, EDGE_LANES]] for edge in edges]
-    return np.concatenate([np.arange(first, first + count, dtype=np.int32) for first, count in found])
+    lanes = [np.arange(first, first + count, dtype=np.int32) for first, count in found]
+    return np.concatenate(lanes) if lanes else np.empty(0, np.int32)

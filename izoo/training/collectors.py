@@ -64,6 +64,10 @@ class SharedSchedule:
         return self.schedule(episode // self.envs * size + episode % size)
 
 
+WORKER_TRACEBACK = "\n\nWorker traceback:"
+"""What TorchRL puts after the message of an error of another process."""
+
+
 class ProcessesCollector(MultiSyncCollector):
     """TorchRL's collector with a process per environment, which says plainly which of its processes has ended or hangs.
 
@@ -137,7 +141,8 @@ class ProcessesCollector(MultiSyncCollector):
 
     def shutdown(self, timeout: float | None = None, *args: Any, **options: Any) -> None:
         """End the processes."""
-        self.watch.close()
+        if "watch" in vars(self):  # TorchRL calls this as well, where one of them does not begin
+            self.watch.close()
         super().shutdown(timeout, *args, **options)
 
 
@@ -300,15 +305,19 @@ def _multisync(
         functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, workers, watch.path)
         for worker in range(workers)
     ]
-    collector = ProcessesCollector(
-        makers,
-        policy,
-        frames_per_batch=frames,
-        total_frames=-1,
-        exploration_type=ExplorationType.RANDOM,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
-    )
+    try:
+        collector = ProcessesCollector(
+            makers,
+            policy,
+            frames_per_batch=frames,
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            trust_policy=True,
+            auto_register_policy_transforms=False,
+        )
+    except IzooError as error:
+        watch.close()
+        raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
     collector.watch = watch
     return collector
 

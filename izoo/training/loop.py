@@ -140,6 +140,8 @@ def _resumed(
                 f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give "
                 "more, or leave total_frames out."
             )
+    learner_device(config.device)
+    check_collector(config)
     runs.write_config(run_dir, config)
     return config, state, path or run_dir
 

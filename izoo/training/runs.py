@@ -17,6 +17,7 @@ from tensordict.nn import TensorDictModuleBase
 from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
 
 from izoo.algos.base import Algorithm
+from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
@@ -41,6 +42,8 @@ CHANGEABLE = (
     "resume",
 )
 """Options that may differ when a run is resumed; the others are part of what the run is."""
+NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
+"""Options of ``algo`` that decide what the weights of a policy mean."""
 MOST_CONFIG_BYTES, MOST_CONFIG_LEVELS = 1_000_000, 16
 _RESTORE = "restore the file, or train again"
 
@@ -199,23 +202,34 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
     """Give an algorithm the policy of the run that the option ``start`` names.
 
     Raises:
-        IzooError: there is none, or it is a policy of other networks, observations or actions.
+        IzooError: there is none, or it is a policy of other networks, observations, actions or decisions.
     """
     path = checkpoint.find(Path(config.start or ""))
     theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
     check_state(state, theirs, path)
-    for what, mine, its in (
-        ("action", to_mapping(config.action), to_mapping(theirs.action)),
-        ("observes", observation_names(config.env), observation_names(theirs.env)),
-    ):
-        if mine != its:
+    if not isinstance(theirs.algo, PPOConfig) or (theirs.algo.name == "gcrl") != (config.algo.name == "gcrl"):
+        raise IzooError(
+            f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
+            f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."
+        )
+    here, there = _meaning(config), _meaning(theirs)
+    for what, its in there.items():
+        if here.get(what) != its:
             raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
-    try:
-        learned: Any = getattr(algorithm, "learned", algorithm)  # of what advises, that is what has weights
+    learned: Any = getattr(algorithm, "learned", algorithm)  # of what advises, that is what has weights
+    with fitting(path):
         learned.policy.load_state_dict(state["algorithm"]["policy"])
-    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise IzooError(f"start={config.start} holds a policy of other networks ({reason}).") from error
+
+
+def _meaning(config: TrainConfig) -> dict[str, Any]:
+    """Return what gives the weights of a run's policy their meaning, by what it is called."""
+    options = to_mapping(config.algo)
+    return {
+        "action": to_mapping(config.action),
+        "observes": observation_names(config.env),
+        "seconds of a decision": config.env.decision_s,
+        **{f"algo.{name}": options[name] for name in NETWORK_OPTIONS if name in options},
+    }
 
 
 def check_layout(features: int, config: TrainConfig, path: Path) -> None:

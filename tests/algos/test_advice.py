@@ -270,6 +270,8 @@ def test_what_cannot_work_is_refused() -> None:
         ResidualAction(half_width_mps2=0.0)
     with pytest.raises(IzooError, match="act_share"):
         AdviseAction(act_share=0.9)
+    with pytest.raises(IzooError, match=r"action\.spread is 0\.01; it must lie in"):
+        AdviseAction(spread=0.01)
     with pytest.raises(IzooError, match=r"add speed_limit_mps"):
         make_algorithm(TrainConfig().algo, AdviseAction(), EnvConfig(observed=("green_s",)))
     blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))

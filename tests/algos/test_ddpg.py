@@ -330,7 +330,7 @@ def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfi
 
 
 def test_bad_hyper_parameters_are_refused() -> None:
-    for changes in ({"tau": 0.0}, {"hidden": ()}, {"activation": "sin"}, {"n_step": 0}, {"rows_per_frame": 0.0}):
+    for changes in ({"tau": 0.0}, {"hidden": ()}, {"activation": "sin"}, {"n_step": 0}, {"max_grad_norm": 0.0}):
         with pytest.raises(IzooError):
             DDPGConfig(**changes)  # type: ignore[arg-type]
     with pytest.raises(IzooError, match="initial_accel"):

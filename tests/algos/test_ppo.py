@@ -253,6 +253,12 @@ def test_bad_hyper_parameters_are_refused() -> None:
     for changes in ({"gamma": 1.5}, {"hidden": ()}, {"activation": "sin"}, {"lr": -1.0}, {"epochs": 0}):
         with pytest.raises(IzooError):
             PPOConfig(**changes)  # type: ignore[arg-type]
+    outside = [("clip_epsilon", 1.0), ("initial_spread", 0.01), ("initial_spread", 90.0), ("kl_target", 0.0)]
+    outside += [(name, -0.1) for name in ("value_coeff", "entropy_coeff", "kl_coeff")]
+    outside += [(name, 0.0) for name in ("max_grad_norm", "value_error_clip")]
+    for name, value in outside:
+        with pytest.raises(IzooError, match=f"algo.{name} is {value}; it must lie in"):
+            PPOConfig(**{name: value})  # type: ignore[arg-type]
     with pytest.raises(IzooError, match="initial_accel"):
         make_ppo(initial_accel_mps2=3.0)
 

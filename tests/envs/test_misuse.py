@@ -62,6 +62,7 @@ def test_numbers_of_numpy_and_whole_numbers_for_real_ones_are_legal() -> None:
         (lambda: EcoDrivingEnv(config={}), "config is a dict; give an izoo.envs.EnvConfig"),
         (lambda: SumoParallelEnv(2, config={}), "config is a dict"),
         (lambda: EcoDrivingEnv(config=80), "config is a int"),
+        (lambda: EnvConfig(horizon_s=60.0, warmup_s=59.9), "must be the longer one, by a step of 0.5 s at least"),
         (lambda: EcoDrivingEnv(seed=None), "seed is None; it must be a whole number"),
         (lambda: EcoDrivingEnv(seed=-1), "seed is -1"),
         (lambda: EcoDrivingEnv(seed="a"), "seed is 'a'"),

@@ -180,6 +180,12 @@ def test_environments_advance_by_themselves(make_twin: MakeTwin) -> None:
 # -- what is counted ---------------------------------------------------------------------------------------------------
 
 
+def test_a_context_where_nobody_comes(make_twin: MakeTwin) -> None:
+    env = make_twin(2, crossing(inflow_vph_per_lane=0.0))
+    frames = play(env, env.config.control_steps)
+    assert frames["next", "done"].any() and not frames["next", "vehicles", "present"].any()
+
+
 @pytest.mark.parametrize("changes", [{}, {"inflow_vph_per_lane": 900.0}, {"lane_count": 3, "adoption": 1.0}])
 def test_the_demand_closes(make_twin: MakeTwin, changes: dict[str, Any]) -> None:
     env = make_twin(2, crossing(**changes), config=short(horizon_s=120.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import multiprocessing
 import os
 import signal
@@ -20,6 +21,7 @@ from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule
 from izoo.envs import EnvConfig
+from izoo.errors import IzooError
 from izoo.training import collectors
 from izoo.training.collectors import BatchSource
 from tests.envs.worlds import crossing
@@ -65,6 +67,14 @@ def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
         return [first, next(iter(collector)).clone()]
     finally:
         collector.shutdown()
+
+
+def test_environments_that_do_not_begin_say_why_in_one_sentence(policy: TensorDictModuleBase) -> None:
+    """The error is the one of the process, which has ended; without TorchRL's traceback after it."""
+    config = dataclasses.replace(CONFIG, env=dataclasses.replace(CONFIG.env, num_approaches=1))
+    with pytest.raises(IzooError, match=r"env\.num_approaches is 1; set it to 4 or more\.$"):
+        BatchSource(config, policy, SCHEDULE)
+    assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow

@@ -137,6 +137,30 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["device=cuda"], "device=cuda, but PyTorch finds no GPU"),
+        (["twin.surrogate=cuda"], "twin.surrogate=cuda, but PyTorch finds no GPU"),
+        (["num_envs=6"], "policies play the same episodes side by side"),
+    ],
+)
+def test_a_refused_resumption_leaves_the_run_as_it_was(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
+    runs.write_config(tmp_path, compose_config("train", TrainConfig, search))
+    before = (tmp_path / runs.CONFIG_FILE).read_bytes()
+    assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
+    assert message in capsys.readouterr().err
+    assert (tmp_path / runs.CONFIG_FILE).read_bytes() == before
+
+
 DENSE = procedural_context(adoption=1.0, inflow_vph_per_lane=900.0, lane_length_m=120.0)
 ENV = EnvConfig(horizon_s=100.0, num_agents=16, emit=())
 SLOTS = 16

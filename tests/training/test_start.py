@@ -43,7 +43,10 @@ def test_it_begins_there_with_whatever_value_function(trained: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["algo.hidden=[8]"], "a policy of other networks"),
+        (["algo.hidden=[8]"], "other options (algo.hidden: [16])"),
+        (["algo.activation=relu"], "other options (algo.activation: tanh); give the same here"),
+        (["env.hold_s=2"], "other options (seconds of a decision: 0.5)"),
+        (["algo=gcrl"], "a run of algo=ppo, whose policy has other networks than that of algo=gcrl"),
         (["env.observed=[speed_limit_mps]"], "other options (observes"),
         (["action.depth=0.5"], "other options (action"),
         (["algo=ddpg"], "choose algo=ppo, mappo or gcrl"),
