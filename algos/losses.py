@@ -103,6 +103,7 @@ class MaskedPPOLoss(ClipPPOLoss):
         self.value_norm = value_norm
         self.value_error_clip, self._discounts = value_error_clip, {"gamma": gamma, "lmbda": lmbda}
         self.register_buffer("kl_weight", torch.tensor(float(kl_coeff)))
+        self._divergence: Tensor | None = None
 
     def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> MaskedPPOLoss:
         """Make the masked estimator of advantages; ``gamma`` and ``lmbda`` may be given."""
@@ -149,9 +150,10 @@ class MaskedPPOLoss(ClipPPOLoss):
         else:
             check_finite(rows)
         losses = super().forward(rows)
-        if self.kl_weight > 0:
-            losses.set("kl", self._divergence.detach())
-            losses.set("loss_kl", self.kl_weight * self._divergence)
+        divergence, self._divergence = self._divergence, None  # its graph is the caller's now
+        if divergence is not None:
+            losses.set("kl", divergence.detach())
+            losses.set("loss_kl", self.kl_weight * divergence)
         return losses
 
     def _log_weight(self, tensordict: TensorDictBase, *shapes: Any, **options: Any) -> Any:

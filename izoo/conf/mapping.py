@@ -142,9 +142,9 @@ def _list_remedy(value: Any, path: str) -> str:
     """Say how a list is written; one that has arrived as text, for its entries hold ``=``, lacks quotes."""
     if not (isinstance(value, str) and value.startswith("[") and value.endswith("]") and "=" in value):
         return "it must be a list, for example [1,2]."
-    # A comma inside an entry, as in a.b=[8,8], stands before no name.
-    entries = [entry.strip(" \"'") for entry in re.split(r",(?=[\s\"']*[\w.]+=)", value[1:-1])]
-    quoted = ",".join(f'"{entry}"' for entry in entries)
+    # A comma inside an entry, as in a.b=[8,8], stands before no name; inside braces it may.
+    whole = ["a=1", "b=2"] if "{" in value else re.split(r",(?=[\s\"']*[\w.]+=)", value[1:-1])
+    quoted = ",".join(f'"{entry}"' for entry in (part.strip(" \"'") for part in whole))
     return f"put double quotes around entries that hold =, and single quotes around the option: '{path}=[{quoted}]'."
 
 

@@ -315,9 +315,11 @@ def _multisync(
             trust_policy=True,
             auto_register_policy_transforms=False,
         )
-    except IzooError as error:
+    except BaseException as error:
         watch.close()
-        raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
+        if isinstance(error, IzooError):
+            raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
+        raise
     collector.watch = watch
     return collector
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import shutil
@@ -72,7 +73,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
     except BaseException:
         if fresh:
-            out.rmdir()
+            with contextlib.suppress(OSError):
+                out.rmdir()
         raise
     writer = ShardWriter(config, out)
     try:
@@ -100,15 +102,20 @@ def _make_collector(config: CollectConfig, policy: TensorDictModuleBase, schedul
     with workers_ignore_interrupts():
         env = _make_env(config, schedule)
         torch.manual_seed(config.seed)
-        return Collector(
-            env,
-            policy,
-            frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            trust_policy=True,
-            auto_register_policy_transforms=False,
-        )
+        try:
+            return Collector(
+                env,
+                policy,
+                frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
+                total_frames=-1,
+                exploration_type=ExplorationType.RANDOM,
+                trust_policy=True,
+                auto_register_policy_transforms=False,
+            )
+        except BaseException:
+            if not env.is_closed:
+                env.close()
+            raise
 
 
 def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:

@@ -330,9 +330,17 @@ def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfi
 
 
 def test_bad_hyper_parameters_are_refused() -> None:
-    for changes in ({"tau": 0.0}, {"hidden": ()}, {"activation": "sin"}, {"n_step": 0}, {"max_grad_norm": 0.0}):
-        with pytest.raises(IzooError):
-            DDPGConfig(**changes)  # type: ignore[arg-type]
+    for name, value in {
+        "tau": 0.0,
+        "activation": "sin",
+        "n_step": 0,
+        "rows_per_frame": 0.0,
+        "max_grad_norm": 0.0,
+    }.items():
+        with pytest.raises(IzooError, match=f"algo.{name} is {value!r}"):
+            DDPGConfig(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(IzooError, match=r"algo.hidden is \[\]"):
+        DDPGConfig(hidden=())
     with pytest.raises(IzooError, match="initial_accel"):
         make_ddpg(initial_accel_mps2=3.0)
 

@@ -41,10 +41,7 @@ TABLES: dict[str, list[Path]] = {
         Path("--uncommanded"),
         FILES / "all_approaches" / "uncommanded.json",
     ],
-    "all approaches": [
-        FILES / "all_approaches",
-        *(LONG / f"{name}_all_approaches.json" for name in ("ppo", "gcrl", "ddpg")),
-    ],
+    "all approaches": [FILES / "all_approaches", FILES / "5000_episodes_all_approaches"],
     "atlanta": [FILES / "atlanta", *(LONG / f"{name}_atlanta.json" for name in LEARNERS)],
     "atlanta in distribution": [
         FILES / "atlanta_in_distribution",
