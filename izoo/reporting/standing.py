@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,8 +136,12 @@ def labels(lines: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _title(protocol: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> str:
-    approaches = max((line["n"]["approaches"] for line in lines), default=0)
-    seeds = sorted({line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"} or {0})
-    many = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else str(seeds[0])
+    approaches = _span({line["n"]["approaches"] for line in lines})
+    seeds = _span({line["n"]["train_seeds"] for line in lines if line["policy"]["kind"] == "trained"})
     name = str(protocol["protocol"]).replace("_", " ")
-    return f"{name}: {plain(protocol['title']).replace('_', ' ')}; {approaches} approaches, training seeds: {many}"
+    return f"{name}: {plain(protocol['title']).replace('_', ' ')}; {approaches} approaches, training seeds: {seeds}"
+
+
+def _span(numbers: Collection[int]) -> str:
+    least, most = min(numbers, default=0), max(numbers, default=0)
+    return str(most) if least == most else f"{least} to {most}"

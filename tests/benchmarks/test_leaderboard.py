@@ -266,6 +266,12 @@ def test_a_leaderboard_is_drawn_beside_what_was_published(tmp_path: Path, capsys
     checked = [check(sealed(content), f"{k}.json", VERSIONS) for k, content in enumerate(entries)]
     left, right = standing(merge(checked)).axes
     assert [label.get_text() for label in left.get_yticklabels()] == ["ppo", "$odd untrained$", "glide"]
+    merged = merge(checked)
+    merged["groups"][0]["ranked"][0]["n"] = {**entries[0]["aggregates"]["n"], "approaches": 106}
+    titles = [standing(each).axes[0].get_title(loc="left") for each in (merge(checked), merged)]
+    assert [title.partition("; ")[2] for title in titles] == [
+        f"{n} approaches, training seeds: 4" for n in ("3", "3 to 106")
+    ]
     longer = [{"policy": {**content["policy"], "frames": 244_000}} for content in entries[:2]]
     assert labels([*entries, *longer])[-2:] == ["ppo, 244,000 decisions", "glide"]
     dots = [line for line in right.lines if line.get_marker() == "o"]
