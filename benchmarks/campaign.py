@@ -19,9 +19,10 @@ from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
 from izoo.benchmarks.outcome import sum_up, write_submissions
 from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
+from izoo.benchmarks.side_runs import Order, SideRuns
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
-from izoo.console import counted, duration
+from izoo.console import Progress, counted, duration
 from izoo.contexts.context import Context
 from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
@@ -46,6 +47,11 @@ from izoo.training import checkpoint, runs
 from izoo.training.collectors import check_collector
 from izoo.training.loop import train
 from izoo.training.records import MetricsTable
+
+LOG_SUFFIX = ".log"
+"""Of the file beside a run's folder that takes what it says, where it does not learn in this process."""
+LOOK_EVERY_S = 1.0
+"""How often runs in other processes are looked at."""
 
 
 @dataclass(frozen=True)
@@ -146,20 +152,21 @@ class Campaign:
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
         if todo and self.results.aggregates:
             self._set_aggregates({})  # a smaller benchmark's must not remain if this start is stopped before the end
-        for number, job in enumerate(todo):
-            left = self.pace.left([(self._pace_key(other), self._work(other)) for other in todo[number:]])
-            done = len(jobs) - len(todo) + number
-            wait = "time left unknown" if left is None else f"about {duration(left)} left"
-            print(f"\n[{done + 1}/{len(jobs)}] {job}; {wait}", flush=True)
-            begin = time.monotonic()
-            work = self._work(job)
-            if job.kind == "train":
-                self._record(job, "training")
-                self._train(job)
-            else:
-                self._evaluate(job)
-            self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
-            self._refresh(job)
+        with SideRuns(self.config.runs_at_once) as beside:
+            for number, job in enumerate(todo):
+                left = self.pace.left([(self._pace_key(other), self._share(other)) for other in todo[number:]])
+                done = len(jobs) - len(todo) + number
+                wait = "time left unknown" if left is None else f"about {duration(left)} left"
+                print(f"\n[{done + 1}/{len(jobs)}] {job}; {wait}", flush=True)
+                if job.kind == "evaluate":
+                    begin, work = time.monotonic(), self._work(job)
+                    self._evaluate(job)
+                    self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
+                elif self.config.runs_at_once == 1:
+                    self._train(job)
+                else:
+                    self._train_beside(beside, [other for other in todo[number:] if other.kind == "train"])
+                self._refresh(job)
         if todo or not self.results.aggregates:
             print("\nSumming up.", flush=True)
             aggregates = sum_up(self.folder, self.results)
@@ -173,16 +180,39 @@ class Campaign:
         write_results(self.folder, self.results)
 
     def _train(self, job: Job) -> None:
-        """Begin a run or go on with it."""
-        wanted = self.runs[job.key]
-        run_dir = self._run_dir(job)
+        """Train a run, or the rest of it, in this process."""
+        train(*self._begin(job))
+        self._require_trained(job)
+
+    def _train_beside(self, beside: SideRuns, jobs: Sequence[Job]) -> None:
+        """Train the first of these runs, and those that come next, in processes of their own; wait for the first."""
+        run_dirs = [self._run_dir(job) for job in jobs]
+        total = sum(self.runs[job.key].total_frames for job in jobs)
+        with Progress(total, sum(map(_learned, run_dirs))) as bar:
+            while True:
+                for job in jobs:
+                    if beside.has_room and job.key not in beside:
+                        log = self._run_dir(job).with_suffix(LOG_SUFFIX)
+                        beside.begin(job.key, Order(*self._begin(job), log))
+                if beside.is_done(jobs[0].key):
+                    break
+                bar.update(sum(map(_learned, run_dirs)), counted(len(beside.going), "run"))
+                time.sleep(LOOK_EVERY_S)
+        self._require_trained(jobs[0])
+
+    def _begin(self, job: Job) -> tuple[TrainConfig, frozenset[str]]:
+        """Return the options of a run that begins or goes on, and the names of those that count when it goes on."""
+        self._record(job, "training")
+        wanted, run_dir = self.runs[job.key], self._run_dir(job)
         if _frames(run_dir) == 0:
             self._clear(job)
-            train(wanted)
-        else:
-            resumed = dataclasses.replace(wanted, resume=str(run_dir))
-            train(resumed, frozenset({"resume", "total_frames", "num_workers", "collector"}))
-        if not self._is_trained(job.key, run_dir):
+            return wanted, frozenset()
+        resumed = dataclasses.replace(wanted, resume=str(run_dir))
+        return resumed, frozenset({"resume", "total_frames", "num_workers", "collector"})
+
+    def _require_trained(self, job: Job) -> None:
+        """Raise :class:`KeyboardInterrupt` where a run, or a validation that it owes, was stopped."""
+        if not self._is_trained(job.key, self._run_dir(job)):
             raise KeyboardInterrupt
 
     def _clear(self, job: Job) -> None:
@@ -344,6 +374,10 @@ class Campaign:
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
         return float(episodes * self.envs[job.entry.name].decisions)
 
+    def _share(self, job: Job) -> float:
+        """Environment steps of what is left of a job, that no other job takes in at the same time."""
+        return self._work(job) / (self.config.runs_at_once if job.kind == "train" else 1)
+
 
 def _place(name: str, seed: int) -> str:
     """Return the folder of a training seed of an entry, relative to that of all."""
@@ -354,6 +388,12 @@ def _frames(run_dir: Path) -> int:
     """Frames of a run's newest checkpoint, 0 where there is none."""
     found = checkpoint.listed(run_dir)
     return int(found[-1].stem.rpartition("-")[2]) if found else 0
+
+
+def _learned(run_dir: Path) -> int:
+    """Frames that a run has learned from, so far."""
+    frames, _ = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
+    return max(frames, default=0)
 
 
 def _seconds(run_dir: Path) -> float:

@@ -20,8 +20,9 @@ from izoo.files import read_text, write_text
 from izoo.reporting.results import SETTINGS_FILE
 from izoo.training import runs
 
-MAY_DIFFER = ("out", "num_workers", "cache", "human_vehicles", "trained_in")
-"""Options that change no number, so that a benchmark may go on with others."""
+MAY_DIFFER = ("out", "num_workers", "runs_at_once", "cache", "human_vehicles", "trained_in")
+"""Options that change no number (but for rounding, where a run has fewer cores), so that a benchmark may go on with
+others."""
 MAY_GROW = ("algos", "seeds", "untrained_seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
 NOT_THE_RUN = (*runs.CHANGEABLE, "run_dir")

@@ -146,6 +146,8 @@ class GeneralizationConfig:
         num_envs: environments that a run trains on in the twin, all in this process; null: as ``izoo.train`` has it. A
             recipe brings its own number.
         num_workers: processes that evaluate, each with one simulator; 0: this one; null: the scale's.
+        runs_at_once: training runs that learn at the same time, each in a process of its own, on its share of the
+            cores.
         trained_in: another results folder, whose finished training runs are taken over instead of trained again: those
             of a benchmark of the same versions and training options, such as ``in_distribution`` before
             ``productivity``.
@@ -179,6 +181,7 @@ class GeneralizationConfig:
     train_workers: int | None = None
     num_envs: int | None = None
     num_workers: int | None = None
+    runs_at_once: int = 1
     trained_in: str | None = None
     out: str | None = None
     cache: str | None = None
@@ -198,6 +201,7 @@ class GeneralizationConfig:
             "train_workers": (1, 1024),
             "num_envs": (1, 65536),
             "num_workers": (0, 1024),
+            "runs_at_once": (1, 1024),
         }
         for name, (low, high) in ranges.items():
             if getattr(self, name) is not None:

@@ -19,7 +19,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any
+from typing import Any, BinaryIO
 
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
@@ -51,7 +51,7 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:
+def start_process(call: str, *descriptors: int, output: BinaryIO | None = None) -> subprocess.Popen[bytes]:
     """Start ``from MODULE import FUNCTION; FUNCTION(...)`` in a fresh interpreter that imports what this one can.
 
     Unlike ``multiprocessing``'s, the process does not run the user's script again, so that scripts need no
@@ -61,10 +61,16 @@ def start_process(call: str, *descriptors: int) -> subprocess.Popen[bytes]:
     Args:
         call: the statements.
         descriptors: open files that the process inherits under the same numbers.
+        output: file that takes what the process prints; ``None``: where this one's goes.
     """
     program = f"import sys; sys.path[:] = {sys.path!r}; {call}"
     return subprocess.Popen(
-        [sys.executable, "-c", program], stdin=subprocess.DEVNULL, pass_fds=descriptors, start_new_session=True
+        [sys.executable, "-c", program],
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=output,
+        pass_fds=descriptors,
+        start_new_session=True,
     )
 
 

@@ -19,12 +19,14 @@ from rich.console import Console
 
 from izoo.benchmarks import campaign, generalization
 from izoo.benchmarks.outcome import outcome_tables
+from izoo.errors import IzooError
 from izoo.evaluation.table import read_csv
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
 from izoo.reporting.material import collect
 from izoo.reporting.results import evaluation_of, read_results
 from izoo.training import checkpoint
+from izoo.training.runs import owned
 
 pytestmark = pytest.mark.slow
 
@@ -42,8 +44,9 @@ ENTRIES = {"ppo", "uncommanded", "constant_2.0", "ppo_untrained"}
 """What is asked for, and what stands beside it."""
 
 
-def start(folder: Path, cache: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "izoo.benchmarks.generalization", *WORDS, f"out={folder}", f"cache={cache}"]
+def start(folder: Path, cache: Path, *more: str) -> subprocess.Popen[str]:
+    places = [f"out={folder}", f"cache={cache}"]
+    command = [sys.executable, "-m", "izoo.benchmarks.generalization", *WORDS, *places, *more]
     return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
@@ -58,6 +61,18 @@ def wait_for_frames(folder: Path, frames: int, process: subprocess.Popen[str]) -
         time.sleep(0.02)
     process.kill()
     pytest.fail(f"no checkpoint of {frames} frames: {process.communicate()[0]}")
+
+
+def wait_until_nobody_trains(run_dir: Path) -> None:
+    """A run in a process of its own notices that the benchmark is gone, and closes in good order."""
+    end = time.monotonic() + 60
+    while True:
+        try:
+            with owned(run_dir):
+                return
+        except IzooError:
+            assert time.monotonic() < end
+            time.sleep(0.1)
 
 
 @pytest.fixture(scope="module")
@@ -88,20 +103,22 @@ def test_everything_is_there(done: tuple[Path, Path]) -> None:
 
 
 @pytest.mark.slow
-def test_a_benchmark_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path) -> None:
-    folder, cache = tmp_path / "a", tmp_path / "cache"
-    process = start(folder, cache)
+@pytest.mark.parametrize("runs_at_once", [1, 2])
+def test_a_benchmark_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
+    folder, cache, at_once = tmp_path / "a", tmp_path / "cache", f"runs_at_once={runs_at_once}"
+    process = start(folder, cache, at_once)
     wait_for_frames(folder, 150, process)
     process.send_signal(signal.SIGINT)
     output = process.communicate(timeout=60)[0]
     assert process.returncode == 130 and "the same command goes on where it stopped." in output, output
     stopped_at = read_results(folder).entry("ppo").runs[0]
     assert stopped_at.status == "training"
-    process = start(folder, cache)
+    process = start(folder, cache, at_once)
     wait_for_frames(folder, int(checkpoint.listed(folder / "train/ppo/seed0")[-1].stem[5:]) + 150, process)
     process.kill()
     process.communicate()
     assert not read_results(folder).complete
+    wait_until_nobody_trains(folder / "train/ppo/seed0")
     assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
     assert_everything_is_there(folder)
 
