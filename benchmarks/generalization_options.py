@@ -76,7 +76,7 @@ class Entry:
         name: in tables and folders.
         kind: ``trained`` or ``scripted``.
         algo: preset of the algorithm (a choice of ``algo=``), or ``None``.
-        action: ``direct`` or ``residual``, or ``None``.
+        action: ``direct``, ``advise`` or ``residual``, or ``None``.
         policy: the scripted driver's name, ``zoo:NAME``, ``FILE.pt`` or ``module:function``, or ``None``.
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
@@ -234,8 +234,12 @@ class GeneralizationConfig:
                 raise IzooError(f"train_options holds {word!r}, which the benchmark sets itself: by {SET_BY[found]}.")
 
     def _check_places(self) -> None:
-        if self.protocol == "systematicity" and (self.train or self.test):
-            raise IzooError("protocol=systematicity has procedural contexts of its own; leave train and test out.")
+        if self.protocol == "systematicity":
+            if self.train or self.test or self.weather or self.form != "split":
+                words = "leave train, test, weather and form out"
+                raise IzooError(f"protocol=systematicity has procedural contexts of its own; {words}.")
+        elif self.test_set != "grid":
+            raise IzooError(f"test_set={self.test_set} is of protocol=systematicity; leave it out.")
         if self.protocol == "in_distribution" and self.test is not None:
             raise IzooError("protocol=in_distribution tests where it trains; leave test out or take productivity.")
 

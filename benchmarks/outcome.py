@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from izoo.benchmarks.generalization_options import is_folder
-from izoo.benchmarks.plan import Plan, place_name
+from izoo.benchmarks.plan import Plan, default_weather, place_name
 from izoo.envs.config import SIMULATOR_NAMES, EnvConfig
 from izoo.evaluation.across import aggregate, compare, compare_entries, run_rows
 from izoo.evaluation.folder import differences
@@ -165,6 +165,9 @@ def write_submissions(folder: Path, results: Results, plan: Plan, envs: Mapping[
     places = {name: _place(options[name]) for name in ("train", "test")}
     protocol = {name: options[name] for name in names}
     protocol.update(title=results.title, test_count=plan.test_count, **places)
+    used = [options[name] for name in ("train", "test") if options[name] is not None]
+    if all(default_weather(place) == options["weather"] for place in used):
+        protocol["weather"] = None  # what null stands for
     for entry in results.entries:
         changed = other_environment(envs[entry.name])
         played_in = {"env": changed} if changed else {}

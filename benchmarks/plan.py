@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 
@@ -95,10 +95,14 @@ def place_contexts(place: str, split: Split, config: GeneralizationConfig) -> Ci
     if is_folder(place):
         if not Path(place).is_dir():
             raise IzooError(f"{place} is no folder; give a city or a folder of the published dataset.")
-        return DatasetContexts(path=place, split=split, weather=config.weather or "published")
-    city = city_name(place)
-    published = config.weather or ("published" if city in WEATHER_PUBLISHED else "county")
-    return CityContexts(city=city, split=split, weather=published, **dict(protocols.COMMON))
+        return DatasetContexts(path=place, split=split, weather=config.weather or default_weather(place))
+    weather = config.weather or default_weather(place)
+    return CityContexts(city=city_name(place), split=split, weather=weather, **dict(protocols.COMMON))
+
+
+def default_weather(place: str) -> Literal["published", "county"]:
+    """Return the weather of a city or folder where the options do not say: published where there is one."""
+    return "published" if is_folder(place) or city_name(place) in WEATHER_PUBLISHED else "county"
 
 
 def limit_contexts(contexts: Sequence[Context], limit: int) -> list[Context]:
@@ -153,6 +157,6 @@ def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> 
     shipped = shelf.named(entry.policy or "") if entry is not None else None
     if shipped:
         return dataclasses.replace(zoo.full_episodes(zoo.load(shipped).env), horizon_s=config.horizon_s or 0.0)
-    own = [o for o in (entry.options if entry is not None else ()) if not o.startswith(LENGTH)]
-    said = [option for option in (*config.train_options, *own) if option.startswith("env.")]
+    words = [word.lstrip("+") for word in (*config.train_options, *(entry.options if entry is not None else ()))]
+    said = [word for word in words if word.startswith("env.") and not word.startswith(LENGTH)]
     return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
-from izoo.console import Progress
+from izoo.console import Progress, counted
 from izoo.contexts import catalogue
 from izoo.contexts.cities.compare import compare_cities, format_distances, write_csv, write_png
 from izoo.contexts.cities.plans import measure
@@ -195,7 +195,8 @@ def _try(options: argparse.Namespace) -> None:
     report = trial.run(specs, options.horizon_s, options.seed, progress=True)
     print(report)
     if report.failures:
-        raise IzooError(f"{len(report.failures)} of {report.episodes} episodes failed.")
+        tried = f"{counted(report.intersections, 'intersection')} and {counted(report.episodes, 'episode')}"
+        raise IzooError(f"{counted(len(report.failures), 'failure')} in {tried}.")
 
 
 CONTEXTS = SubcommandCommand(

@@ -37,6 +37,11 @@ def check_evaluate(config: EvaluateConfig) -> None:
     """
     if config.out is not None:
         _check_results(Path(config.out))
+    if config.run is None and config.checkpoint != "last":
+        raise IzooError(
+            f"checkpoint={config.checkpoint} chooses among those of a run's folder, but run is not given; give "
+            "run=RUN_DIR, or leave checkpoint out."
+        )
     if config.run is not None:
         checkpoint.find(Path(config.run), config.checkpoint)
     elif config.policy is not None and not shelf.named(config.policy):

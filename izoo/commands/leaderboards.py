@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
 from izoo.console import plain
 from izoo.errors import IzooError
-from izoo.files import os_reason, write_json
+from izoo.files import os_reason, read_text, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -41,7 +42,8 @@ def _merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _merge(options: argparse.Namespace) -> None:
-    checked = _checked(options.files)
+    checked = _checked(options.files, besides=options.out)
+    _check_merged(options.out)
     from izoo.reporting import submissions
 
     merged = submissions.merge(checked)
@@ -51,6 +53,20 @@ def _merge(options: argparse.Namespace) -> None:
         raise IzooError(f"cannot write {options.out}: {os_reason(error)}; choose another file with --out.") from error
     _print_leaderboard(merged)
     print(f"Leaderboard: {options.out}", flush=True)
+
+
+def _check_merged(out: Path) -> None:
+    """Raise :class:`IzooError` where the leaderboard would take the place of something else, such as a submission."""
+    from izoo.reporting.submissions import MERGED_FORMAT
+
+    if not out.exists():
+        return
+    try:
+        merged = json.loads(read_text(out))["format"] == MERGED_FORMAT
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        merged = False
+    if not merged:
+        raise IzooError(f"{out} is there and is no merged leaderboard; choose another file with --out.")
 
 
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,9 +114,9 @@ def _table(options: argparse.Namespace) -> None:
     print(markdown_table(checked, uncommanded), flush=True)
 
 
-def _checked(files: Sequence[Path]) -> list[Any]:
+def _checked(files: Sequence[Path], besides: Path | None = None) -> list[Any]:
     print(f"izoo {__version__} leaderboard", flush=True)
-    return _read(_submissions(files))
+    return _read(_submissions(files, besides))
 
 
 def _read(paths: Sequence[Path]) -> list[Any]:
@@ -111,10 +127,13 @@ def _read(paths: Sequence[Path]) -> list[Any]:
     return [submissions.check(submissions.read_submission(path), str(path), reference) for path in paths]
 
 
-def _submissions(paths: Sequence[Path]) -> list[Path]:
+def _submissions(paths: Sequence[Path], besides: Path | None = None) -> list[Path]:
+    """Return the files, and those in the folders but for ``besides``, which the command itself writes."""
     found: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.json")) if path.is_dir() else [path]
+        if path.is_dir() and besides is not None:
+            inside = [file for file in inside if file.resolve() != besides.resolve()]
         if not inside:
             raise IzooError(f"{path} holds no leaderboard file; a benchmark writes them into leaderboard/.")
         if not inside[0].exists():

@@ -79,9 +79,12 @@ class OptionCommand:
         if self.place is not None:
             # Folders may contain "=": what exists is a folder.
             nameless = [word for word in words if "=" not in word or Path(word).exists()]
-            if len(nameless) != 1:
+            named = [word for word in words if word not in nameless and word.startswith(f"{self.place}=")]
+            if len(nameless) + len(named) != 1:
                 what = self.place.upper()
-                raise IzooError(f"give one folder {what}, not {len(nameless)}: python -m izoo.{self.name} {what}.")
+                raise IzooError(
+                    f"give one folder {what}, not {len(nameless) + len(named)}: python -m izoo.{self.name} {what}."
+                )
             words = [f"{self.place}={word}" if word in nameless else word for word in words]
         return [_quoted(word) if word.partition("=")[0] in self.literal else word for word in words]
 

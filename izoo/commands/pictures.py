@@ -34,10 +34,12 @@ def draw(what: str, png: Path) -> Path:
     if path.exists():
         return _draw_path(path, png)
     city, _, number = what.partition("/")
-    if city.strip().lower().replace("-", "_") not in cities.SIZES:
-        raise IzooError(
-            f"{what!r} is neither a path, nor an id of the catalogue, nor one of the cities {', '.join(cities.CITIES)}."
-        )
+    try:
+        cities.city_name(city)
+    except IzooError as error:
+        names = ", ".join(cities.CITIES)
+        text = f"{what!r} is neither a path, nor an id of the catalogue, nor one of the cities {names}."
+        raise IzooError(text) from error
     if not number:
         return draw_features(cities.get(city), png, title=cities.city_name(city))
     size = len(cities.get(city))

@@ -129,9 +129,10 @@ def _figures(evaluation: Path | None) -> list[str]:
     from izoo.evaluation.policies import UNCOMMANDED
     from izoo.evaluation.show import comparison_rows, intervals_in_words, places_in_words
     from izoo.evaluation.summary import summarise
-    from izoo.evaluation.table import CSV_FILE, read_csv
+    from izoo.reporting.material import read_evaluation
 
-    summary = summarise(read_csv(evaluation / CSV_FILE))
+    table, facts = read_evaluation(evaluation)
+    summary = summarise(table)
     lines = []
     for policy, entry in summary["policies"].items():
         if policy == UNCOMMANDED:
@@ -144,7 +145,7 @@ def _figures(evaluation: Path | None) -> list[str]:
     words = intervals_in_words([n["intersections"]])
     return [
         *lines,
-        f"{places_in_words(n)}, {n['seeds']} paired seeds. {words}",
+        f"{places_in_words(n)}, {n['seeds']} paired seeds, played on {dict(facts)['played on']}. {words}",
     ]
 
 

@@ -122,7 +122,7 @@ def procedural_intersection(
     )
     name = (
         f"procedural/{lane_count}x{phase_count}-q{inflow_vph_per_lane:.4g}-g{green_s:.4g}-r{red_s:.4g}"
-        f"-l{lane_length_m:.4g}-v{speed_limit_mps:.4g}-o{offset_s:.4g}"
+        f"-l{lane_length_m:.4g}-v{speed_limit_mps:.4g}-o{offset_s:.4g}" + (f"-s{grade:.4g}" if grade else "")
     )
     return IntersectionSpec(name, "procedural", legs, plan, ghosts)
 

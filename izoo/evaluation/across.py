@@ -26,8 +26,8 @@ THRESHOLDS = tuple(round(-1.0 + 0.01 * k, 2) for k in range(201))
 def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.DataFrame:
     """Return a row per approach: :func:`izoo.metrics.benefit.benefits` over ``baseline``, sorted by context.
 
-    Where the table has rows of the uncommanded CV, and neither policy nor baseline is that one, the columns
-    ``benefit_over_uncommanded`` and ``benefit_region_over_uncommanded`` say what it saved of its emission.
+    Where the uncommanded CV played all of the policy's episodes, and neither policy nor baseline is that one, the
+    columns :data:`izoo.evaluation.aggregates.OVER_UNCOMMANDED` say what the policy saved of its emission.
 
     Args:
         table: an evaluation table, or one of several training seeds.
@@ -35,11 +35,23 @@ def policy_rows(table: pd.DataFrame, policy: str, baseline: str = HUMAN) -> pd.D
     """
     chosen = table[table["policy"] == policy]
     rows = benefits(chosen, _matching(table, baseline, chosen))
-    if UNCOMMANDED not in (policy, baseline) and (table["policy"] == UNCOMMANDED).any():
+    if UNCOMMANDED not in (policy, baseline) and played_all(table, UNCOMMANDED, policy):
         over = benefits(chosen, _matching(table, UNCOMMANDED, chosen))
         names = {f"benefit_{form}ungated": OVER_UNCOMMANDED.format(form=form) for form in FORMS}
         rows = rows.merge(over[[*TASK, *names]].rename(columns=names), on=TASK)
     return rows.sort_values(["context", "approach"], kind="stable").reset_index(drop=True)
+
+
+def played_all(table: pd.DataFrame, baseline: str, policy: str) -> bool:
+    """Return whether a baseline has a row for each row of a policy."""
+    chosen = table[table["policy"] == policy]
+    return len(_matching(table, baseline, chosen)) == len(chosen)
+
+
+def headline_baseline(table: pd.DataFrame, policy: str) -> str:
+    """Return what a policy's main figure is over: human driving, or with electric CVs uncommanded ones."""
+    electric = bool((table.loc[table["policy"] == policy, "engine"] == "electric").any())
+    return UNCOMMANDED if electric and policy != UNCOMMANDED and played_all(table, UNCOMMANDED, policy) else HUMAN
 
 
 def run_rows(table: pd.DataFrame, policy: str, train_seed: int, baseline: str = HUMAN) -> pd.DataFrame:

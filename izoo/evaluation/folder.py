@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from izoo.evaluation.table import (
     read_journal,
     write_csv,
 )
-from izoo.files import claimed, read_text, write_json
+from izoo.files import claimed, read_text, write_json, write_text
 
 FORMAT = 1
 
@@ -95,7 +95,9 @@ class ResultFolder:
             raise IzooError(f"{path} holds an {CSV_FILE} without its {MANIFEST_FILE}; choose another folder.")
         if self._rows or (path / CSV_FILE).exists():
             write_csv(make_table(self._rows), path / CSV_FILE)
-        (path / JOURNAL_FILE).unlink(missing_ok=True)
+            write_text(path / JOURNAL_FILE, "")  # its rows are in the table; that it is there says: not yet whole
+        else:
+            (path / JOURNAL_FILE).unlink(missing_ok=True)
         content = {"format": FORMAT, "settings": self.settings, "policies": {**policies, policy: fingerprint}}
         write_json(path / MANIFEST_FILE, content)
 
@@ -105,10 +107,10 @@ class ResultFolder:
         if self.table.empty:
             return
         write_csv(self.table, path / CSV_FILE)
+        (path / SUMMARY_FILE).unlink(missing_ok=True)
         if not whole:
             # The rows are in the table as well; that the journal is there says that more of them are to come.
             (path / JOURNAL_FILE).touch()
-            (path / SUMMARY_FILE).unlink(missing_ok=True)
             return
         (path / JOURNAL_FILE).unlink(missing_ok=True)
         with contextlib.suppress(IzooError):  # an interrupted evaluation may lack baselines
@@ -138,16 +140,17 @@ def _compare(stored: dict[str, Any], wanted: dict[str, Any], path: Path) -> None
 
 def differences(stored: dict[str, Any], wanted: dict[str, Any]) -> str:
     """Return in which of their (nested) settings two mappings differ, as ``name old -> new, ...``; empty: in none."""
-    old, new = _flat(stored), _flat(wanted)
+    old, new = flat(stored), flat(wanted)
     differing = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
     return ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in differing)
 
 
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by their paths, ``a.b.c``."""
+    found: dict[str, Any] = {}
     for key, value in values.items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
-    return flat
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
 
 
 def _short(value: Any) -> str:

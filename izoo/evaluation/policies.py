@@ -10,7 +10,7 @@ import hashlib
 import importlib
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,7 +97,7 @@ _LIBRARIES = ("torch", "torchrl", "tensordict")
 
 
 def fingerprint(policy: Policy) -> str:
-    """Return a digest that changes with a module's code, settings and weights, or with a callable's source."""
+    """Return a digest that changes with a module's code, settings and weights, or a callable's source and state."""
     digest = hashlib.sha256()
     if isinstance(policy, nn.Module):
         digest.update(_without_addresses(repr(policy)))
@@ -106,24 +106,53 @@ def fingerprint(policy: Policy) -> str:
                 digest.update(_without_addresses(f"{name} {_plain_attributes(module)}"))
                 with contextlib.suppress(OSError, TypeError):
                     digest.update(inspect.getsource(type(module)).encode())
+            elif inspect.isfunction(wrapped := vars(module).get("module")):  # of a TensorDictModule
+                digest.update(f"{name} {fingerprint(wrapped)}".encode())
         for key, tensor in sorted(policy.state_dict().items()):
             if hasattr(tensor, "detach"):
                 digest.update(key.encode())
                 digest.update(tensor.detach().cpu().contiguous().flatten().double().numpy().tobytes())
         return digest.hexdigest()[:16]
-    target: Callable[..., Any] = policy if inspect.isroutine(policy) else type(policy)
-    digest.update(f"{target.__module__}:{target.__qualname__}".encode())
-    try:
-        digest.update(inspect.getsource(target).encode())
-    except (OSError, TypeError):
-        digest.update(_without_addresses(repr(policy)))
+    digest.update(_source(policy))
+    if isinstance(policy, functools.partial):
+        state: Any = [policy.func, policy.args, policy.keywords]
+    elif inspect.isfunction(policy):
+        cells = [cell.cell_contents for cell in policy.__closure__ or ()]
+        state = [cells, policy.__defaults__, policy.__kwdefaults__]
+    else:
+        state = getattr(policy, "__dict__", None)
+    digest.update(_stated(state).encode())
     return digest.hexdigest()[:16]
 
 
+def _source(policy: Policy) -> bytes:
+    """Return name and source of a callable, or of its type."""
+    target: Any = policy if inspect.isroutine(policy) else type(policy)
+    name = f"{target.__module__}:{target.__qualname__}".encode()
+    try:
+        return name + inspect.getsource(target).encode()
+    except (OSError, TypeError):
+        return name + _without_addresses(repr(policy))
+
+
+def _stated(value: Any) -> str:
+    """Return what a callable holds as text, the same in every process; functions are named by their source."""
+    if isinstance(value, Mapping):
+        return str(sorted((str(name), _stated(held)) for name, held in value.items()))
+    if isinstance(value, (list, tuple)):
+        return str([_stated(held) for held in value])
+    if isinstance(value, (set, frozenset)):
+        return str(sorted(map(_stated, value)))
+    if isinstance(value, nn.Module):
+        return fingerprint(value)
+    text = _source(value) if inspect.isfunction(value) else _without_addresses(repr(value))
+    return text.decode()
+
+
 def _plain_attributes(module: nn.Module) -> list[tuple[str, Any]]:
-    """Return the settings of a module: attributes that are numbers, texts, tuples of them, or dataclasses."""
+    """Return the settings of a module: attributes that are numbers, texts, collections of them, or dataclasses."""
     values = {name: value for name, value in vars(module).items() if name != "training"}
-    kinds = (bool, int, float, str, tuple)
+    kinds = (bool, int, float, str, tuple, list, dict)
     return sorted((n, repr(v)) for n, v in values.items() if isinstance(v, kinds) or dataclasses.is_dataclass(v))
 
 

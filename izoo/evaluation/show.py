@@ -154,10 +154,10 @@ def percent(estimate: dict[str, Any]) -> str:
     """An estimate as per cent, with its interval where it has one."""
     if estimate["value"] is None:
         return "-"
-    value = f"{_rounded(estimate['value']):.1f} %"
+    value = f"{rounded_percent(estimate['value']):.1f} %"
     if estimate["low"] is None:
         return value
-    return f"{value} [{_rounded(estimate['low']):.1f}, {_rounded(estimate['high']):.1f}]"
+    return f"{value} [{rounded_percent(estimate['low']):.1f}, {rounded_percent(estimate['high']):.1f}]"
 
 
 def stacked(estimate: dict[str, Any] | None) -> str:
@@ -174,7 +174,8 @@ def figure_table(title: str, rows: str, columns: Sequence[str]) -> Table:
     return table
 
 
-def _rounded(share: float) -> float:
+def rounded_percent(share: float) -> float:
+    """Return a share in per cent, to one decimal."""
     return round(100.0 * share, 1) + 0.0  # no "-0.0"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError, check_choice
-from izoo.evaluation.across import compare, policy_rows
+from izoo.evaluation.across import compare, headline_baseline, played_all, policy_rows
 from izoo.evaluation.aggregates import TASK
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.metrics import statistics
@@ -65,7 +65,8 @@ def summarise(table: pd.DataFrame, simulator: str = "sumo") -> dict[str, Any]:
         ``simulator``, ``n`` (contexts, intersections, seeds, episodes), ``scores`` per policy (every vehicle weighs
         the same), and under ``policies``, per policy, ``headline`` (the baseline of its main figure: human driving, or
         with electric CVs the uncommanded CV) and ``against``, per baseline, what
-        :func:`izoo.evaluation.across.compare` returns.
+        :func:`izoo.evaluation.across.compare` returns. Uncommanded CVs are a baseline where they played all of a
+        policy's episodes.
 
     Raises:
         IzooError: no rows of human driving, or unpaired rows.
@@ -77,11 +78,9 @@ def summarise(table: pd.DataFrame, simulator: str = "sumo") -> dict[str, Any]:
     for name in names:
         if name == HUMAN:
             continue
-        baselines = [b for b in BASELINES if b in names and b != name]
-        electric = bool((table.loc[table["policy"] == name, "engine"] == "electric").any())
-        headline = UNCOMMANDED if electric and UNCOMMANDED in baselines else HUMAN
+        baselines = [b for b in BASELINES if b != name and (b == HUMAN or played_all(table, b, name))]
         against = {b: compare(policy_rows(table, name, b)) for b in baselines}
-        summary["policies"][name] = {"headline": headline, "against": against}
+        summary["policies"][name] = {"headline": headline_baseline(table, name), "against": against}
     return summary
 
 

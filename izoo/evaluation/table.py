@@ -137,7 +137,13 @@ def read_csv(path: Path) -> pd.DataFrame:
         text = read_text(path)
         if not text.endswith("\n"):
             raise ValueError("it is cut short")  # pandas would fill the rest of the last row
-        raw = pd.read_csv(io.StringIO(text), float_precision="round_trip", dtype=dict.fromkeys((*_TEXT, *_WHOLE), str))
+        raw = pd.read_csv(
+            io.StringIO(text),
+            float_precision="round_trip",
+            dtype=dict.fromkeys((*_TEXT, *_WHOLE), str),
+            keep_default_na=False,  # a policy may be called "null", an intersection "NA"
+            na_values=[""],
+        )
     except (OSError, ValueError) as error:
         raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; remove it and evaluate again.") from error
     missing = [column for column in COLUMNS if column not in raw]

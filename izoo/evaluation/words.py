@@ -6,6 +6,7 @@ from typing import Any
 
 from izoo.console import counted
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.metrics.statistics import MIN_INTERSECTIONS
 
 AGAINST = {HUMAN: "human driving", UNCOMMANDED: "the same vehicles uncommanded"}
 
@@ -34,7 +35,7 @@ def in_words(summary: dict[str, Any], unseen: bool = False) -> str:
             for name in fallen
         ]
         lines.append(f"But fewer of them cross: {' and '.join(falls)}.")
-    lines.append(_verdict(savings))
+    lines.append(_verdict(savings, count))
     return " ".join(lines)
 
 
@@ -48,12 +49,15 @@ def _amount(saving: dict[str, Any]) -> str:
     return f"{text} {'more' if more else 'less'} CO2"
 
 
-def _verdict(savings: dict[str, dict[str, Any]]) -> str:
-    if any(saving["low"] is None for saving in savings.values()):
+def _verdict(savings: dict[str, dict[str, Any]], intersections: int) -> str:
+    if intersections < MIN_INTERSECTIONS:
         return "So few intersections say nothing about others."
     shown: dict[str, list[str]] = {"better": [], "worse": [], "open": []}
     for name, saving in savings.items():
-        kind = "better" if saving["low"] > 0.0 else "worse" if saving["high"] < 0.0 else "open"
+        if saving["low"] is None:  # the same whichever intersection is left out
+            kind = "open"
+        else:
+            kind = "better" if saving["low"] > 0.0 else "worse" if saving["high"] < 0.0 else "open"
         shown[kind].append(AGAINST[name])
     said = [f"{kind} than {' and than '.join(shown[kind])}" for kind in ("better", "worse") if shown[kind]]
     lines = [f"So the policy is {', and '.join(said)}; that is not chance (95 %)."] if said else []

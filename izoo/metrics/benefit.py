@@ -34,7 +34,9 @@ FORMS = ("", "region_", "demand_")
 (CO2 of the whole controlled region, exits included, per vehicle that entered) and by demand (CO2 up to the stop line of
 all who came to cross it: also of those who have not crossed, and of those who are held up outside of the region, as if
 they stood there; per vehicle that crossed). All have the same gates. What upstream signals take is in the last form on
-both sides, so its figures are closer to 0."""
+both sides, so its figures are closer to 0. Episodes in which nobody crosses have no CO2 per vehicle in the first form,
+and are left out of it; in the last a policy pays for them as if one vehicle had crossed, so that a blocked road shows.
+"""
 _BURNED = {
     "": ("emission_g",),
     "region_": ("region_emission_g",),
@@ -102,7 +104,8 @@ def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float =
         row has no benefit (no traffic; the baseline let nobody cross), or the empty string.
         The exact gate is closed where the mean throughput falls; the tested gate where it is not shown, at the
         significance, that less than :data:`MARGIN` of it was lost.
-        A gated benefit is NaN in left-out rows only; where nothing crossed under the policy it is 0.
+        A gated benefit is NaN in left-out rows only; where nothing crossed under the policy it is 0. So is the ungated
+        one by approach, which says nothing then; by demand such a policy is charged (:data:`FORMS`).
     """
     joined = pair(policy, baseline)
     rows = [
@@ -157,6 +160,8 @@ def _saving(group: pd.DataFrame, form: str) -> dict[str, float]:
     for side in ("policy", "baseline"):
         count = group[f"{_VEHICLES[form]}_{side}"].to_numpy(float)
         burned_g = group[[f"{part}_{side}" for part in _BURNED[form]]].to_numpy(float).sum(axis=1)
+        if form == "demand_" and side == "policy":
+            count = np.where(burned_g > 0.0, np.maximum(count, 1.0), count)
         emission[side] = burned_g / np.where(count > 0, count, np.nan)
     both = ~np.isnan(emission["policy"]) & ~np.isnan(emission["baseline"])
     result: dict[str, float] = {}

@@ -1,7 +1,7 @@
 """Scores per vehicle, from the sums and counts of :mod:`izoo.metrics.definitions`: one definition, two forms.
 
 Each score is a ratio of two sums, or a plain sum. :func:`score_tensors` serves training (torch, value and validity);
-:func:`add_scores` serves tables (pandas), where a mean over nothing is NaN: the only place where izoo writes NaN.
+:func:`add_scores` serves tables (pandas), where a mean over nothing is NaN.
 """
 
 from __future__ import annotations

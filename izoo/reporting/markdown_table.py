@@ -13,6 +13,7 @@ from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate
 from izoo.evaluation.aggregates import TASK, shared_rows
 from izoo.evaluation.policies import UNCOMMANDED
+from izoo.evaluation.show import rounded_percent
 from izoo.metrics import statistics
 from izoo.reporting.standing import UNTRAINED
 from izoo.reporting.submissions import Checked, content_hash, rows_of
@@ -114,12 +115,9 @@ def _compared(item: Checked, uncommanded: pd.DataFrame, reference: Checked) -> p
     rows, files = _rows(item), f"{plain(item.source)} and {plain(reference.source)}"
     other = uncommanded.drop_duplicates(TASK)[[*TASK, KEPT_OUT, *HUMAN_DRIVING]]
     joined = rows.merge(other, on=TASK, how="left", suffixes=("", OTHER), indicator="found")
-    once_each = not rows.duplicated([*TASK, "train_seed"]).any()
     whole = (rows.groupby("train_seed").size() == len(other)).all()
-    if (joined["found"] != "both").any() or not (once_each and whole):
-        raise IzooError(
-            f"{files} were tested on different approaches; give only files with the same, each once per training seed."
-        )
+    if (joined["found"] != "both").any() or not whole:
+        raise IzooError(f"{files} were tested on different approaches; give only files with the same.")
     for name in HUMAN_DRIVING:
         mine, theirs = joined[name], joined[f"{name}{OTHER}"]
         if not (mine.isna() | theirs.isna() | (mine == theirs)).all():
@@ -182,17 +180,13 @@ def _figure(estimate: Mapping[str, Any] | None) -> str:
     """An estimate in percent with its sign, and its interval where it has one."""
     if estimate is None or estimate["value"] is None:
         return ""
-    low, high = (None if estimate[k] is None else _rounded(estimate[k]) for k in ("low", "high"))
+    low, high = (None if estimate[k] is None else rounded_percent(estimate[k]) for k in ("low", "high"))
     text = _signed(estimate["value"])
     return text if low is None else f"{text} [{low:.1f}, {high:.1f}]"
 
 
-def _rounded(share: float) -> float:
-    return round(100.0 * share, 1) + 0.0  # no "-0.0"
-
-
 def _signed(share: float) -> str:
-    value = _rounded(share)
+    value = rounded_percent(share)
     return f"{value:+.1f}" if value else "0.0"
 
 

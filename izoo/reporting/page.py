@@ -238,15 +238,19 @@ def _cell(estimate: dict[str, Any]) -> dict[str, str]:
 
 def _scores(scored: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
     """Every measured quantity per policy; of several training seeds the mean over them."""
-    parts = []
+    parts: list[pd.DataFrame] = []
+    humans: dict[str, pd.DataFrame] = {}
     for s in scored:
+        humans.setdefault(s.entry.test, s.entry.runs[0].table)
         table = pd.concat([run.table[run.table["policy"] == s.entry.policy] for run in s.entry.runs])
         parts.append(table.assign(policy=s.name))
     if not parts:
         return [], []
-    first = scored[0].entry.runs[0].table
-    human = first[first["policy"] == HUMAN]
-    header, lines = score_rows({"scores": _pooled([human, *parts])})
+    human = []
+    for test, played in humans.items():
+        name = HUMAN if len(humans) == 1 else f"{HUMAN} on {test}"
+        human.append(played[played["policy"] == HUMAN].assign(policy=name))
+    header, lines = score_rows({"scores": _pooled([*human, *parts])})
     return header, lines
 
 

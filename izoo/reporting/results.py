@@ -99,7 +99,7 @@ class EntryRecord:
         name: of the entry, and of its policy in the evaluation tables.
         kind: ``trained`` or ``scripted``.
         algo: the training algorithm, or ``None``.
-        action: ``direct`` or ``residual``, or ``None``.
+        action: ``direct``, ``advise`` or ``residual``, or ``None``.
         runs: one per training seed, in order.
     """
 

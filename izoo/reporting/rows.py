@@ -106,7 +106,7 @@ def _rows(scored: Scored) -> pd.DataFrame:
     own = own[own["policy"] == entry.policy].drop_duplicates(TASK).set_index(TASK)
     texts = first.set_index(TASK)[["context", "saturated", "left_out", "seeds"]]
     table = means.join(texts).join(own[list(FEATURES)]).reset_index()
-    table.loc[table["left_out"] != "", "benefit_ungated"] = np.nan
+    table.loc[table["left_out"] != "", ["benefit_ungated", "low", "high"]] = np.nan
     return table.assign(policy=scored.name, runs=count)
 
 

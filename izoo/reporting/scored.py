@@ -11,7 +11,7 @@ import pandas as pd
 
 from izoo.evaluation import across
 from izoo.evaluation.aggregates import RUN, TASK, score_matrix
-from izoo.evaluation.policies import HUMAN, UNCOMMANDED
+from izoo.evaluation.policies import UNCOMMANDED
 from izoo.evaluation.summary import approach_table
 from izoo.evaluation.table import FEATURES
 from izoo.metrics import statistics
@@ -76,10 +76,7 @@ def score(entry: Entry) -> Scored:
     Raises:
         IzooError: rows without a partner.
     """
-    first = entry.runs[0].table
-    own = first[first["policy"] == entry.policy]
-    has_uncommanded = UNCOMMANDED in set(first["policy"]) and entry.policy != UNCOMMANDED
-    baseline = UNCOMMANDED if has_uncommanded and (own["engine"] == "electric").any() else HUMAN
+    baseline = across.headline_baseline(entry.runs[0].table, entry.policy)
     tables = []
     for run in entry.runs:
         result = approach_table(run.table, entry.policy, baseline)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -25,7 +26,7 @@ from izoo.console import counted
 from izoo.envs.config import SIMULATOR_NAMES
 from izoo.errors import IzooError
 from izoo.evaluation.across import aggregate
-from izoo.evaluation.aggregates import RUN
+from izoo.evaluation.aggregates import RUN, TASK
 from izoo.evaluation.provenance import DECISIVE
 from izoo.files import read_text, write_json
 from izoo.metrics.statistics import MIN_EVAL_SEEDS, MIN_TRAIN_SEEDS
@@ -126,12 +127,14 @@ class Checked:
     Attributes:
         source: the file's name.
         submission: its content.
+        aggregates: what follows from its rows, which is what is ranked.
         marks: why it gets no rank; empty: nothing is wrong.
         notes: what to know about it, without consequence for its rank.
     """
 
     source: str
     submission: dict[str, Any]
+    aggregates: dict[str, Any]
     marks: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -141,6 +144,9 @@ def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) 
 
     Args:
         versions: the reference, of :data:`izoo.evaluation.provenance.DECISIVE`.
+
+    Raises:
+        IzooError: its training seeds have different approaches, or one repeatedly, so that nothing follows from them.
     """
     marks = []
     if content_hash(submission) != submission["hash"]:
@@ -153,19 +159,38 @@ def check(submission: dict[str, Any], source: str, versions: Mapping[str, str]) 
         marks.append(f"played on {SIMULATOR_NAMES[simulator_of(submission)]}; only what SUMO played is ranked")
     if "env" in submission["protocol"]:
         marks.append(f"evaluated in another environment: {submission['protocol']['env']}")
-    there, count = len({row["context_hash"] for row in submission["rows"]}), submission["protocol"]["test_count"]
+    rows = rows_of(submission)
+    if (rows.groupby(list(TASK))[RUN].agg(["size", "nunique"]) != rows[RUN].nunique()).any(axis=None):
+        raise IzooError(f"{source} lacks or repeats approaches; its rows must hold each once per training seed.")
+    aggregates = aggregate(rows)
+    if not _follows(submission["aggregates"], aggregates):
+        marks.append("the aggregates do not follow from the rows")
+    if sorted(rows[RUN].unique()) != sorted(submission["train_seeds"]):
+        marks.append(f"train_seeds are {submission['train_seeds']}, the rows have {sorted(rows[RUN].unique())}")
+    count = submission["protocol"]["test_count"]
+    there = int(rows.groupby(RUN)["context_hash"].nunique().min())
     if there < count:
         marks.append(f"{count - there} of {count} test contexts are missing")
-    if len(submission["eval_seeds"]) < FULL_EVAL_SEEDS:
-        marks.append(
-            f"{counted(len(submission['eval_seeds']), 'evaluation seed')}; the protocol asks for {FULL_EVAL_SEEDS}"
-        )
+    seeds = min(len(submission["eval_seeds"]), int(rows["seeds"].min()))
+    if seeds < FULL_EVAL_SEEDS:
+        marks.append(f"{counted(seeds, 'evaluation seed')}; the protocol asks for {FULL_EVAL_SEEDS}")
     notes = []
     if submission["policy"]["kind"] == "trained" and len(submission["train_seeds"]) < FULL_TRAIN_SEEDS:
         notes.append(f"{counted(len(submission['train_seeds']), 'training seed')} of {FULL_TRAIN_SEEDS}")
     if submission["protocol"]["scale"] != "paper":
         notes.append(f"trained at scale {submission['protocol']['scale']}")
-    return Checked(source, submission, tuple(marks), tuple(notes))
+    return Checked(source, submission, aggregates, tuple(marks), tuple(notes))
+
+
+def _follows(stated: Any, found: Any) -> bool:
+    """Return whether what a file states is what was found; an older file may state less."""
+    if isinstance(stated, Mapping):
+        return isinstance(found, Mapping) and all(k in found and _follows(v, found[k]) for k, v in stated.items())
+    if isinstance(stated, list):
+        return isinstance(found, list) and len(stated) == len(found) and all(map(_follows, stated, found))
+    if isinstance(stated, float) and isinstance(found, float):
+        return math.isclose(stated, found, rel_tol=1e-6, abs_tol=1e-9)
+    return stated == found
 
 
 def simulator_of(submission: Mapping[str, Any]) -> str:
@@ -205,12 +230,13 @@ def headline(line: Mapping[str, Any]) -> dict[str, Any]:
 
 def _line(item: Checked) -> dict[str, Any]:
     content = item.submission
-    kept = {name: content[name] for name in ("policy", "versions", "aggregates", "hash")}
+    kept = {name: content[name] for name in ("policy", "versions", "hash")}
     return {
         "source": item.source,
         "simulator": simulator_of(content),
         **kept,
-        "n": content["aggregates"].get("n", {}),
+        "aggregates": item.aggregates,
+        "n": item.aggregates["n"],
         "marks": list(item.marks),
         "notes": list(item.notes),
     }

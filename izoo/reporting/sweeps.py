@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from rich.table import Table
 
 from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError
+from izoo.evaluation.folder import flat
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, write_csv
 from izoo.files import check_folder
 from izoo.metrics import statistics
@@ -71,7 +72,7 @@ def read_run(run_dir: Path) -> Row:
         config = runs.read_config(run_dir)
     except IzooError as error:
         return {**row, "state": str(error)}
-    row |= {f"option {path}": value for path, value in _flat(to_mapping(config)).items()}
+    row |= {f"option {path}": value for path, value in flat(to_mapping(config)).items()}
     table = MetricsTable.read(run_dir / runs.METRICS_FILE)
     if table.rows:
         row["frames"], row["seconds"] = int(table.rows[-1]["frames"]), float(table.rows[-1]["seconds"])
@@ -209,13 +210,6 @@ def _evaluated(path: Path) -> float | None:
         return learned[0]["against"][learned[0]["headline"]]["all"]["exact"]["mean"]["value"]
     except (OSError, ValueError, LookupError, TypeError):
         return None
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return flat
 
 
 def _word(value: Any) -> str:

@@ -126,9 +126,11 @@ def find(where: Path, which: str = "last") -> Path:
         which: of a folder: ``last``, ``best`` (by validation), or the number of frames.
 
     Raises:
-        IzooError: nothing is there.
+        IzooError: nothing is there, or a file and one of a folder are named at the same time.
     """
     if where.is_file():
+        if which != "last":
+            raise IzooError(f"{where} is one checkpoint, so checkpoint={which} chooses nothing; leave it out.")
         if where.parent.name != folder_of(where).name:
             raise IzooError(
                 f"{where} is a file that does not lie among a run's checkpoints; give the folder of a training run."

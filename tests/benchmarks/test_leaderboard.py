@@ -24,6 +24,7 @@ from izoo.reporting.standing import labels, published_for, standing
 from izoo.reporting.submissions import (
     check,
     content_hash,
+    headline,
     make_submission,
     merge,
     read_submission,
@@ -117,8 +118,29 @@ def test_aggregates_keep_training_seeds_apart() -> None:
 
 def test_a_file_that_was_changed_is_marked() -> None:
     content = submission()
-    for change in ({"policy": {**content["policy"], "name": "mine"}}, {"rows": content["rows"][:-1]}):
-        assert marks({**content, **change}) == ("the hash does not match: the file was changed after it was written",)
+    renamed = {**content, "policy": {**content["policy"], "name": "mine"}}
+    assert marks(renamed) == ("the hash does not match: the file was changed after it was written",)
+
+
+def test_figures_and_seeds_that_the_rows_do_not_bear_out_are_marked() -> None:
+    better, more, fewer = submission(), submission(), submission()
+    better["aggregates"]["all"]["exact"]["mean"]["value"] += 0.01
+    more["train_seeds"] = [*more["train_seeds"], 99]
+    for row in fewer["rows"]:
+        row["seeds"] = 2
+    assert marks(sealed(better)) == ("the aggregates do not follow from the rows",)
+    assert marks(sealed(more)) == (f"train_seeds are {more['train_seeds']}, the rows have {more['train_seeds'][:-1]}",)
+    assert "2 evaluation seeds; the protocol asks for 3" in marks(sealed(fewer))
+    with pytest.raises(IzooError, match=r"file lacks or repeats approaches; .* each once per training seed\."):
+        check(sealed({**submission(), "rows": submission()["rows"][:-1]}), "file", VERSIONS)
+
+
+def test_what_is_ranked_follows_from_the_rows() -> None:
+    honest, better = submission(), submission(name="better")
+    better["aggregates"]["all"]["exact"]["mean"]["value"] = 0.99
+    (group,) = merge([check(sealed(content), "file", VERSIONS) for content in (better, honest)])["groups"]
+    values = [headline(line)["value"] for line in (*group["ranked"], *group["marked"])]
+    assert values[0] == values[1] == honest["aggregates"]["all"]["exact"]["mean"]["value"]
 
 
 def test_what_is_missing_or_of_other_versions_is_marked() -> None:
@@ -249,8 +271,11 @@ def test_the_table_fits_a_terminal_of_80_columns() -> None:
 
 
 def printed(contents: list[dict[str, Any]]) -> str:
-    """The table of submissions on a terminal of 80 columns, on which it must fit with whole headers."""
+    """The table of submissions, with the figures they state, on a terminal of 80 columns, on which it must fit."""
     (group,) = merge([check(sealed(content), "file", VERSIONS) for content in contents])["groups"]
+    stated = {content["policy"]["name"]: content["aggregates"] for content in contents}
+    for line in (*group["ranked"], *group["marked"]):
+        line["aggregates"] = stated[line["policy"]["name"]]
     shown, out = leaderboard_table(group), io.StringIO()
     Console(file=out, width=80).print(shown)
     text = out.getvalue()

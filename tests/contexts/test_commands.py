@@ -150,7 +150,7 @@ def test_try_names_what_fails(town, monkeypatch, capsys):
     assert main(["try", str(town)]) == 2
     out, err = capsys.readouterr()
     assert "failed: " in out and "ValueError: no way" in out
-    assert "4 of 4 episodes failed" in err
+    assert "4 failures in 2 intersections and 4 episodes." in err
 
 
 def test_drawn_intersections_are_shared_out_evenly():

@@ -62,13 +62,14 @@ class Counted:
     """:func:`gentle`, leaving a line in a file for every step; from ``fail_at`` on it raises instead."""
 
     def __init__(self, path: Path, fail_at: int = 10**9) -> None:
-        self.path, self.fail_at = path, fail_at
+        self.path, self.limit = path, path.with_suffix(".limit")
+        self.limit.write_text(str(fail_at))
 
     def steps(self) -> int:
         return len(self.path.read_text().splitlines()) if self.path.exists() else 0
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self.steps() >= self.fail_at:
+        if self.steps() >= int(self.limit.read_text()):
             raise ArithmeticError("out of luck")
         with self.path.open("a") as file:
             file.write("step\n")

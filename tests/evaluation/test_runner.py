@@ -166,7 +166,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(
     assert (kept["policy"] == "policy").sum() == 3
     with pytest.raises(IzooError, match="interrupted"):
         collect(tmp_path / "out")
-    policy.fail_at = 10**9
+    policy.limit.write_text(str(10**9))
     resumed = evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
     assert policy.steps() == 4 * STEPS
     assert_frame_equal(resumed, table, check_exact=True)
