@@ -233,6 +233,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert command.main(["validate", str(tmp_path / "nothing.json")]) == 2
     assert command.main(["merge", str(out), "--out", str(out)]) == 2
     assert "no leaderboard submission" in capsys.readouterr().err
+    inside = tmp_path / "in" / "leaderboard.json"
+    for _ in range(2):
+        assert command.main(["merge", str(tmp_path / "in"), "--out", str(inside)]) == 0
+    inside.unlink()
+    assert command.main(["merge", str(tmp_path / "in"), "--out", str(tmp_path / "in" / "ppo.json")]) == 2
+    assert "ppo.json is there and is no merged leaderboard" in capsys.readouterr().err
 
 
 HOSTILE = "[red]ppo[/red] [/nonsense] \x1b[2J\x1b]0;mine\x07\u202eoppo [link=http://x]"

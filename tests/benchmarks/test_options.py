@@ -22,6 +22,7 @@ from izoo.benchmarks.plan import (
 from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.zoo import shelf
 
@@ -185,11 +186,22 @@ def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignor
         ({"simulator": "twin", "num_envs": 0}, "num_envs"),
         ({"test": "atlanta"}, "in_distribution"),
         ({"protocol": "systematicity", "train": "atlanta"}, "procedural"),
+        ({"protocol": "systematicity", "form": "paper"}, "leave train, test, weather and form out"),
+        ({"protocol": "systematicity", "weather": "county"}, "leave train, test, weather and form out"),
+        ({"test_set": "sample"}, "is of protocol=systematicity; leave it out"),
     ],
 )
 def test_bad_options_say_what_to_do(options, message) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(IzooError, match=message):
         GeneralizationConfig(**options)
+
+
+@pytest.mark.parametrize("plus", ["", "+", "++"])
+def test_the_evaluation_has_the_environment_of_the_training_but_for_its_length(plus: str) -> None:
+    words = ("env.hold_s=2", "env.warmup_s=100", "env.neighbours=[leader]")
+    config = GeneralizationConfig(train_options=tuple(f"{plus}{word}" for word in words)).resolved()
+    env = evaluation_env(config)
+    assert (env.hold_s, env.neighbours, env.warmup_s) == (2.0, ("leader",), EnvConfig().warmup_s)
 
 
 def test_time_left_follows_from_what_was_measured() -> None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import io
 import json
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 from rich.console import Console
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 from izoo.algos.scripted import Glide, GlideConfig, UncommandedDriver
 from izoo.contexts.context import Context
@@ -297,6 +299,64 @@ def test_a_module_with_another_setting_is_another_policy() -> None:
     glides = [Glide(config), Glide(config), Glide(config, GlideConfig(floor_mps=2.0))]
     one, same, other = (fingerprint(glide) for glide in glides)
     assert one == same != other
+
+
+def driving(speed_mps: float, *more: Any) -> Any:
+    def act(tensordict: Any) -> Any:
+        return speed_mps, more
+
+    return act
+
+
+class Held:
+    """A callable with something of its own."""
+
+    def __init__(self, held: Any) -> None:
+        self.held = held
+
+    def __call__(self, tensordict: Any) -> Any:
+        return self.held
+
+
+@pytest.mark.parametrize(
+    ("make", "one", "other"),
+    [
+        (driving, 1.0, 2.0),
+        (Held, 1.0, 2.0),
+        (Held, {"a": [1], "b": {2, 3}}, {"a": [1], "b": {2, 4}}),
+        (Held, Setting(1.0), Setting(2.0)),
+        (lambda speed: functools.partial(driving, speed), 1.0, 2.0),
+        (lambda speed: functools.partial(driving, more=speed), 1.0, 2.0),
+        (lambda speed: TensorDictModule(driving(speed), in_keys=["a"], out_keys=["b"]), 1.0, 2.0),
+    ],
+)
+def test_a_callable_with_another_state_is_another_policy(make: Any, one: Any, other: Any) -> None:
+    assert fingerprint(make(one)) == fingerprint(make(one)) != fingerprint(make(other))
+
+
+def test_an_evaluation_that_is_begun_again_and_killed_still_counts_as_interrupted(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    rows = table[table["policy"] == "policy"].to_dict("records")
+    folder = ResultFolder(tmp_path, {"env": {}})
+    with pytest.raises(KeyboardInterrupt), folder.open("policy", "f"):
+        folder.add(rows[:1])
+        raise KeyboardInterrupt
+    again = ResultFolder(tmp_path, {"env": {}})
+    begun = again.open("policy", "f")
+    begun.__enter__()  # and then nothing more, as where the process is killed
+    with pytest.raises(IzooError, match="interrupted"):
+        collect(tmp_path)
+    begun.__exit__(None, None, None)
+    assert not (tmp_path / "evaluation.partial.jsonl").exists()
+
+
+def test_uncommanded_cvs_are_a_baseline_where_they_played_every_episode(table: pd.DataFrame) -> None:
+    some = table[(table["policy"] != "uncommanded") | (table["seed"] == SEEDS[0])]
+    against = [summarise(t)["policies"]["policy"]["against"] for t in (table, some)]
+    assert [set(found) for found in against] == [{"human", "uncommanded"}, {"human"}]
+    assert "over_uncommanded" in against[0]["human"]["all"] and "over_uncommanded" not in against[1]["human"]["all"]
+    assert against[0]["human"]["all"]["exact"] == against[1]["human"]["all"]["exact"]
 
 
 def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contexts: list[Context], cache: Path) -> None:

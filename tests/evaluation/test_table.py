@@ -54,6 +54,12 @@ def rows(contexts: list[Context]) -> list[dict[str, object]]:
     return [{**row, **identity("x", c, 2**62 + k, "A")} for k, (row, c) in enumerate(zip(table, contexts, strict=True))]
 
 
+def test_names_that_mean_nothing_elsewhere_are_names_here(contexts: list[Context], tmp_path: Path) -> None:
+    table = make_table([{**row, "policy": "null", "intersection": "NA"} for row in rows(contexts[:1])])
+    write_csv(table, tmp_path / "t.csv")
+    assert_frame_equal(read_csv(tmp_path / "t.csv"), table, check_exact=True)
+
+
 def test_tables_read_back_exactly(contexts: list[Context], tmp_path: Path) -> None:
     table = make_table(rows(contexts))
     table.loc[0, "volume_over_capacity"] = math.inf

@@ -56,5 +56,10 @@ def test_few_intersections_say_nothing_about_others() -> None:
     assert found.endswith("So few intersections say nothing about others.")
 
 
+def test_a_difference_that_no_intersection_changes_is_none_that_is_shown() -> None:
+    found = in_words(summary(estimate(0.05, 0.01, 0.09), estimate(0.0)))
+    assert found.endswith("(95 %). Compared with the same vehicles uncommanded no difference is shown.")
+
+
 def test_nothing_crossed() -> None:
     assert "no vehicle crossed" in in_words(summary(estimate(None), estimate(None)))

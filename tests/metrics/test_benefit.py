@@ -169,6 +169,17 @@ def test_a_policy_that_stops_everyone_has_no_benefit_under_either_gate() -> None
     assert ratio_of_sums(emission_pairs(result, "tested")) == 0.0
 
 
+def test_by_demand_a_policy_is_charged_for_the_episodes_in_which_it_lets_nobody_cross() -> None:
+    baseline = seeds_table([20] * 3, [2000.0] * 3)
+    for crossed, charged_g in (([0, 0, 0], 9000.0), ([20, 0, 20], (95.0 + 9000.0 + 95.0) / 3)):
+        policy = seeds_table(crossed, [95.0 * n for n in crossed])
+        policy.loc[policy["crossed"] == 0, "unfinished_emission_g"] = 9000.0
+        row = benefits(policy, baseline).iloc[0]
+        assert row["demand_emission_policy_g"] == pytest.approx(charged_g)
+        assert row["benefit_demand_ungated"] == pytest.approx(1.0 - charged_g / 100.0)
+        assert row["benefit_demand_exact"] == 0.0
+
+
 def test_the_ratio_of_sums_counts_the_baseline_of_an_approach_that_the_policy_blocks() -> None:
     baseline = pd.concat([seeds_table([10], [1000.0]), seeds_table([10], [1000.0], context="x/2/A")])
     for crossed in (0, 1):

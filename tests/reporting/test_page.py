@@ -286,5 +286,6 @@ def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None
 def test_options() -> None:
     words = ["results", "out=a=b.html", "title=one -> 'two', three", "replay=false", "imports=true"]
     config = compose_config("report", ReportConfig, COMMAND.options(words))
+    assert COMMAND.options(["results=a"]) == COMMAND.options(["a"]) == ["results='a'"]
     assert config == ReportConfig("results", "a=b.html", "one -> 'two', three", replay=False, imports=True)
     assert compose_config("report", ReportConfig, COMMAND.options(["results", "title=null"])).title is None

@@ -98,6 +98,8 @@ def test_options_that_may_change_and_the_place_of_a_run_do_not_matter(run_dir: P
     moved = run_dir.rename(tmp_path / "elsewhere")
     assert train.main([f"resume={moved}", "total_frames=150"]) == 0
     assert checkpoint.load(checkpoint.find(moved))["frames"] == 150
+    with pytest.raises(IzooError, match=r"is one checkpoint, so checkpoint=best chooses nothing"):
+        checkpoint.find(checkpoint.find(moved), "best")
 
 
 TABLES: dict[str, tuple[Callable[[bytes], bytes], int]] = {

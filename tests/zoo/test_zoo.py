@@ -164,6 +164,10 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     assert torch.equal(*acted)
     assert ZOO.main(["export", str(run), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+    (tmp_path / "evaluation.partial.jsonl").touch()
+    words = ["export", str(run), "--out", str(tmp_path / "other.pt"), "--evaluation", str(tmp_path)]
+    assert ZOO.main(words) == 2 and not (tmp_path / "other.pt").exists()
+    assert "interrupted" in capsys.readouterr().err
 
 
 def test_an_exported_policy_is_evaluated_and_replayed_as_its_run_is(
