@@ -31,12 +31,14 @@ class AppliedAcceleration:
     def __call__(self, batch: TensorDictBase) -> Tensor:
         """Return the mean acceleration over each decision of a batch ``[N, T]``, ``[N, T, A, 1]`` m/s^2.
 
-        Of a vehicle that has left, whose speed is not known, it is the command.
+        Of a vehicle that has left, whose speed is not known, it is the command, and so it is in the last decision of an
+        episode, which may be shorter than the others.
         """
         before, after = (part.get(base.OBSERVATION)[..., self.speed] for part in (batch, batch.get("next")))
         accel = (after - before) * (SPEED_SCALE_MPS / self.decision_s)
         accel = accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1)
-        known = batch.get(("next", *base.MASK)) & batch.get(base.MASK)
+        after_mask, done = (batch.get(("next", *key)) for key in (base.MASK, base.DONE))
+        known = batch.get(base.MASK) & after_mask & ~done.squeeze(-1)
         return torch.where(known.unsqueeze(-1), accel, batch.get(base.ACTION))
 
 

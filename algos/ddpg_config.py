@@ -58,7 +58,8 @@ class DDPGConfig(AlgoConfig):
             10,000; ours the whole run).
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
-        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5).
+        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5). With
+            ``action=advise`` or ``residual`` it does nothing at first instead.
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
@@ -121,10 +122,13 @@ class DDPGConfig(AlgoConfig):
 
     @classmethod
     def paper(cls) -> DDPGConfig:
-        """Return the preset ``paper``: RLlib's defaults, as the paper used them.
+        """Return the preset ``paper``: RLlib's defaults, which the paper says it used.
 
-        Three differences remain: updates come in rounds instead of after each step; each vehicle has noise of its own,
-        where RLlib's is one process for all; and the weights of prioritised replay apply to the actor's loss as well.
+        Four differences remain: updates come in rounds instead of after each step; each vehicle has noise of its own,
+        where RLlib's is one process for all; the weights of prioritised replay apply to the actor's loss as well; and
+        the released script (``ddpg_training.py``) lets ten workers play whole episodes before each gradient step, by
+        which RLlib makes one per 19,500 environment steps, 500 in the whole run: next to no training. This preset has
+        one per ten steps, as where RLlib's defaults are left alone.
         """
         return cls(
             frames_per_batch=390,

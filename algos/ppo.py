@@ -97,10 +97,6 @@ class PPO:
         """Return the value function as the loss uses it, on flat rows."""
         return make_critic(features, self.config)
 
-    def values(self, frames: TensorDictBase, where: Tensor) -> Tensor:
-        """Return the values ``[where.sum(), 1]`` of the agents ``where`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
-        return self.loss.value_estimator.values(frames, where)
-
     def make_loss(self) -> MaskedPPOLoss:
         """Return the loss of ``actor`` and ``critic``."""
         return MaskedPPOLoss(self.actor, self.critic, **self.loss_options())
@@ -132,6 +128,7 @@ class PPO:
         lr = self.config.warm_start_lr if imitates and self.config.warm_start_lr is not None else self.config.lr
         for group in self.optimiser.param_groups:
             group["lr"] = lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr
+        bound = None if imitates or self.config.target_kl is None else 1.5 * self.config.target_kl
         totals: dict[str, Tensor] = {}
         steps = 0
         for minibatch in self._minibatches(rows):
@@ -139,6 +136,8 @@ class PPO:
             if start.active:
                 with self.loss.actor_network_params.to_module(actor):
                     losses = start.losses(actor, minibatch, losses, progress)
+            if bound is not None and float(losses["kl_approx"]) > bound:
+                break
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
             self.optimiser.zero_grad()
             total.backward()  # type: ignore[union-attr]
@@ -147,13 +146,10 @@ class PPO:
             for key, value in losses.items():
                 totals[key] = totals.get(key, 0.0) + value.detach()
             steps += 1
-            if imitates or self.config.target_kl is None:
-                continue
-            if float(losses["kl_approx"]) > 1.5 * self.config.target_kl:
-                break
         start.count(batch.numel(), self.loss.actor_network_params, progress)
         stats = {key: float(value) / steps for key, value in totals.items()}
-        self._adapt_kl_weight(stats.get("kl"))
+        if not imitates:  # while it imitates, the penalty does not act
+            self._adapt_kl_weight(stats.get("kl"))
         stats["lr"] = self.optimiser.param_groups[0]["lr"]
         stats["agent_rows"], stats["gradient_steps"] = float(len(rows)), float(steps)
         return stats

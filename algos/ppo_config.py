@@ -63,9 +63,9 @@ class PPOConfig(AlgoConfig):
         kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
         kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
             0.01).
-        target_kl: a batch is learned from no further once a minibatch diverges from the policy that collected by more
-            than one and a half times this (as in Stable-Baselines3; 0.01 to 0.02 is usual); ``null``: all epochs
-            (RLlib, ours).
+        target_kl: a batch is learned from no further once the policy diverges, on a minibatch, from the one that
+            collected by more than one and a half times this (as in Stable-Baselines3; 0.01 to 0.02 is usual); ``null``:
+            all epochs (RLlib, ours).
         separate_clips: bound the gradients of actor and critic each by itself, so that large value errors do not
             silence the actor (RLlib, ours: both together).
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
@@ -80,8 +80,10 @@ class PPOConfig(AlgoConfig):
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
         initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
-            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5).
+            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5). With
+            ``action=advise`` or ``residual`` it does nothing at first instead.
         initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
+            With ``action=advise`` or ``residual`` it is ``action.spread`` instead.
     """
 
     name: Literal["ppo"] = "ppo"
@@ -255,11 +257,14 @@ class GCRLConfig(PPOConfig):
 
     @classmethod
     def paper(cls) -> GCRLConfig:
-        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none."""
+        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none.
+
+        The code also asks for minibatches of 32 rows, by an option (``mini_batch_size_per_learner``) of RLlib's new API
+        stack alone, while its model (``TorchModelV2``) runs on the old one: there they stay at 128.
+        """
         return replace(
             cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
             epochs=10,
-            minibatch_rows=32,
             max_grad_norm=4.0,
             hidden=(64,),
             activation="relu",

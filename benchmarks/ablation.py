@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.benchmarks.ablation_options import REFERENCE, ROWS, SETTING, START, AblationConfig
+from izoo.benchmarks.ablation_options import REFERENCE, ROWS, SETTING, AblationConfig
 from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
@@ -107,8 +107,9 @@ class Bench:
 
         threads = [] if self.config.threads is None else [f"twin.threads={self.config.threads}"]
         words = last_of([*SETTING, *ROWS[name].words, *self.config.train, *threads, f"seed={seed}"])
-        if ROWS[name].starts:
-            words.append(f"start='{self.folder / 'runs' / START / f'seed{seed}'}'")
+        start = ROWS[name].start
+        if start is not None:
+            words.append(f"start='{self.folder / 'runs' / start / f'seed{seed}'}'")
         run_dir = self.folder / "runs" / name / f"seed{seed}"
         return dataclasses.replace(compose_config("train", TrainConfig, words), run_dir=str(run_dir))
 
@@ -139,17 +140,18 @@ class Bench:
         def work() -> dict[str, Any]:
             options = self.options(name, seed)
             run_dir, begin = Path(options.run_dir or ""), time.process_time()
-            if checkpoint.listed(run_dir):
+            resumed = bool(checkpoint.listed(run_dir))
+            if resumed:
                 train(dataclasses.replace(options, resume=str(run_dir)), frozenset({"resume"}))
             else:
                 shutil.rmtree(run_dir, ignore_errors=True)
                 train(options)
             seconds = time.process_time() - begin
             found = self._acted(self.env(name), runs.load_policy(run_dir))
-            return {**found, "train_cpu_s": round(seconds, 1)}
+            return found if resumed else {**found, "train_cpu_s": round(seconds, 1)}  # of the rest alone it says little
 
         self._play(name, seed, work)
-        if not self.config.keep_runs and name != START:
+        if not self.config.keep_runs and name not in {row.start for row in ROWS.values()}:
             shutil.rmtree(self.folder / "runs" / name / f"seed{seed}", ignore_errors=True)
 
     def _acted(self, env: EnvConfig, policy: TensorDictModuleBase) -> dict[str, Any]:

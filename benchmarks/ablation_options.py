@@ -57,14 +57,21 @@ REPLAY = (
     "algo.n_step=5",
     "algo.rows_per_frame=4",
 )
+HOLD_1, HOLD_4 = ("env.hold_s=1", "algo.gamma=0.995"), ("env.hold_s=4", "algo.gamma=0.98")
+"""Decisions of other lengths, which look as far ahead."""
 START, REFERENCE = "imitation", "whole"
-"""The row with whose policies others begin, and the one that they are compared with."""
+"""The row with whose policies most others begin, and the one that they are compared with."""
 
 
 def _frames(factor: float) -> tuple[str, ...]:
     """Return the options of the same simulated time in ``factor`` times as many decisions."""
     of = {"total_frames": 52800, "algo.warm_start_frames": 4800, "algo.frames_per_batch": 4800}
     return tuple(f"{name}={round(factor * value)}" for name, value in of.items())
+
+
+def _all_imitated(factor: float) -> tuple[str, ...]:
+    """Return :func:`_frames`, all of them of the imitation."""
+    return (*_frames(factor), f"algo.warm_start_frames={round(factor * 52800)}")
 
 
 @dataclass(frozen=True)
@@ -74,16 +81,16 @@ class Row:
     Attributes:
         label: in words.
         words: options of ``izoo.train`` beside :data:`SETTING`; the last of several that set the same one counts.
-        starts: with which policies it begins: those of the row :data:`START` of the same seeds, or untrained ones.
+        start: the row with whose policies, of the same seeds, it begins; ``None``: with untrained ones.
     """
 
     label: str
     words: tuple[str, ...]
-    starts: bool = True
+    start: str | None = START
 
 
 ROWS = {
-    START: Row("imitation of glide alone", IMITATION, starts=False),
+    START: Row("imitation of glide alone", IMITATION, start=None),
     REFERENCE: Row("then MAPPO with all parts", WHOLE),
     "no_kl": Row("no penalty on leaving the imitation", (*WHOLE, "algo.kl_to_start=0")),
     "agent_credit": Row("credit by agent, same reward", (*WHOLE, "algo.control_variate=false", "algo.credit=agent")),
@@ -93,17 +100,19 @@ ROWS = {
     "no_target_kl": Row("no bound on an update's divergence", (*WHOLE, "algo.target_kl=null")),
     "in_step": Row("episodes begin together", (*WHOLE, "twin.stagger=false")),
     "critic_sees_all": Row("the critic sees every vehicle", (*WHOLE, "algo.critic_sees=all")),
-    "hold_1": Row("decisions of 1 s", (*WHOLE, "env.hold_s=1", "algo.gamma=0.995", *_frames(2.0))),
-    "hold_4": Row("decisions of 4 s", (*WHOLE, "env.hold_s=4", "algo.gamma=0.98", *_frames(0.5))),
+    f"{START}_hold_1": Row("imitation, decisions of 1 s", (*IMITATION, *HOLD_1, *_all_imitated(2.0)), start=None),
+    "hold_1": Row("then decisions of 1 s", (*WHOLE, *HOLD_1, *_frames(2.0)), start=f"{START}_hold_1"),
+    f"{START}_hold_4": Row("imitation, decisions of 4 s", (*IMITATION, *HOLD_4, *_all_imitated(0.5)), start=None),
+    "hold_4": Row("then decisions of 4 s", (*WHOLE, *HOLD_4, *_frames(0.5)), start=f"{START}_hold_4"),
     "ppo_own_fuel": Row("PPO, paid for itself and those behind it", ("algo=ppo", *PPO, "env.reward=fuel")),
-    "no_imitation": Row("MAPPO with all parts, from scratch", (*WHOLE, "algo.warm_start=none"), starts=False),
-    "td3": Row("TD3 from scratch, applied advice stored", ("algo=td3", *REPLAY), starts=False),
+    "no_imitation": Row("MAPPO with all parts, from scratch", (*WHOLE, "algo.warm_start=none"), start=None),
+    "td3": Row("TD3 from scratch, applied advice stored", ("algo=td3", *REPLAY), start=None),
     "td3_commanded": Row(
-        "TD3 from scratch, given advice stored", ("algo=td3", *REPLAY, "algo.stores=commanded"), starts=False
+        "TD3 from scratch, given advice stored", ("algo=td3", *REPLAY, "algo.stores=commanded"), start=None
     ),
-    "ddpg": Row("DDPG from scratch, given advice stored", ("algo=ddpg", *REPLAY), starts=False),
+    "ddpg": Row("DDPG from scratch, given advice stored", ("algo=ddpg", *REPLAY), start=None),
     "ddpg_applied": Row(
-        "DDPG from scratch, applied advice stored", ("algo=ddpg", *REPLAY, "algo.stores=applied"), starts=False
+        "DDPG from scratch, applied advice stored", ("algo=ddpg", *REPLAY, "algo.stores=applied"), start=None
     ),
 }
 """What is trained, by name, in the order of the table."""
@@ -153,4 +162,5 @@ class AblationConfig:
     def chosen(self) -> tuple[str, ...]:
         """The names of the rows that are trained, in the order of the table, with those that others rest on."""
         wanted = set(ROWS) if ALL in self.rows else {START, REFERENCE, *self.rows}
+        wanted |= {start for name in wanted if (start := ROWS[name].start) is not None}
         return tuple(name for name in ROWS if name in wanted)

@@ -220,7 +220,11 @@ class Campaign:
 
         These must not pass for evaluations of the weights that come.
         """
-        for folder in (self._run_dir(job), *(folder for folder, _ in self._tests(job))):
+        run_dir = self._run_dir(job)
+        if run_dir.is_dir():
+            with runs.owned(run_dir):  # where the process of a run outlives its benchmark, it is to be waited for
+                shutil.rmtree(run_dir, ignore_errors=True)
+        for folder, _ in self._tests(job):
             shutil.rmtree(folder, ignore_errors=True)
 
     def _trained_elsewhere(self) -> dict[tuple[str, int], Path]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from izoo.benchmarks.whole_episodes import Play, Sums
     from izoo.envs import EnvConfig, TwinEnv
 
-MAY_CHANGE = ("out", "threads", "num_contexts", "adoptions", "seeds")
+MAY_CHANGE = ("out", "threads", "adoptions", "seeds")
 """Options that may differ when a file of rows is gone on with."""
 AT_ONCE = 16
 """Intersections that are played side by side."""
@@ -52,11 +52,11 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
     rows = kept(config)
     contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
-    env, done = settings(config), {(row["adoption"], row["context"], row["seed"]) for row in rows}
+    env, done = settings(config), {(row["context_hash"], row["seed"]) for row in rows}
     parts: list[list[Play]] = []
     for adoption in config.adoptions:
         plays = [(context.replace(adoption=adoption), seed) for context in contexts for seed in seeds.of(context)]
-        todo = [(context, seed) for context, seed in plays if (adoption, context.name, seed) not in done]
+        todo = [(context, seed) for context, seed in plays if (context.content_hash, seed) not in done]
         parts += [todo[first : first + AT_ONCE] for first in range(0, len(todo), AT_ONCE)]
     if done:
         print(f"{config.out} holds {len(rows)} episodes; it goes on.", flush=True)
@@ -74,7 +74,8 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
                 "planner": played(part, env, config.threads, lambda world: Planner(world, config, seen).act),
             }
             for k, (context, seed) in enumerate(part):
-                row = {"context": context.name, "intersection": context.intersection.name, "seed": seed}
+                row = {"context_hash": context.content_hash, "context": context.name, "seed": seed}
+                row["intersection"] = context.intersection.name
                 lanes = int(found["human"]["lanes"][k])
                 rows.append({**row, "adoption": context.adoption, "lanes": lanes, **_sums(found, k)})
             keep(config, rows)
@@ -98,6 +99,8 @@ def kept(config: PlannerConfig) -> list[dict[str, Any]]:
                 f"{config.out} was made with {name}={made_with.get(name)}, and now it is {value}; give the same, or "
                 "choose another file with out=FILE."
             )
+    if any("context_hash" not in row for row in rows):
+        raise IzooError(f"{config.out} was made by an earlier version; choose another file with out=FILE.")
     return rows
 
 

@@ -55,6 +55,8 @@ class PlannerConfig:
         if not (self.adoptions and self.caps):
             raise IzooError("adoptions and caps each need one entry or more.")
         check_range("every_s", self.every_s, self.env.step_s, 60.0, "s")
+        if abs(self.every_s / self.env.step_s - round(self.every_s / self.env.step_s)) > 1e-6:
+            raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")
         check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
         check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
         if self.out is not None:

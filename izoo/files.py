@@ -23,6 +23,8 @@ import platformdirs
 from izoo.errors import IzooError
 
 CACHE_ENV = "IZOO_CACHE_DIR"
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""Errors of a disk that is full or has become read-only."""
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)-[0-9a-f]+")
 
 

@@ -46,12 +46,19 @@ def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
     """
     algorithm.load_state_dict(state)
     # Optimisers take any shape, and would stumble over it in their first step.
-    for optimiser in vars(algorithm).values():
+    for optimiser in vars(_learned(algorithm)).values():
         if isinstance(optimiser, torch.optim.Optimizer):
             for parameter, entries in optimiser.state.items():
                 for name, entry in entries.items():
                     if isinstance(entry, torch.Tensor) and entry.ndim > 0 and entry.shape != parameter.shape:
                         raise ValueError(f"the optimiser's {name} is {list(entry.shape)}, not {list(parameter.shape)}")
+
+
+def _learned(algorithm: Any) -> Any:
+    """Return what learns: an algorithm, or the one inside of what makes commands of its actions."""
+    while hasattr(algorithm, "learned"):
+        algorithm = algorithm.learned
+    return algorithm
 
 
 def is_finite(state: Any) -> bool:
@@ -95,11 +102,13 @@ class Learner:
 
     def advantage(self) -> Tensor:
         """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""
-        learned: Any = getattr(self.algorithm, "learned", self.algorithm)
-        return learned.advantage.to(COLLECTS_ON)
+        return _learned(self.algorithm).advantage.to(COLLECTS_ON)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the algorithm's state and the states of the random generators that learning draws from."""
+        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        if acts is not kept and hasattr(acts, "noise"):  # exploration goes on in the copy
+            kept.noise = acts.noise
         state = {"algorithm": self.algorithm.state_dict(), "torch_rng": torch.get_rng_state()}
         if self.device.type == "cuda":
             state["cuda_rng"] = torch.cuda.get_rng_state(self.device)
@@ -109,6 +118,9 @@ class Learner:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
         load_state(self.algorithm, state["algorithm"])
         self.share()
+        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        if acts is not kept and hasattr(acts, "noise"):
+            acts.noise = kept.noise.to(COLLECTS_ON, copy=True)
         torch.set_rng_state(state["torch_rng"])
         if self.device.type == "cuda" and "cuda_rng" in state:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import errno
 import math
 import sys
 import time
@@ -22,6 +21,7 @@ from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
+from izoo.files import NO_ROOM
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
 from izoo.training.environments import NUMBERS
@@ -33,8 +33,6 @@ from izoo.training.paired import Paired
 from izoo.training.past import Pasts
 from izoo.training.validation import Validator
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""Errors of a disk that is full or has become read-only."""
 MAX_LEARNER_THREADS = 8
 PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""
@@ -58,7 +56,9 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
         with runs.owned(run_dir), _room(run_dir):
             config, state, path = _resumed(config, given, run_dir)
             session = Session(config, run_dir, config.contexts.build())
-            if state is not None:
+            if state is None:
+                session.begin()
+            else:
                 session.restore(state, path)
             session.run()
         return run_dir
@@ -68,9 +68,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     source = config.contexts.build()
     with runs.created(config) as run_dir, _room(run_dir):
         session = Session(config, run_dir, source)
-        if config.start is not None:
-            runs.begin_with(session.learner.algorithm, config)
-            session.learner.share()
+        session.begin()
         session.run()
     return run_dir
 
@@ -172,6 +170,12 @@ class Session:
         self._saved_at = -1
         self._plotted_s = 0.0
         self._threads = torch.get_num_threads()
+
+    def begin(self) -> None:
+        """Begin with the policy that the options name, if they name one."""
+        if self.config.start is not None:
+            runs.begin_with(self.learner.algorithm, self.config)
+            self.learner.share()
 
     def restore(self, state: dict[str, Any], path: Path) -> None:
         """Go on from a checkpoint: with the weights and draws that it holds, and in the middle of its episodes.

@@ -27,7 +27,7 @@ from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
-from izoo.files import ensure_empty, write_json
+from izoo.files import NO_ROOM, ensure_empty, write_json
 from izoo.gpu import check_gpu
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
@@ -87,7 +87,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         writer.finish_shard()
     except OSError as error:
         text = f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete"
-        raise UnfinishedError(f"{text}. Make room, then collect the rest into another folder.") from error
+        remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
+        raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
     finally:
         writer.discard()
         collector.shutdown()
@@ -145,7 +146,12 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
             f"the policy of {config.policy} was trained on other observations than env describes; "
             "set env.observed and env.neighbours as in its config.yaml."
         )
-    return algorithm.policy
+    if trained.env.decision_s != config.env.decision_s:
+        raise IzooError(
+            f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "
+            f"{config.env.decision_s:g} s; set env.hold_s={trained.env.decision_s:g}."
+        )
+    return algorithm.policy.eval()
 
 
 def load(folder: Path | str) -> TensorDictBase:

@@ -61,6 +61,14 @@ def test_accelerations_are_read_from_speeds_of_the_simulation() -> None:
     assert left.any() and torch.equal(accel[left], pushed[base.ACTION][left]), "whose speed is unknown did as told"
 
 
+def test_in_the_last_decision_it_is_the_command() -> None:
+    """It may be shorter than the others, so that a change of speed says less than it seems to."""
+    batch = drive(Told(2.6), ENV.decisions)
+    ends = batch["next", "agents", "done"][..., 0] & batch["next", "agents", "mask"] & batch[base.MASK]
+    assert ends.any()
+    assert torch.equal(AppliedAcceleration(ENV)(batch)[ends], batch[base.ACTION][ends])
+
+
 def test_a_learner_stores_what_was_applied_and_the_batch_stays_as_it_is() -> None:
     batch = drive(Told(2.6), steps=30)
     small = {"hidden": (8,), "learning_starts": 10**6, "rows_per_frame": None, "n_step": 1, "replay_rows": 5000}

@@ -63,7 +63,10 @@ def test_the_critic_sees_everyone_and_the_policy_only_oneself() -> None:
     mask = batch[base.MASK]
     second = mask & (torch.arange(4) == 1) & mask[..., :1]
     with torch.no_grad():
-        before, after = mappo.values(batch, second), mappo.values(changed, second)
+        before, after = (
+            mappo.loss.value_estimator.values(batch, second),
+            mappo.loss.value_estimator.values(changed, second),
+        )
         policy = mappo.policy.network
         torch.testing.assert_close(
             policy(batch[base.OBSERVATION])[0][second], policy(changed[base.OBSERVATION])[0][second]

@@ -74,9 +74,9 @@ def test_the_critic_sees_human_drivers_and_the_policy_does_not(credit: str) -> N
             found.append(
                 estimator.team_values(seen, torch.ones(2, 6, dtype=torch.bool)).squeeze(-1)
                 if credit == "team"
-                else mappo.values(seen, played[base.MASK])
+                else mappo.loss.value_estimator.values(seen, played[base.MASK])
                 .new_zeros(2, 6, 4)
-                .masked_scatter(played[base.MASK], mappo.values(seen, played[base.MASK]))
+                .masked_scatter(played[base.MASK], mappo.loss.value_estimator.values(seen, played[base.MASK]))
             )
     changed = found[0] != found[1]
     assert changed[0, 2].any() and not changed[1].any() and not changed[0, [0, 1, 3, 4, 5]].any()

@@ -277,6 +277,17 @@ def test_a_batch_that_has_moved_the_policy_far_enough_is_left() -> None:
     assert 1.0 <= some < everything
 
 
+def test_how_far_a_policy_has_moved_is_never_less_than_nothing() -> None:
+    """The mean of minus the log-ratios, which TorchRL logs, is below 0 in many minibatches."""
+    ppo = make_ppo(lr=0.01, anneal_lr=False, epochs=3)
+    rows = ppo.advantages(act(ppo, make_batch()))
+    with torch.no_grad():
+        for parameter in ppo.policy.parameters():
+            parameter.add_(0.02 * torch.randn_like(parameter))
+        estimates = [float(ppo.loss(rows[part])["kl_approx"]) for part in torch.randperm(len(rows)).split(8)]
+    assert len(estimates) > 3 and min(estimates) >= 0.0 and sum(estimates) > 0.0
+
+
 def test_separate_clips_bound_each_network_by_itself() -> None:
     ppo = make_ppo(separate_clips=True, max_grad_norm=0.1, epochs=1, rows_per_epoch=None, minibatch_rows=1000)
     batch = act(ppo, make_batch())

@@ -54,9 +54,9 @@ def test_values_are_those_of_each_frame_alone(kind: str) -> None:
     mask = batch[base.MASK]
     expected = alone(algorithm, batch[base.OBSERVATION], mask)
     with torch.no_grad():
-        torch.testing.assert_close(algorithm.values(batch, mask).squeeze(-1), expected[mask])
+        torch.testing.assert_close(algorithm.loss.value_estimator.values(batch, mask).squeeze(-1), expected[mask])
         some = mask & (torch.arange(4) == 2)
-        torch.testing.assert_close(algorithm.values(batch, some).squeeze(-1), expected[some])
+        torch.testing.assert_close(algorithm.loss.value_estimator.values(batch, some).squeeze(-1), expected[some])
 
 
 def test_advantages_equal_the_recursion_by_hand(kind: str) -> None:

@@ -133,6 +133,15 @@ def test_the_imitation_may_have_a_learning_rate_of_its_own() -> None:
     assert rates == pytest.approx([0.01, 0.008, 0.0006])
 
 
+def test_the_weight_of_a_penalty_that_does_not_act_stays() -> None:
+    """Each batch of an imitation moves the policy far."""
+    words = ("algo.warm_start_frames=1000000", "algo.warm_start_lr=0.05", "algo.kl_coeff=0.2")
+    algorithm, batch = make("ppo", *WARM, *words, action="advise"), glide_batch()
+    stats = [algorithm.update(act(algorithm, batch), 0.0) for _ in range(2)]
+    assert stats[0]["kl"] > 0.02, "more than twice the aim"
+    assert float(algorithm.learned.loss.kl_weight) == pytest.approx(0.2)
+
+
 def test_the_penalty_keeps_the_policy_near_the_imitation() -> None:
     moved = []
     for weight in (0.0, 30.0):

@@ -12,6 +12,7 @@ from izoo.benchmarks import ablation
 from izoo.benchmarks.ablation_options import REFERENCE, ROWS, START, AblationConfig
 from izoo.conf import compose
 from izoo.errors import IzooError
+from izoo.training import runs
 
 QUICK = [
     *("rows=[td3]", "seeds=1", "num_contexts=2", "eval_seeds=1", "horizon_s=200", "threads=1"),
@@ -24,7 +25,12 @@ def test_every_row_is_a_training_run(name: str, tmp_path: Path) -> None:
     bench = ablation.Bench(AblationConfig(num_contexts=2, out=str(tmp_path)), tmp_path)
     options = bench.options(name, 3)
     assert options.seed == 3 and options.simulator == "twin"
-    assert (options.start is not None) == ROWS[name].starts
+    start = ROWS[name].start
+    assert (options.start is not None) == (start is not None)
+    if start is not None:
+        assert start in AblationConfig(rows=(name,)).chosen
+        begun, first = (runs._meaning(config) for config in (options, bench.options(start, 3)))
+        assert begun == first, "it can begin with these policies"
     if name not in (START, REFERENCE):
         plain = bench.options(REFERENCE, 3)
         changed = {key for key, value in vars(options).items() if value != vars(plain)[key]} - {"run_dir"}

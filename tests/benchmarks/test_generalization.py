@@ -305,6 +305,18 @@ def test_aggregates_and_leaderboard_files_never_lag_behind_the_runs(
     assert {path.stem for path in (copy / "leaderboard").glob("*.json")} == ENTRIES
 
 
+def test_a_run_whose_process_still_lives_is_waited_for(
+    copy: Path, done: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where the benchmark was killed before the first checkpoint of a run in a process of its own."""
+    run_dir = copy / "train" / "ppo" / "seed0"
+    for file in checkpoint.listed(run_dir):
+        file.unlink()
+    with owned(run_dir):
+        assert "this run is being trained; wait for its end" in refused(copy, done[1], capsys)
+    assert (run_dir / "metrics.csv").exists()
+
+
 def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(
     copy: Path, done: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

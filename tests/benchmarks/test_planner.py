@@ -77,6 +77,7 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     result = json.loads(out.read_text())
     assert len(result["rows"]) == 2 and {row["adoption"] for row in result["rows"]} == {0.5}
     assert all(row["crossed_planner"] > 0 for row in result["rows"])
+    assert len({row["context_hash"] for row in result["rows"]}) == 2
     assert "What there is to gain" in capsys.readouterr().out
     before, more = out.read_text(), [word.replace("adoptions=[0.5]", "adoptions=[0.5,1.0]") for word in words]
     assert planner.main([*more, "threads=1", f"out={out}"]) == 0
@@ -85,6 +86,10 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "holds 2 episodes" in capsys.readouterr().out
     assert planner.main([*words, "every_s=5", f"out={out}"]) == 2
     assert "every_s=10" in capsys.readouterr().err and out.read_text() != before
+    for row in again["rows"]:
+        del row["context_hash"]
+    out.write_text(json.dumps(again))
+    assert planner.main([*more, f"out={out}"]) == 2 and "earlier version" in capsys.readouterr().err
     other = tmp_path / "other.json"
     other.write_text("[]")
     assert planner.main([*words, f"out={other}"]) == 2 and other.read_text() == "[]"

@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
+from izoo.algos import base
 from izoo.algos.action import ResidualAction
 from izoo.algos.ddpg_config import DDPGConfig, TD3Config
 from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
@@ -23,6 +25,7 @@ from tests.algos import frames
 CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
 """``cpu:0`` counts as another device, so that everything a GPU needs to be done is done, on a machine without one."""
 FEATURES = len(observation_names(TrainConfig().env))
+PER_PARAMETER = {"step": torch.tensor(1.0), "exp_avg": None, "exp_avg_sq": torch.zeros(1)}
 CONFIGS = {
     "ppo": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16)),
     "mappo": TrainConfig(algo=MAPPOConfig(hidden=(8, 8), minibatch_rows=16)),
@@ -48,6 +51,27 @@ def collect(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> Any:
 def make(name: str, device: torch.device) -> Learner:
     torch.manual_seed(0)
     return Learner(CONFIGS[name], device)
+
+
+def test_exploration_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Elsewhere a copy of the policy collects, and the noise is the copy's."""
+    with set_exploration_type(ExplorationType.RANDOM):
+        first, second = make("ddpg", OTHER), make("ddpg", OTHER)
+        collect(first, monkeypatch)
+        noise = first.policy.noise.clone()
+        assert noise.any()
+        second.load_state_dict(copy.deepcopy(first.state_dict()))
+        assert torch.equal(second.policy.noise, noise)
+        assert torch.equal(collect(first, monkeypatch)[base.ACTION], collect(second, monkeypatch)[base.ACTION])
+
+
+def test_an_optimiser_of_other_networks_is_refused_also_inside_of_a_residual() -> None:
+    learner = make("residual", CPU)
+    state = learner.state_dict()
+    entries = state["algorithm"]["optimiser"]["state"]
+    entries[0] = {name: torch.zeros(3, 3) if name == "exp_avg" else entry for name, entry in PER_PARAMETER.items()}
+    with pytest.raises(ValueError, match="the optimiser's exp_avg is"):
+        learner.load_state_dict(state)
 
 
 def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:

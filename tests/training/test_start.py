@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 import torch
 
-from izoo import train
+from izoo import collect, train
+from izoo.conf.train_options import CollectConfig
 from izoo.training import checkpoint, runs
+from izoo.training.offline import make_policy
 
 TOY = [
     *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=100", "simulator=twin", "num_envs=2"),
@@ -40,6 +43,16 @@ def test_it_begins_there_with_whatever_value_function(trained: Path, tmp_path: P
     assert runs.read_config(begun).start == str(trained)
 
 
+def test_a_run_that_stopped_before_its_first_checkpoint_begins_there_again(trained: Path, tmp_path: Path) -> None:
+    """As after the loss of the process: the options are there, and a part of the table."""
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "algo=ppo", "algo.lr=1e-12", f"start={trained}", f"run_dir={run_dir}"]) == 0
+    shutil.rmtree(run_dir / "checkpoints")
+    assert train.main([f"resume={run_dir}"]) == 0
+    for name, leaf in weights(trained).items():
+        torch.testing.assert_close(weights(run_dir)[name], leaf)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -61,6 +74,23 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing(
     assert train.main([*toy, *words, f"start={trained}", f"run_dir={tmp_path / 'run'}"]) == 2
     assert message.lower() in capsys.readouterr().err.lower()
     assert not (tmp_path / "run").exists()
+
+
+def test_a_policy_collects_with_its_own_length_of_a_decision(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["contexts=pcg_easy", f"policy={trained}", "frames=10", f"out={tmp_path / 'data'}", "env.hold_s=2"]
+    assert collect.main(words) == 2 and not (tmp_path / "data").exists()
+    assert "decides every 0.5 s, and env every 2 s; set env.hold_s=0.5." in capsys.readouterr().err
+
+
+def test_what_collects_is_the_policy_and_not_its_search(tmp_path: Path) -> None:
+    search = ["algo=cmaes", "algo.population=4", "num_envs=4"]
+    words = [word for word in TOY if not word.startswith(("algo.", "num_envs"))]
+    run_dir = tmp_path / "run"
+    assert train.main([*words, *search, f"run_dir={run_dir}"]) == 0
+    config = CollectConfig(policy=str(run_dir), env=runs.read_config(run_dir).env)
+    assert not make_policy(config).training
 
 
 def test_a_run_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
