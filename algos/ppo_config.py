@@ -65,7 +65,7 @@ class PPOConfig(AlgoConfig):
             0.01).
         target_kl: a batch is learned from no further once the policy diverges, on a minibatch, from the one that
             collected by more than one and a half times this (as in Stable-Baselines3; 0.01 to 0.02 is usual); ``null``:
-            all epochs (RLlib, ours).
+            all epochs (RLlib, ours). Nothing is learned from the minibatch that shows it.
         separate_clips: bound the gradients of actor and critic each by itself, so that large value errors do not
             silence the actor (RLlib, ours: both together).
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).

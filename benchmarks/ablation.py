@@ -170,7 +170,8 @@ class Bench:
         from izoo.files import write_json
 
         path = self.folder / "results" / f"{name}-seed{seed}.json"
-        about = {**self.about, "row": list(ROWS[name].words) if name in ROWS else []}
+        row = [*ROWS[name].words, f"start={ROWS[name].start}"] if name in ROWS else []
+        about = {**self.about, "row": row}
         if path.is_file():
             try:
                 kept = json.loads(path.read_text())

@@ -374,7 +374,7 @@ class Campaign:
     def _work(self, job: Job) -> float:
         """Environment steps of what is left of a job."""
         if job.kind == "train":
-            return max(self.runs[job.key].total_frames - self._run_record(job).frames, 0)
+            return max(self.runs[job.key].total_frames - _learned(self._run_dir(job)), 0)
         episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
         return float(episodes * self.envs[job.entry.name].decisions)
 

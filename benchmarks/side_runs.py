@@ -60,7 +60,7 @@ class SideRuns:
                 text = f"Closing {counted(len(going), 'training run')} in good order. Ctrl-C stops at once."
                 print(f"\n{text}", file=sys.stderr, flush=True)
             for run in going:
-                run.process.send_signal(signal.SIGINT)
+                run.ask_to_stop()
             for run in going:
                 run.process.wait()
         finally:
@@ -111,6 +111,7 @@ class _Run:
         self.cores, self.ended, self._log = cores, False, order.log
         self._parent, child = socket.socketpair()
         order.log.parent.mkdir(parents=True, exist_ok=True)
+        self._said_before = order.log.stat().st_size if order.log.exists() else 0
         with child, tempfile.TemporaryFile() as setup, order.log.open("ab") as log:
             pickle.dump((order.config, order.given, cores), setup)
             setup.flush()
@@ -122,10 +123,18 @@ class _Run:
         code = self.process.returncode
         if code == 0:
             return
-        said = self._log.read_text(errors="replace").splitlines()
-        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if code > 0 and said else f"ended by signal {-code}"
+        said = self._log.read_bytes()[self._said_before :].decode(errors="replace").splitlines()
+        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if said else f"it said nothing, and ended with code {code}"
+        if code < 0:
+            last = f"it was ended by signal {-code}"
         kind = IzooError if code == EXIT_BAD_INPUT else UnfinishedError
         raise kind(f"a training run failed: {last} (all that it said: {self._log})")
+
+    def ask_to_stop(self) -> None:
+        """Let the process close its run in good order: it does so when this end of the socket is gone, for whichever
+        reason, and once, since it takes a second request for one to stop at once.
+        """
+        self._parent.close()
 
     def close(self) -> None:
         """End the process, if it has not ended by itself."""

@@ -262,11 +262,6 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
-        if self.env.lane_change:
-            raise IzooError(
-                "env.lane_change=true asks the policy for lane changes as well, but izoo's learners command "
-                "accelerations alone; leave it out."
-            )
         warm_start = getattr(self.algo, "warm_start", "none")
         if warm_start != "none" and self.action.name != "advise":
             raise IzooError(

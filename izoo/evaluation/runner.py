@@ -61,7 +61,8 @@ def evaluate_policy(
         env_config: the environment; what it emits is chosen here.
         num_workers: worker processes, each with one simulator; 0 plays in this process.
         out_dir: where ``evaluation.csv`` and ``summary.json`` go. Episodes that are already there are not played
-            again; those of other weights under the same name are replaced. ``None`` writes nothing.
+            again; those of another policy under the same name are replaced
+            (:func:`izoo.evaluation.fingerprint.fingerprint`). ``None`` writes nothing.
         progress: show a bar with the time left.
         name: the policy's name in the table.
         uncommanded: also play the CVs that nobody commands, which separates what the policy did from what the CV's

@@ -220,7 +220,7 @@ class Player:
 
 
 def _loaded(path: Path) -> tuple[Any, str]:
-    from izoo.evaluation.policies import fingerprint
+    from izoo.evaluation.fingerprint import fingerprint
 
     exported = zoo.named(str(path))
     policy = zoo.load(exported).policy if exported else runs.load_algorithm(path)[0].policy.eval()

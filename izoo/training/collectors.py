@@ -221,6 +221,11 @@ def check_collector(config: TrainConfig) -> None:
     """Raise :class:`IzooError` where the collector that ``config`` names cannot be had here, or does not suit its
     algorithm.
     """
+    if config.env.lane_change:
+        raise IzooError(
+            "env.lane_change=true asks the policy for lane changes as well, but izoo's learners command accelerations "
+            "alone; leave it out."
+        )
     if config.simulator == "twin":
         check_settings(config.env)
         if config.twin.surrogate == "cuda":

@@ -20,7 +20,7 @@ from izoo.algos.scripted import DEFER, Glide, GlideConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.policies import fingerprint
+from izoo.evaluation.fingerprint import fingerprint
 
 ENV = EnvConfig(
     hold_s=2.0,

@@ -105,22 +105,27 @@ def test_everything_is_there(done: tuple[Path, Path]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("runs_at_once", [1, 2])
 def test_a_benchmark_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
-    folder, cache, at_once = tmp_path / "a", tmp_path / "cache", f"runs_at_once={runs_at_once}"
-    process = start(folder, cache, at_once)
+    folder, cache = tmp_path / "a", tmp_path / "cache"
+    more = [f"runs_at_once={runs_at_once}", f"seeds={runs_at_once}"]
+    process = start(folder, cache, *more)
     wait_for_frames(folder, 150, process)
     process.send_signal(signal.SIGINT)
     output = process.communicate(timeout=60)[0]
     assert process.returncode == 130 and "the same command goes on where it stopped." in output, output
     stopped_at = read_results(folder).entry("ppo").runs[0]
     assert stopped_at.status == "training"
-    process = start(folder, cache, at_once)
+    process = start(folder, cache, *more)
     wait_for_frames(folder, int(checkpoint.listed(folder / "train/ppo/seed0")[-1].stem[5:]) + 150, process)
     process.kill()
     process.communicate()
     assert not read_results(folder).complete
-    wait_until_nobody_trains(folder / "train/ppo/seed0")
-    assert generalization.main([*WORDS, f"out={folder}", f"cache={cache}"]) == 0
+    for seed in range(runs_at_once):
+        wait_until_nobody_trains(folder / f"train/ppo/seed{seed}")
+    assert generalization.main([*WORDS, *more, f"out={folder}", f"cache={cache}"]) == 0
     assert_everything_is_there(folder)
+    assert [run.frames for run in read_results(folder).entry("ppo").runs] == [750] * runs_at_once
+    said = [file.read_text() for file in sorted(folder.glob("train/ppo/*.log"))]
+    assert len(said) == (runs_at_once if runs_at_once > 1 else 0) and all("Run folder: " in text for text in said)
 
 
 def test_everything_on_the_twin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

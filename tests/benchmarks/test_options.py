@@ -202,6 +202,7 @@ def test_the_evaluation_has_the_environment_of_the_training_but_for_its_length(p
     config = GeneralizationConfig(train_options=tuple(f"{plus}{word}" for word in words)).resolved()
     env = evaluation_env(config)
     assert (env.hold_s, env.neighbours, env.warmup_s) == (2.0, ("leader",), EnvConfig().warmup_s)
+    assert evaluation_env(dataclasses.replace(config, train_options=("env.lane_change=true",))).lane_change
 
 
 def test_time_left_follows_from_what_was_measured() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -74,3 +76,27 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     assert "go on with: python -m izoo.train resume=" in (tmp_path / "long.log").read_text()
     learned, _ = MetricsTable.read(long / runs.METRICS_FILE).series("seconds")
     assert int(checkpoint.listed(long)[-1].stem.rpartition("-")[2]) == learned[-1]
+
+
+def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
+    """A second request would stop it at once."""
+    words = [f"import sys; sys.path[:] = {sys.path!r}"]
+    words += ["from tests.benchmarks.test_side_runs import stopped; from pathlib import Path"]
+    words += [f"stopped(Path({str(tmp_path)!r}))"]
+    parent = subprocess.Popen([sys.executable, "-c", "; ".join(words)])
+    wait_until(lambda: (tmp_path / "asked").exists(), "the request")
+    parent.kill()
+    parent.wait()
+    wait_until(lambda: "izoo train: stopped." in (tmp_path / "long.log").read_text(), "the end")
+    learned, _ = MetricsTable.read(tmp_path / "long" / runs.METRICS_FILE).series("seconds")
+    assert int(checkpoint.listed(tmp_path / "long")[-1].stem.rpartition("-")[2]) == learned[-1]
+
+
+def stopped(folder: Path) -> None:
+    """Begin a run, and ask it to stop once it has learned something."""
+    with SideRuns(1) as beside:
+        beside.begin("long", order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
+        wait_until(lambda: MetricsTable.read(folder / "long" / runs.METRICS_FILE).rows, "the first batch")
+        beside.going[0].ask_to_stop()
+        (folder / "asked").touch()
+        time.sleep(PATIENCE_S)

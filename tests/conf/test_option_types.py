@@ -22,7 +22,6 @@ from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.report_options import ReportConfig
 from izoo.conf.train_options import CollectConfig, TrainConfig
-from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 
 CONFIGS: dict[str, Any] = {
@@ -131,11 +130,6 @@ def test_what_is_refused_is_named_with_what_it_must_be() -> None:
         PPOConfig(hidden=128)  # type: ignore[arg-type]
     with pytest.raises(IzooError, match=r"^num_workers is 0\.5; it must be a whole number\."):
         TrainConfig(num_workers=0.5)  # type: ignore[arg-type]
-
-
-def test_training_is_refused_where_lane_changes_are_asked_for() -> None:
-    with pytest.raises(IzooError, match=r"env\.lane_change=true .* leave it out\."):
-        TrainConfig(env=EnvConfig(lane_change=True))
 
 
 def test_the_walk_knows_every_action() -> None:

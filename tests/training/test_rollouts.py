@@ -25,6 +25,7 @@ from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.errors import IzooError
 from izoo.training import collectors
+from izoo.training.collectors import check_collector
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from tests.envs.worlds import crossing
 
@@ -160,6 +161,11 @@ def test_policies_that_do_not_change_lanes_are_refused_where_they_must(name: str
     refused = pytest.raises(IzooError, match=r"'lane_change'\) is missing")
     with collecting(policy_of(OPTIONS[name]), config) as collector, refused:
         next(iter(collector))
+
+
+def test_training_is_refused_where_lane_changes_are_asked_for() -> None:
+    with pytest.raises(IzooError, match=r"env\.lane_change=true .* leave it out\."):
+        check_collector(TrainConfig(env=EnvConfig(lane_change=True)))
 
 
 class Deferring(TensorDictModuleBase):

@@ -28,7 +28,8 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.policies import as_candidate, fingerprint
+from izoo.evaluation.fingerprint import fingerprint
+from izoo.evaluation.policies import as_candidate
 from izoo.evaluation.table import CSV_FILE, read_csv
 from izoo.zoo import shelf
 
