@@ -100,12 +100,13 @@ class _Walk:
         return [_source(type(value)), held]
 
     def _numbers(self, value: Any) -> None:
-        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value)
-        self.say(f"{array.dtype} {array.shape}")
-        if array.dtype == object:
-            self.take(array.tolist())
+        self.say(f"{value.dtype} {tuple(value.shape)}")
+        if isinstance(value, Tensor):  # as bytes, since NumPy has no bfloat16
+            value = value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy()
+        if value.dtype == object:
+            self.take(value.tolist())
         else:
-            self.digest.update(array.tobytes())
+            self.digest.update(value.tobytes())
 
     def _module(self, policy: nn.Module) -> None:
         self.say(_without_addresses(repr(policy)))
