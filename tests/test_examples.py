@@ -140,6 +140,8 @@ def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
     assert "nowhere does not exist" in capsys.readouterr().err
     assert adoption.command([str(tmp_path), str(tmp_path / "out"), "glide", "nonsense"]) == 2
     assert "unknown policy 'nonsense'" in capsys.readouterr().err
+    assert adoption.command([str(tmp_path), str(tmp_path / "out"), f"ppo=glide,{tmp_path / 'gone.pt'}"]) == 2
+    assert "gone.pt" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -150,10 +152,16 @@ def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
     context = procedural_context(lane_count=1, inflow_vph_per_lane=400.0)
-    policies = ["uncommanded", "glide", "zoo:measured_search"]
-    rows = adoption.measure([context], policies, tmp_path, seeds=2, horizon_s=125.0)
+    policies = ["uncommanded", "glide", "zoo:measured_search", "both=glide,zoo:measured_search"]
+    entries = [adoption.Entry.named(policy) for policy in policies]
+    rows = adoption.measure([context], entries, tmp_path, seeds=2, horizon_s=125.0)
     found = {(row["policy"], row["vehicle"], round(row["adoption"], 2)): row["benefit"]["value"] for row in rows}
-    assert len(found) == 18
+    assert len(found) == 24
+    for (name, *setting), value in found.items():
+        if name == "both":
+            apart = [found[(other, *setting)] for other in ("glide", "measured_search")]
+            assert value == pytest.approx(np.mean(apart)), "several training seeds count as their mean"
+    assert {row["n"]["train_seeds"] for row in rows if row["policy"] == "both"} == {2}
     human = [value for (name, vehicle, _), value in found.items() if name == "uncommanded" and vehicle == "human"]
     assert human == [0.0, 0.0, 0.0], "with human parameters, uncommanded CVs are human driving"
     assert any(value != 0.0 for (name, vehicle, _), value in found.items() if name == "glide" and vehicle == "human")

@@ -1,7 +1,8 @@
 """How much do controlled vehicles save, few of them or all? Several policies against the share of CVs, in one figure.
 
 ``python -m izoo.docs.examples.adoption DATASET OUT [POLICY ...]`` evaluates, in SUMO, on the test split of a folder of
-the published dataset. It may be stopped at any time; the same command goes on.
+the published dataset. ``NAME=FILE.pt,FILE.pt`` in place of a policy means several training seeds of one learner. It may
+be stopped at any time; the same command goes on.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ import argparse
 import dataclasses
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 
 from izoo import zoo
 from izoo.conf.folders import DatasetContexts
@@ -29,7 +32,34 @@ from izoo.files import write_json
 
 ADOPTIONS = (0.1, 1 / 3, 1.0)
 VEHICLES = {"paper": "CVs with the paper's parameters", "human": "CVs with the parameters of human-driven vehicles"}
-FIGURES = {"benefit": "exact", "region": "region_exact", "over_uncommanded": "over_uncommanded"}
+FIGURES = {
+    "benefit": "exact",
+    "region": "region_exact",
+    "over_uncommanded": "over_uncommanded",
+    "demand_over_uncommanded": "demand_over_uncommanded",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the figure: its name, and a policy or the training seeds of one."""
+
+    name: str
+    policies: tuple[str, ...]
+
+    @classmethod
+    def named(cls, text: str) -> Entry:
+        """Return the entry that ``POLICY`` or ``NAME=POLICY,POLICY`` means; names that mean nothing are refused."""
+        name, seeds, policies = text.partition("=")
+        entry = cls(name, tuple(policies.split(","))) if seeds else cls(text.removeprefix(zoo.PREFIX), (text,))
+        for policy in entry.policies:
+            as_candidate(policy, own_env(policy))
+        return entry
+
+    def folders(self, out: Path) -> list[Path]:
+        """Return a folder for the evaluation of each policy."""
+        here = out / self.name
+        return [here] if len(self.policies) == 1 else [here / f"seed{seed}" for seed in range(len(self.policies))]
 
 
 def own_env(policy: str, horizon_s: float = 1000.0) -> EnvConfig:
@@ -40,32 +70,50 @@ def own_env(policy: str, horizon_s: float = 1000.0) -> EnvConfig:
 
 
 def measure(
-    contexts: Sequence[Context], policies: Sequence[str], out: Path, seeds: int = 3, horizon_s: float = 1000.0
+    contexts: Sequence[Context],
+    entries: Sequence[Entry],
+    out: Path,
+    seeds: int = 3,
+    horizon_s: float = 1000.0,
+    num_workers: int = 0,
 ) -> list[dict[str, Any]]:
-    """Evaluate policies at every adoption with both kinds of vehicles; return a row per combination.
+    """Evaluate entries at every adoption with both kinds of vehicles; return a row per combination.
 
     Args:
         contexts: whatever their adoption is.
-        policies: names that ``izoo.evaluate`` knows.
+        entries: what is compared.
         out: folder of the evaluations.
         seeds: paired episodes per context.
         horizon_s: how long they last.
+        num_workers: processes that play.
     """
     rows = []
     for vehicle in VEHICLES:
         for adoption in ADOPTIONS:
             here = [context.replace(adoption=adoption, cv_vehicle=vehicle) for context in contexts]
-            folder = out / f"{vehicle}-{adoption:.2f}"
-            for policy in policies:
-                name, env = policy.removeprefix(zoo.PREFIX), own_env(policy, horizon_s)
-                table = evaluate_policy(
-                    policy, here, EpisodeSeeds(EVALUATION_STREAM, seeds), env, num_workers=0, out_dir=folder / name
-                )
-                found = aggregate(run_rows(table, name, 0))
+            for entry in entries:
+                print(f"{entry.name}, {100 * adoption:.0f} % {VEHICLES[vehicle]}", flush=True)
+                parts = []
+                for seed, (policy, folder) in enumerate(
+                    zip(entry.policies, entry.folders(out / f"{vehicle}-{adoption:.2f}"), strict=True)
+                ):
+                    table = evaluate_policy(
+                        policy,
+                        here,
+                        EpisodeSeeds(EVALUATION_STREAM, seeds),
+                        own_env(policy, horizon_s),
+                        num_workers=num_workers,
+                        out_dir=folder,
+                        name=entry.name,
+                    )
+                    parts.append(run_rows(table, entry.name, seed))
+                found = aggregate(pd.concat(parts, ignore_index=True))
                 estimates = {
                     label: found["all"][part]["mean"] for label, part in FIGURES.items() if part in found["all"]
                 }
-                rows.append({"policy": name, "adoption": adoption, "vehicle": vehicle, "n": found["n"], **estimates})
+                rows.append(
+                    {"policy": entry.name, "adoption": adoption, "vehicle": vehicle, "n": found["n"], **estimates}
+                )
     return rows
 
 
@@ -95,13 +143,12 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main(dataset: str, out: str, policies: Sequence[str], limit: int = 10) -> None:
+def main(dataset: str, out: str, policies: Sequence[str], limit: int = 10, num_workers: int = 0) -> None:
     """Evaluate on ``limit`` approaches drawn from the test split, and write ``adoption.json`` and ``adoption.png``."""
     folder = Path(out)
-    for policy in policies:
-        as_candidate(policy, own_env(policy))  # a name that means nothing is refused before anything is played
+    entries = [Entry.named(policy) for policy in policies]  # a name that means nothing is refused before playing
     contexts = choose_contexts(DatasetContexts(path=dataset, split="test").build(), limit, 0)
-    rows = measure(contexts, policies, folder)
+    rows = measure(contexts, entries, folder, num_workers=num_workers)
     write_json(folder / "adoption.json", {"rows": rows})
     draw(rows, folder / "adoption.png")
     print(f"{folder / 'adoption.png'}")
@@ -112,11 +159,15 @@ def command(words: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m izoo.docs.examples.adoption", description=__doc__)
     parser.add_argument("dataset", help="folder of the published dataset")
     parser.add_argument("out", help="folder of the results")
-    parser.add_argument("policies", nargs="*", metavar="POLICY", help="as policy= of izoo.evaluate")
+    parser.add_argument(
+        "policies", nargs="*", metavar="POLICY", help="as policy= of izoo.evaluate, or NAME=FILE.pt,FILE.pt,..."
+    )
+    parser.add_argument("--limit", type=int, default=10, help="approaches drawn from the test split")
+    parser.add_argument("--workers", type=int, default=0, help="processes that play")
     given = parser.parse_args(words)
 
     def work() -> int:
-        main(given.dataset, given.out, given.policies or ("uncommanded", "glide"))
+        main(given.dataset, given.out, given.policies or ("uncommanded", "glide"), given.limit, given.workers)
         return 0
 
     return exit_code("adoption", work, "the same command goes on where it stopped")
