@@ -62,8 +62,8 @@ class Backend(Protocol):
             meanwhile: may be called once while a simulation is waited for.
 
         Returns:
-            Environments whose simulation was lost and replaced in this step; their frames are not to be read, and they
-            need :meth:`begin`.
+            Environments whose simulation was lost and replaced in this step; of their frames only observation, mask
+            and vehicles of the agents are to be read, which are as before the step, and they need :meth:`begin`.
 
         Raises:
             IzooError: an episode has ended.

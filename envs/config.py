@@ -80,6 +80,12 @@ class EnvConfig:
         for name in self.emit:
             check_choice("emit group", name, EMIT_GROUPS)
         check_range("step_s", self.step_s, 0.05, 1.0, "s")
+        step_ms = 1000.0 * self.step_s
+        if abs(step_ms - round(step_ms)) > 1e-6:
+            near = " or ".join(f"{ms / 1000.0:g}" for ms in (int(step_ms), int(step_ms) + 1))
+            raise IzooError(
+                f"env.step_s is {self.step_s:g}, and simulators keep time in whole milliseconds. Give {near}."
+            )
         self._check_hold()
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")

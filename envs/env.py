@@ -107,8 +107,8 @@ class EcoDrivingBase(EnvBase):
         requested = self._requested(episode)
         count = self.batch_size.numel()
         chosen = range(count) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()
-        numbers = {index: self._take_number(index) if requested is None else requested[index] for index in chosen}
         with self.used_by_one_thread():
+            numbers = {index: self._take_number(index) if requested is None else requested[index] for index in chosen}
             self.backend.begin({index: Play(*self.schedule(number), number) for index, number in numbers.items()})
             return self._frame()
 
@@ -140,13 +140,9 @@ class EcoDrivingBase(EnvBase):
         finally:
             self._in_use.release()
 
-    def _truncate(self, index: int, tensordict: TensorDictBase) -> None:
+    def _truncate(self, index: int) -> None:
         """Report a lost step: the state before it, truncated, without reward; nothing was measured (0 steps)."""
         row = row_of(self.frames, index)
-        agents = tensordict.get("agents")[index]
-        row["observation"][:] = agents.get("observation").numpy()
-        row["mask"][:] = agents.get("mask").numpy()
-        row["agent_vehicle"][:] = agents.get("vehicle").numpy()
         row["agent_truncated"][:] = row["mask"]
         row["agent_done"][:] = row["mask"]
         row["agent_terminated"][:] = 0
@@ -164,7 +160,7 @@ class EcoDrivingBase(EnvBase):
         with self.used_by_one_thread():
             self.reader.write_action(tensordict)
             for index in self.backend.step(self.reader.prepare):
-                self._truncate(index, tensordict)
+                self._truncate(index)
 
     def require_started(self, call: str = "step") -> None:
         """Raise :class:`IzooError`, which names the call that came too early, unless the episodes are running."""
@@ -300,9 +296,9 @@ class EcoDrivingEnv(EcoDrivingBase):
         if seed is not None:
             check_seed(seed)
         requested = self._requested(episode)
-        number = self._take_number(0) if requested is None else requested[0]
-        planned, planned_seed = self.schedule(number) if context is None else (context, 0)
         with self.used_by_one_thread():
+            number = self._take_number(0) if requested is None else requested[0]
+            planned, planned_seed = self.schedule(number) if context is None else (context, 0)
             self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
             return self._frame()
 

@@ -158,7 +158,7 @@ class FrameReader:
         """Copy the action keys into the frames, checked: see :meth:`_check_action`."""
         self._check_action(tensordict)
         agents = tensordict.get("agents", None)
-        self._action.copy_(agents.get("action", None))
+        self._action.copy_(agents.get("action", None).detach())
         defer = agents.get("defer", None)
         self._write_defer(None if defer is None else defer.reshape(self.agents_batch).numpy())
         if self.config.lane_change:

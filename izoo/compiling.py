@@ -28,6 +28,7 @@ from numba.np.arrayobj import make_array, populate_array
 from izoo.files import cache_root
 
 SOURCES = {
+    "izoo": ("compiling.py",),
     "izoo.algos": ("acting.py", "resting.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),

@@ -14,6 +14,7 @@ from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
 from izoo.envs.mdp.held_up import held_up_s, idle_rates
 from izoo.envs.mdp.motion import road_arrays
 from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.share import HERE
 from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.envs.mdp.slots import enter, leave
 from izoo.envs.mdp.state import (
@@ -177,13 +178,23 @@ class Episode:
         """Whether the vehicle of a row has an agent slot."""
         return bool(self.tables.ints[row, AGENT] >= 0)
 
-    def begin(self, reading: Reading, started_s: float) -> None:
-        """Write the first frame, from the positions of those who entered during the warm-up."""
+    def begin(self, reading: Reading, started_s: float, early: Sequence[int]) -> None:
+        """Write the first frame, from the positions of those who entered during the warm-up.
+
+        Args:
+            early: numbers of all who came to the region by now, also of those who have left it again.
+        """
         self.started_s = started_s
+        self._demand.fate[early], self._demand.came[early] = HERE, 0
         make_frame(self.world, reading, started_s, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
+
+    def go_on(self, started_s: float) -> None:
+        """Go on from tables and a frame that were filled from outside, of an episode that began at ``started_s``."""
+        self.started_s = started_s
+        self._work.shown[:] = 1
 
     def orders(self) -> Orders:
         """Return what the frame's actions order for the coming step.
@@ -231,17 +242,15 @@ class Episode:
         book_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
         for name, numbers in ending._asdict().items():
             np.add.at(tables.sums[:, METRIC[name]], self.traffic.approach[np.asarray(numbers, np.int64)], 1.0)
-        self._book_held_up(ending.early)
+        self._book_held_up()
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
         frame["approach_metrics"][:] = tables.sums
 
-    def _book_held_up(self, early: Sequence[int]) -> None:
+    def _book_held_up(self) -> None:
         """Book how long vehicles were held up outside, and what they would have burned, standing."""
-        came = self._demand.came.copy()
-        came[np.asarray(early, np.int64)] = 0
-        held_s = held_up_s(came, self.road, self.traffic, self.started_s, self.steps, self.config.step_s)
+        held_s = held_up_s(self._demand.came, self.road, self.traffic, self.started_s, self.steps, self.config.step_s)
         burned_g = held_s * idle_rates(self.context, self.road, self.traffic, self._weights)
         for name, values in (("held_up_s", held_s), ("held_up_emission_g", burned_g)):
             np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach, values)

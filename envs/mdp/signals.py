@@ -43,6 +43,8 @@ def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
     at most ``NEVER_S``.
     """
     in_cycle = (time_s - clock.offset_s) % clock.cycle_s
+    if clock.cycle_s - in_cycle < 1e-6:  # the end of a cycle is the beginning of the next
+        in_cycle = 0.0
     phase = np.searchsorted(clock.phase_begin_s, in_cycle + 1e-6, side="right") - 1
     elapsed = in_cycle - clock.phase_begin_s[phase]
     for p in range(clock.now.shape[0]):

@@ -24,7 +24,8 @@ that feed its approach may pass before it does."""
 
 
 class Units(NamedTuple):
-    """Of each approach, ``[P]``: what a vehicle burns on it, g, and what it burns standing, g/s; and of all.
+    """Of each approach, ``[P]``: what a human-driven vehicle burns on it, g, and what those who come burn standing, g/s,
+    of whom electric CVs burn nothing; and of all.
 
     Attributes:
         unit_g, idle_gps: by approach.
@@ -50,7 +51,8 @@ def units_of(
     arrivals = np.bincount(traffic.approach, minlength=approaches)
     for p in np.flatnonzero(arrivals):
         own = np.flatnonzero(traffic.approach == p)
-        classes = traffic.moves_class[own[:: max(len(own) // MOST_SAMPLED, 1)]]
+        sampled = own[:: max(len(own) // MOST_SAMPLED, 1)]
+        classes, burning = traffic.moves_class[sampled], np.ones(len(sampled), bool)
         limit, length = float(road.speed_limit_mps[p]), float(road.lane_length_m[p])
         ways = road.movement_turn[p] >= 0
         cycle, green = road.clock.cycle_s, float(road.clock.green_s[p][ways].max(initial=1.0))
@@ -60,23 +62,31 @@ def units_of(
         stop_share = min(red_share / (1.0 - load), 1.0)
         wait_s = 0.5 * cycle * red_share**2 / (1.0 - load)
         grade = 100.0 * float(road.grade[p])
-        cruise, idle = (_rate(classes, v, 0.0, grade, context, weights) for v in (limit, 0.0))
-        launch_g = limit / ACCEL_MPS2 * _rate(classes, 0.5 * limit, ACCEL_MPS2, grade, context, weights)
+        cruise, idle = (_rate(classes, burning, v, 0.0, grade, context, weights) for v in (limit, 0.0))
+        launch_g = limit / ACCEL_MPS2 * _rate(classes, burning, 0.5 * limit, ACCEL_MPS2, grade, context, weights)
         unit_g[p] = cruise * length / limit + idle * wait_s + 0.5 * stop_share * launch_g
-        idle_gps[p] = idle
+        if context.engine == "electric":
+            burning = ~traffic.is_cv[sampled].astype(bool)
+        idle_gps[p] = _rate(classes, burning, 0.0, 0.0, grade, context, weights)
     per_step = float(unit_g @ arrivals) / horizon_s * step_s
     return Units(unit_g, idle_gps, per_step if per_step > 0.0 else 1.0)
 
 
 def _rate(
-    classes: np.ndarray, speed: float, accel: float, grade: float, context: Context, weights: KernelWeights
+    classes: np.ndarray,
+    burning: np.ndarray,
+    speed: float,
+    accel: float,
+    grade: float,
+    context: Context,
+    weights: KernelWeights,
 ) -> float:
-    """Return the mean CO2 rate of vehicles of these classes, g/s."""
+    """Return the mean CO2 rate of vehicles of these classes, g/s; those whose engine does not burn emit nothing."""
     same = np.ones(len(classes), np.float32)
     out = np.empty(len(classes), np.float32)
-    burning = np.ones(len(classes), np.uint8)
     motion = (np.float32(speed) * same, np.float32(accel) * same, np.float32(grade) * same)
-    emission_rate_kernel(*motion, classes, burning, context.temperature_c, context.humidity_pct, weights, out)
+    weather = (context.temperature_c, context.humidity_pct)
+    emission_rate_kernel(*motion, classes, burning.astype(np.uint8), *weather, weights, out)
     return float(out.mean())
 
 

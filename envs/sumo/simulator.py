@@ -63,7 +63,8 @@ class SumoSimulator:
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin an episode, run its warm-up, and write the first frame."""
         with compiling_once(make_frame):
-            self._begin(*plays[0])
+            for play in plays.values():
+                self._begin(*play)
 
     def _begin(self, context: Context, seed: int, number: int) -> None:
         config = self.config
@@ -110,7 +111,7 @@ class SumoSimulator:
             for name in session.on_edge(edge):
                 self._register(name, counted=False)
         self._early = [int(name) for name in (*arrived, *self.names.members)]
-        self.episode.begin(session.read(self.names.members, self._lane_numbers), session.time_s)
+        self.episode.begin(session.read(self.names.members, self._lane_numbers), session.time_s, self._early)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Apply the frame's actions, simulate the steps of one decision, and write the next frame."""

@@ -8,6 +8,8 @@ import os
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
@@ -17,6 +19,9 @@ from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_fil
 from izoo.errors import IzooError, check_whole
 
 _log = logging.getLogger("izoo")
+
+KEPT = ("observation", "mask", "agent_vehicle")
+"""Arrays of a frame that a lost worker's row holds as they were before the step."""
 
 
 class SumoWorkers:
@@ -40,6 +45,7 @@ class SumoWorkers:
         self.config, self.num_workers, self.restarts = config, num_workers, 0
         self._memory = shared_memory_file(frame_bytes(config, num_workers))
         self.frames = map_frames(mmap.mmap(self._memory, 0), config, num_workers)
+        self._before = {name: np.empty_like(self.frames[name]) for name in KEPT}
         self._workers: list[Worker | None] = [None] * num_workers
         self._plays: list[Play | None] = [None] * num_workers
         self._awake_s = [AWAKE_S * (awake and stays_awake(index, num_workers)) for index in range(num_workers)]
@@ -88,9 +94,12 @@ class SumoWorkers:
             plays = {index: plays[index] for index in lost}
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Simulate one step of every environment; return those whose worker was lost."""
+        """Simulate one step of every environment; return those whose worker was lost: :data:`KEPT` says what is
+        left of their frames."""
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
+        for name, before in self._before.items():
+            np.copyto(before, self.frames[name])
         try:
             # The first is asked last: it may have to wait for this core, which is given up with the first wait.
             for index in reversed(range(self.num_workers)):
@@ -105,6 +114,8 @@ class SumoWorkers:
             raise
         for index, reason in lost.items():
             self._replace(index, reason)
+            for name, before in self._before.items():
+                self.frames[name][index] = before[index]
         return tuple(lost)
 
     def _end_busy(self) -> None:

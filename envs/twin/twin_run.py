@@ -129,7 +129,7 @@ class TwinRun:
                 v = int(state.ints[v, AHEAD])
         self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
         self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
-        self.episode.begin(self._reading(), float(self._guests.begun_s[0]))
+        self.episode.begin(self._reading(), float(self._guests.begun_s[0]), np.flatnonzero(self._early).tolist())
 
     def _reading(self) -> Reading:
         """Return where the members are."""
@@ -189,7 +189,7 @@ class TwinRun:
         for array in self._changing():
             array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
-        self.episode.started_s = float(self._guests.begun_s[0])
+        self.episode.go_on(float(self._guests.begun_s[0]))
 
 
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:

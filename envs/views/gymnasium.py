@@ -64,7 +64,7 @@ class _View(gym.Env[Observation, Any]):
         self.host = Host(contexts, config, fresh, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
         # Gymnasium asks the class which modes there are, and checkers the instance which of them work here.
-        self.metadata = {"render_modes": render_modes(), "render_fps": round(1 / self.config.step_s)}
+        self.metadata = {"render_modes": render_modes(), "render_fps": self.host.fps}
         self.observation_names = observation_names(self.config)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]

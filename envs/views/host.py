@@ -24,7 +24,7 @@ from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
-from izoo.errors import IzooError, check_choice, check_range, unknown_choice
+from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 if TYPE_CHECKING:
@@ -112,17 +112,16 @@ class Host:
             if name not in OPTIONS:
                 raise unknown_choice("reset option", name, OPTIONS)
         if seed is not None:
-            check_range("seed", seed, 0, np.inf)
-            self.schedule, self._next_episode = reseed(self.schedule, int(seed)), 0
+            self.schedule, self._next_episode = reseed(self.schedule, check_seed(seed)), 0
         if "context" in options:
             context, episode_seed, episode = options["context"], 0, -1
             if not isinstance(context, Context):
                 raise IzooError(f"the reset option 'context' is a {type(context).__name__}; give an izoo Context.")
         else:
-            episode = int(options.get("episode", self._next_episode))
+            episode = check_seed(options.get("episode", self._next_episode), "the reset option 'episode'")
             context, episode_seed = self.schedule(episode)
             self._next_episode = episode + 1
-        episode_seed = int(options.get("episode_seed", episode_seed))
+        episode_seed = check_seed(options.get("episode_seed", episode_seed), "the reset option 'episode_seed'")
         self.over = True
         if not self._finalizer.alive:
             self._make_backend()
@@ -177,7 +176,13 @@ class Host:
     @property
     def time_s(self) -> float:
         """Simulated time, warm-up included."""
-        return (self.config.warmup_steps + self.steps) * self.config.step_s
+        simulated = min(self.steps * self.config.hold_steps, self.config.control_steps)
+        return (self.config.warmup_steps + simulated) * self.config.step_s
+
+    @property
+    def fps(self) -> int:
+        """Pictures per second, one per decision, that show the traffic as fast as it is; one if decisions are long."""
+        return max(round(1.0 / self.config.decision_s), 1)
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return the ended episode's ``{"approach": {name: [P]}, "episode": {name: number}}``."""

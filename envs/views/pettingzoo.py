@@ -94,8 +94,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         check_range("seed", seed, 0, np.inf)
         self.host = Host(contexts, config, seed, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
-        fps = round(1 / self.config.step_s)
-        self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": fps}
+        self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": self.host.fps}
         self.observation_names = observation_names(self.config)
         self.possible_agents = [f"cv_{number}" for number in range(max_vehicles)]
         self.agents: list[str] = []

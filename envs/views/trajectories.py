@@ -21,7 +21,7 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
 
     Args:
         rollout: steps of one environment whose ``config.emit`` holds ``vehicles``, as ``env.rollout`` returns them.
-        step_s: length of a step.
+        step_s: seconds from one row of the rollout to the next: ``config.decision_s``.
 
     Returns:
         One row per vehicle and step, sorted by step: ``step``, ``time_s`` since the end of warm-up, the columns of

@@ -35,7 +35,7 @@ from izoo.reporting.scored import Scored
 from izoo.training import checkpoint, runs
 
 FOLDER = "replays"
-FORMAT = 2
+FORMAT = 3
 COMPARED = ("crossed", "emission_g", "travel_time_s")
 """Metrics by which a replay is recognised as the episode that was evaluated."""
 
@@ -145,7 +145,7 @@ class Player:
             raise IzooError(f"the folder does not hold the context {scene.context}.")
         config = dataclasses.replace(from_mapping(EnvConfig, manifest["settings"]["env"]), emit=("metrics",))
         candidate = self._candidate(scene, sources.policies.get(scene.policy), config, fingerprint)
-        content: dict[str, Any] = {"step_s": config.step_s, "warmup_s": config.warmup_s}
+        content: dict[str, Any] = {"frame_s": config.decision_s, "warmup_s": config.warmup_s}
         self._provide(config, manifest["settings"].get("simulator", "sumo"))
         for side, driver in (("baseline", as_candidate(scene.baseline, config)), ("policy", candidate)):
             played = baseline_context(context) if driver.name == HUMAN else context

@@ -138,7 +138,7 @@ if (byId("replay-app")) report.ready.then(content => {
     let stopped = 0, present = 0;
     for (const vehicle of episode.vehicles) {
       if (vehicle.first > frame || vehicle.last < frame) continue;
-      const speed = speedAt(vehicle, Math.floor(frame - vehicle.first), data.step_s);
+      const speed = speedAt(vehicle, Math.floor(frame - vehicle.first), data.frame_s);
       present += 1; stopped += speed < 1 ? 1 : 0;
       drawVehicle(pen, vehicle, poseAt(data.net, vehicle, frame), paintOf(vehicle, speed));
     }
@@ -164,9 +164,9 @@ if (byId("replay-app")) report.ready.then(content => {
     const x = frame => box.left + frame / data.frames * (box.right - box.left), y = m => box.bottom - (m - far) / (near - far) * (box.bottom - box.top);
     pen.scale(ratio, ratio);
     pen.font = "11px system-ui, sans-serif"; pen.fillStyle = colourOf("--quiet"); pen.strokeStyle = colourOf("--grid"); pen.lineWidth = 1;
-    const seconds = data.frames * data.step_s, tick = [20, 30, 60, 120, 200, 300].find(s => seconds / s <= width / 90) ?? 600;
+    const seconds = data.frames * data.frame_s, tick = [20, 30, 60, 120, 200, 300].find(s => seconds / s <= width / 90) ?? 600;
     pen.textAlign = "center";
-    for (let t = 0; t <= seconds; t += tick) { follow(pen, [x(t / data.step_s), box.top, x(t / data.step_s), box.bottom]); pen.fillText(t === 0 ? "0 s" : String(t), x(t / data.step_s), height - 12); }
+    for (let t = 0; t <= seconds; t += tick) { follow(pen, [x(t / data.frame_s), box.top, x(t / data.frame_s), box.bottom]); pen.fillText(t === 0 ? "0 s" : String(t), x(t / data.frame_s), height - 12); }
     pen.textAlign = "right";
     const gap = [25, 50, 100, 200].find(m => (near - far) / m <= 6) ?? 400;
     for (let m = 0; m >= far; m -= gap) { follow(pen, [box.left, y(m), box.right, y(m)]); pen.fillText(`${m || 0} m`, box.left - 6, y(m) + 4); }
@@ -175,7 +175,7 @@ if (byId("replay-app")) report.ready.then(content => {
       pen.lineWidth = vehicle.cv ? 2 : 1; pen.globalAlpha = vehicle.cv ? 1 : 0.7;
       const stride = Math.max(1, Math.floor(data.frames / width));
       for (let i = stride; i < vehicle.path.length && vehicle.path[i - stride] < near; i += stride) {
-        pen.strokeStyle = paintOf(vehicle, (vehicle.path[i] - vehicle.path[i - stride]) / (stride * data.step_s));
+        pen.strokeStyle = paintOf(vehicle, (vehicle.path[i] - vehicle.path[i - stride]) / (stride * data.frame_s));
         follow(pen, [x(vehicle.first + i - stride), y(vehicle.path[i - stride]), x(vehicle.first + i), y(vehicle.path[i])]);
       }
     }
@@ -204,7 +204,7 @@ if (byId("replay-app")) report.ready.then(content => {
     if (!state.scene) return;
     SIDES.forEach(side => { drawMap(side); drawTimeSpace(side); });
     byId("scrub").value = String(Math.round(state.frame));
-    byId("clock").textContent = `${(state.frame * state.scene.step_s).toFixed(0)} s`;
+    byId("clock").textContent = `${(state.frame * state.scene.frame_s).toFixed(0)} s`;
   };
 
   // -- controls -------------------------------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ if (byId("replay-app")) report.ready.then(content => {
 
   const tick = now => {
     if (!state.playing) return;
-    state.frame += Math.min(0.1, (now - state.last) / 1000) * Number(byId("rate").value) / state.scene.step_s;
+    state.frame += Math.min(0.1, (now - state.last) / 1000) * Number(byId("rate").value) / state.scene.frame_s;
     state.last = now;
     if (state.frame >= state.scene.frames - 1) { state.frame = state.scene.frames - 1; setPlaying(false); }
     draw();
