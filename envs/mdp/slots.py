@@ -15,7 +15,6 @@ from izoo.envs.mdp.state import (
     AGENT,
     APPROACH,
     COUNTED,
-    DEFERRED,
     ELECTRIC,
     ENTRY_M,
     EXIT,
@@ -84,7 +83,6 @@ def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
             if tables.agent_row[slot] == FREE:
                 tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
                 return
-    tables.flags[row, DEFERRED] = 1
     tables.episode[_UNSLOTTED] += 1
 
 

@@ -24,8 +24,8 @@ that feed its approach may pass before it does."""
 
 
 class Units(NamedTuple):
-    """Of each approach, ``[P]``: what a human-driven vehicle burns on it, g, and what those who come burn standing, g/s,
-    of whom electric CVs burn nothing; and of all.
+    """Of each approach, ``[P]``: what a human-driven vehicle burns on it, g, and what a vehicle burns standing, g/s,
+    electric CVs nothing; and of all.
 
     Attributes:
         unit_g, idle_gps: by approach.

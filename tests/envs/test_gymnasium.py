@@ -279,6 +279,21 @@ def test_step_after_the_end_is_refused(joint: gymnasium.Env[Any, Any]) -> None:
         joint.step(forward(joint))
 
 
+@pytest.mark.parametrize(("hold_s", "fps"), [(0.5, 2), (1.0, 1), (3.5, 1)])
+def test_time_is_in_seconds_however_long_decisions_are(hold_s: float, fps: int) -> None:
+    """Also where the last decision is shorter."""
+    env = make(JOINT, config=short(hold_s=hold_s), simulator="twin")
+    try:
+        info, truncated = env.reset(seed=0)[1], False
+        assert info["time_s"] == 5.0
+        assert env.step(forward(env))[4]["time_s"] == 5.0 + hold_s
+        while not truncated:
+            _, _, _, truncated, info = env.step(forward(env))
+        assert info["time_s"] == 60.0 and env.metadata["render_fps"] == fps
+    finally:
+        env.close()
+
+
 def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     joint.reset(seed=0)
     joint.unwrapped.host._backend._workers[0].process.kill()
@@ -296,6 +311,10 @@ def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     [
         ({"episodes": 3}, "unknown reset option 'episodes'.*Did you mean 'episode'"),
         ({"context": "pcg"}, "'context' is a str; give an izoo Context"),
+        ({"episode": 2.9}, "the reset option 'episode' is 2.9; it must be a whole number from 0"),
+        ({"episode": True}, "'episode' is True"),
+        ({"episode": -1}, "'episode' is -1"),
+        ({"episode_seed": 1.5}, "'episode_seed' is 1.5; it must be a whole number from 0"),
     ],
 )
 def test_bad_options_are_refused(joint: gymnasium.Env[Any, Any], options: dict[str, Any], message: str) -> None:

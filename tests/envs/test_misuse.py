@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
-from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.envs.config import SIMULATORS, EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, play_on, short, steer
 
@@ -63,6 +63,8 @@ def test_numbers_of_numpy_and_whole_numbers_for_real_ones_are_legal() -> None:
         (lambda: SumoParallelEnv(2, config={}), "config is a dict"),
         (lambda: EcoDrivingEnv(config=80), "config is a int"),
         (lambda: EnvConfig(horizon_s=60.0, warmup_s=59.9), "must be the longer one, by a step of 0.5 s at least"),
+        (lambda: EnvConfig(step_s=1 / 3), "step_s is 0.333333.*whole milliseconds. Give 0.333 or 0.334"),
+        (lambda: EnvConfig(step_s=0.0625), "Give 0.062 or 0.063"),
         (lambda: EcoDrivingEnv(seed=None), "seed is None; it must be a whole number"),
         (lambda: EcoDrivingEnv(seed=-1), "seed is -1"),
         (lambda: EcoDrivingEnv(seed="a"), "seed is 'a'"),
@@ -148,6 +150,33 @@ def test_a_second_thread_is_refused() -> None:
         assert all("another thread" in str(answer) for answer in answers), answers
         env.backend.step = real  # type: ignore[method-assign]
         env.step(state)  # one after the other they may
+        assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_a_reset_of_nobody_changes_nothing(simulator: str) -> None:
+    env = EcoDrivingEnv(crossing(), config=short(), simulator=simulator)
+    try:
+        _, state = play_on(env, 3, steer, env.reset())
+        after = env.reset(state.clone().set("_reset", torch.zeros(1, dtype=torch.bool)))
+        assert after["metrics", "episode", "steps"].item() == 3 and played(after) == [0]
+        assert torch.equal(after["agents", "observation"], state["agents", "observation"])
+    finally:
+        env.close()
+
+
+def test_past_actions_are_not_kept() -> None:
+    """Nor the graph that they come from."""
+    env = EcoDrivingEnv(crossing(), config=short(), simulator="twin")
+    try:
+        weight = torch.nn.Parameter(torch.zeros(env.reader.action_shape))
+        state = env.reset()
+        for _ in range(3):
+            state = env.step(state.set(("agents", "action"), weight * 2.0))["next"]
+        assert not any(tensor.requires_grad for tensor in env.reader.tensors.values())
+        assert not env.reader._action.requires_grad
     finally:
         env.close()
 

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import ObservationNorm, TransformedEnv
 
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
@@ -29,7 +30,7 @@ from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic, write_routes
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, set_action, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -124,6 +125,22 @@ def test_a_lost_worker_costs_its_episode_alone(pair: SumoParallelEnv, number: in
     assert not after["next", "done"][index].any()
     whole = torch.cat([before[other], frame[other].unsqueeze(0), after[other]], 0)
     assert digest(whole) == digest(undisturbed(101)[other])
+
+
+def test_transforms_see_the_last_observation_of_a_lost_worker_once() -> None:
+    base = SumoParallelEnv(2, crossing(), config=short(), seed=6)
+    env = TransformedEnv(base, ObservationNorm(loc=1.0, scale=2.0, in_keys=[("agents", "observation")]))
+    try:
+        state = env.reset()
+        for _ in range(40):
+            state = env.step(set_action(state, torch.zeros(base.reader.action_shape)))["next"]
+        os.kill(process_of(base, 0), signal.SIGKILL)
+        after = env.step(set_action(state.clone(), torch.zeros(base.reader.action_shape)))["next"]
+        assert after["truncated"].flatten().tolist() == [True, False]
+        assert state["agents", "mask"][0].any()
+        assert torch.equal(after["agents", "observation"][0], state["agents", "observation"][0])
+    finally:
+        env.close()
 
 
 @pytest.fixture

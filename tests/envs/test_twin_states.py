@@ -37,6 +37,23 @@ def test_what_is_loaded_goes_on_bit_for_bit(make_twin: MakeTwin) -> None:
     ]
 
 
+def test_who_leaves_right_after_a_state_was_loaded_leaves_nothing_behind(make_twin: MakeTwin) -> None:
+    """A slot that was empty in the first frame, and whose CV leaves in the first step after loading."""
+    env, other = (make_twin(1, crossing(), config=short(horizon_s=150.0)) for _ in range(2))
+    state = env.reset()
+    empty, leavers = ~state["agents", "mask"], 0
+    for _ in range(250):
+        saved = env.state_dict()
+        frame, following = env.step_and_maybe_reset(steer(state))
+        if (frame["next", "agents", "terminated"].squeeze(-1) & empty).any():
+            leavers += 1
+            other.load_state_dict(saved)
+            seen = other.step(state.clone())["next", "agents", "observation"]
+            assert torch.equal(seen, frame["next", "agents", "observation"])
+        state = following
+    assert leavers >= 3
+
+
 def test_branches_begin_alike_and_go_their_own_ways(make_twin: MakeTwin) -> None:
     env = make_twin(2, schedule())
     state = env.reset()

@@ -66,6 +66,16 @@ def test_by_hand(clock: SignalClock, time_s: float, movement: tuple[int, int], e
     assert state[:, movement[0], movement[1]] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("step_s", [0.1, 0.35, 0.5, 0.7])
+def test_a_cycle_ends_when_it_ends(step_s: float) -> None:
+    """Whatever the floats of a time that is added up or multiplied say."""
+    clock = plan(np.array([21.0, 21.0]), np.array([[[GREEN, RED]]], np.int8), offset_s=2.1)
+    for step in range(3000):
+        ms = round(1000 * step_s) * step
+        expected = (ms - 2100) % 42000 // 21000
+        assert evaluate(clock, step * step_s)[0] == expected, step
+
+
 def test_a_movement_without_green_never_changes() -> None:
     clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), RED, np.int8))
     for time_s in (0.0, 19.5, 33.0, 80.0):
