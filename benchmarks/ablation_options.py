@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from izoo.conf.recipes import BUSY_LANE
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
+from izoo.files import expanded
 
 ALL = "all"
 SETTING = (
@@ -156,7 +156,7 @@ class AblationConfig:
         check_range("eval_seeds", self.eval_seeds, 1, 10**6)
         if self.threads is not None:
             check_range("threads", self.threads, 1, 1024)
-        object.__setattr__(self, "out", str(Path(self.out).expanduser().absolute()))
+        object.__setattr__(self, "out", str(expanded(self.out).absolute()))
 
     @property
     def chosen(self) -> tuple[str, ...]:

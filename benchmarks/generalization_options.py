@@ -11,6 +11,7 @@ from izoo.algos.registry import DRIVER_NAMES, choices
 from izoo.conf.recipes import recipe_words
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
+from izoo.files import expanded
 from izoo.zoo import shelf
 
 T = TypeVar("T", bound="GeneralizationConfig")
@@ -224,7 +225,7 @@ class GeneralizationConfig:
         for name in ("train", "test", "trained_in", "out", "cache"):
             value = getattr(self, name)
             if value is not None and (name not in ("train", "test") or is_folder(value)):
-                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
+                object.__setattr__(self, name, str(expanded(value).absolute()))
 
     def _check_train_options(self) -> None:
         for word in self.train_options:
@@ -291,7 +292,7 @@ class GeneralizationConfig:
 
 def is_folder(place: str) -> bool:
     """Whether a place is a folder of intersections rather than the name of a city."""
-    return "/" in place or Path(place).expanduser().is_dir()
+    return "/" in place or expanded(place).is_dir()
 
 
 def parse_entry(name: str) -> Entry:

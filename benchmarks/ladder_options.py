@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 from izoo.conf.built_in import CityContexts
@@ -12,6 +11,7 @@ from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.evaluation.policies import HUMAN
+from izoo.files import expanded
 from izoo.zoo import shelf
 
 
@@ -72,4 +72,4 @@ class LadderConfig:
         for name in ("out", "cache"):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
+                object.__setattr__(self, name, str(expanded(value).absolute()))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.errors import IzooError, check_range
+from izoo.files import expanded
 
 
 @dataclass(frozen=True)
@@ -60,4 +60,4 @@ class PlannerConfig:
         check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
         check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
         if self.out is not None:
-            object.__setattr__(self, "out", str(Path(self.out).expanduser().absolute()))
+            object.__setattr__(self, "out", str(expanded(self.out).absolute()))

@@ -28,6 +28,24 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)-[0-9a-f]+")
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path with the home folder in place of ``~`` or ``~name``; where nobody has that name, as it is."""
+    return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises where nobody has that name)
+
+
+@contextlib.contextmanager
+def usable_paths() -> Iterator[None]:
+    """Turn what the system says about a path, such as that it may not be read, into an :class:`IzooError`."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise IzooError(f"cannot use {error.filename}: {os_reason(error)}; choose another path.") from error
+
+
 @contextlib.contextmanager
 def replacing(path: Path, durable: bool = True) -> Iterator[Path]:
     """Give a path to write a file to, which takes the place of ``path`` when the block ends without an error.

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
-from izoo.console import Progress, counted
+from izoo.console import Progress, counted, plain
 from izoo.contexts import catalogue
 from izoo.contexts.cities.compare import compare_cities, format_distances, write_csv, write_png
 from izoo.contexts.cities.plans import measure
@@ -118,7 +118,7 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _import(options: argparse.Namespace) -> None:
     target = options.target or Path("datasets", options.path.resolve().stem)
-    print(f"checking {options.path}", flush=True)
+    print(f"checking {plain(options.path)}", flush=True)
     from izoo.networks.dataset.importing import import_dataset
 
     shown: list[Progress] = []
@@ -131,7 +131,7 @@ def _import(options: argparse.Namespace) -> None:
     with contextlib.ExitStack() as waiting:
         report = import_dataset(options.path, target, progress=show)
     print(report)
-    print(f"train on it: python -m izoo.train contexts=dataset contexts.path={target}")
+    print(f"train on it: python -m izoo.train contexts=dataset contexts.path={plain(target)}")
 
 
 def _build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -142,11 +142,11 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _build(options: argparse.Namespace) -> None:
-    print(f"reading {options.osm}", flush=True)
+    print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
 
     print(build_from_osm(options.osm, target=options.target, elevation=options.elevation, aadt=options.aadt))
-    print(f"train on it: python -m izoo.train contexts=osm contexts.path={options.target}")
+    print(f"train on it: python -m izoo.train contexts=osm contexts.path={plain(options.target)}")
 
 
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
@@ -155,10 +155,10 @@ def _draw_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _draw(options: argparse.Namespace) -> None:
-    print(f"drawing {options.what}", flush=True)
+    print(f"drawing {plain(options.what)}", flush=True)
     from izoo.commands.pictures import draw
 
-    print(f"wrote {draw(options.what, options.png)}")
+    print(f"wrote {plain(draw(options.what, options.png))}")
 
 
 def _compare_arguments(parser: argparse.ArgumentParser) -> None:

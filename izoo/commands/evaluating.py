@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from izoo import zoo
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import to_mapping, with_given
+from izoo.console import counted
+from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
@@ -45,7 +49,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     subject = resolve(config, given)
     contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
-    out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config)
+    out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config, contexts)
     where = "" if config.simulator == "sumo" else " on the twin"
     print(f"Evaluating {subject.name}{where}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
     table = evaluate_policy(
@@ -62,6 +66,9 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         cache=config.cache,
         source=subject.source,
     )
+    others = len(set(table["context_hash"]) - {context.content_hash for context in contexts})
+    if others:
+        print(f"{counted(others, 'other context')} of earlier evaluations in {out}: they are in the summary as well.")
     print_summary(summarise(table, config.simulator))
     print(f"Results: {out}", flush=True)
     return out
@@ -95,14 +102,31 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
             f"the run {folder} was trained on other observations than the env options describe "
             f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
         )
-    own = not any(name.split(".")[0] == "contexts" for name in given)
-    contexts = trained.contexts if own else config.contexts
+    contexts = config.contexts if "contexts" in given else _changed_contexts(trained.contexts, config.contexts, given)
     name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
 
 
-def _label(subject: Subject, config: EvaluateConfig) -> str:
+def _changed_contexts(own: ContextsConfig, chosen: ContextsConfig, given: frozenset[str]) -> ContextsConfig:
+    """Return a run's own contexts with the options of them that were written.
+
+    Raises:
+        IzooError: they have no such option.
+    """
+    known = {field.name for field in dataclasses.fields(own)}
+    for name in sorted(given):
+        group, _, option = name.partition(".")
+        if group == "contexts" and option.partition(".")[0] not in known:
+            raise IzooError(
+                f"the run was trained on contexts={own.name}, which has no option {option}; to evaluate on others, "
+                "write contexts=NAME as well."
+            )
+    return with_given(own, chosen, given, "contexts")
+
+
+def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:
     """Name a folder after what decides its content, so that the same command goes on where it stopped."""
-    parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed]
+    played = [context.content_hash for context in contexts]  # what lies in a folder of contexts may change
+    parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed, played]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
     return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == "sumo" else f"-{config.simulator}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import check_folder
+from izoo.files import check_folder, expanded
 from izoo.training import checkpoint
 from izoo.zoo import shelf
 
@@ -58,7 +58,7 @@ def check_collect(config: CollectConfig) -> None:
     # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
     drivers = [name for name in DRIVER_NAMES if name != "human"]
     known = shelf.named(config.policy) or config.policy in drivers
-    if not known and not Path(config.policy).expanduser().exists():
+    if not known and not expanded(config.policy).exists():
         error = unknown_choice("policy", config.policy, [*drivers, "zoo:NAME"])
         raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     _check_contexts(config.contexts)
@@ -78,7 +78,7 @@ def check_benchmark(config: Any) -> None:
 
 def check_report(config: ReportConfig) -> None:
     """Refuse results that are not a folder."""
-    check_folder(Path(str(config.results)).expanduser(), RESULTS)
+    check_folder(expanded(str(config.results)), RESULTS)
 
 
 def _check_contexts(contexts: Any) -> None:

@@ -42,8 +42,9 @@ def _merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _merge(options: argparse.Namespace) -> None:
-    checked = _checked(options.files, besides=options.out)
-    _check_merged(options.out)
+    checked = _checked(options.files)
+    if options.out.exists() and not _is_merged(options.out):  # it would take the place of a submission, perhaps
+        raise IzooError(f"{options.out} is there and is no merged leaderboard; choose another file with --out.")
     from izoo.reporting import submissions
 
     merged = submissions.merge(checked)
@@ -55,18 +56,14 @@ def _merge(options: argparse.Namespace) -> None:
     print(f"Leaderboard: {options.out}", flush=True)
 
 
-def _check_merged(out: Path) -> None:
-    """Raise :class:`IzooError` where the leaderboard would take the place of something else, such as a submission."""
+def _is_merged(path: Path) -> bool:
+    """Whether a file is what ``merge`` writes, and so no submission."""
     from izoo.reporting.submissions import MERGED_FORMAT
 
-    if not out.exists():
-        return
     try:
-        merged = json.loads(read_text(out))["format"] == MERGED_FORMAT
+        return bool(json.loads(read_text(path))["format"] == MERGED_FORMAT)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        merged = False
-    if not merged:
-        raise IzooError(f"{out} is there and is no merged leaderboard; choose another file with --out.")
+        return False
 
 
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,9 +111,9 @@ def _table(options: argparse.Namespace) -> None:
     print(markdown_table(checked, uncommanded), flush=True)
 
 
-def _checked(files: Sequence[Path], besides: Path | None = None) -> list[Any]:
+def _checked(files: Sequence[Path]) -> list[Any]:
     print(f"izoo {__version__} leaderboard", flush=True)
-    return _read(_submissions(files, besides))
+    return _read(_submissions(files))
 
 
 def _read(paths: Sequence[Path]) -> list[Any]:
@@ -127,13 +124,11 @@ def _read(paths: Sequence[Path]) -> list[Any]:
     return [submissions.check(submissions.read_submission(path), str(path), reference) for path in paths]
 
 
-def _submissions(paths: Sequence[Path], besides: Path | None = None) -> list[Path]:
-    """Return the files, and those in the folders but for ``besides``, which the command itself writes."""
+def _submissions(paths: Sequence[Path]) -> list[Path]:
+    """Return the files, and those in the folders but for merged leaderboards."""
     found: list[Path] = []
     for path in paths:
-        inside = sorted(path.glob("*.json")) if path.is_dir() else [path]
-        if path.is_dir() and besides is not None:
-            inside = [file for file in inside if file.resolve() != besides.resolve()]
+        inside = [file for file in sorted(path.glob("*.json")) if not _is_merged(file)] if path.is_dir() else [path]
         if not inside:
             raise IzooError(f"{path} holds no leaderboard file; a benchmark writes them into leaderboard/.")
         if not inside[0].exists():

@@ -11,14 +11,15 @@ import pkgutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from izoo import __version__
 from izoo.commands.help_page import help_text, to_yaml
+from izoo.conf.quoting import literal
 from izoo.conf.recipes import with_recipe
 from izoo.console import EXIT_BAD_INPUT, EXIT_UNFINISHED, exit_code, unheard
 from izoo.errors import IzooError, UnfinishedError, unknown_choice
+from izoo.files import usable_paths
 
 GOES_ON = "the same command goes on where it stopped"
 FOLDERS = ("run_dir", "out")
@@ -78,7 +79,7 @@ class OptionCommand:
             words = with_recipe(words)
         if self.place is not None:
             # Folders may contain "=": what exists is a folder.
-            nameless = [word for word in words if "=" not in word or Path(word).exists()]
+            nameless = [word for word in words if "=" not in word or os.path.exists(word)]  # noqa: PTH110 (any length)
             named = [word for word in words if word not in nameless and word.startswith(f"{self.place}=")]
             if len(nameless) + len(named) != 1:
                 what = self.place.upper()
@@ -116,10 +117,12 @@ class OptionCommand:
 
     def _check(self, config: Any) -> None:
         if self.check is not None:
-            pkgutil.resolve_name(self.check)(config)
+            with usable_paths():
+                pkgutil.resolve_name(self.check)(config)
 
     def _work(self, config: Any, given: frozenset[str]) -> None:
-        pkgutil.resolve_name(self.work)(config, given)
+        with usable_paths():
+            pkgutil.resolve_name(self.work)(config, given)
 
 
 def _multirun(command: OptionCommand, config_class: type, options: Sequence[str], show: bool) -> int:
@@ -187,5 +190,4 @@ def _given(options: Sequence[str]) -> frozenset[str]:
 
 def _quoted(word: str) -> str:
     name, _, value = word.partition("=")
-    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-    return word if value == "null" else f"{name}='{escaped}'"
+    return word if value == "null" else f"{name}={literal(value)}"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 from izoo.contexts import catalogue
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
+from izoo.files import expanded
 from izoo.networks.dataset.intersections import find_intersections, load_intersection, load_specs
 from izoo.networks.draw.intersection import draw_features, draw_intersection
 from izoo.networks.net.build import build_net
@@ -21,18 +23,18 @@ def draw(what: str, png: Path) -> Path:
     """Draw ``what`` to ``png`` and return the path that was written.
 
     Args:
-        what: an id of the catalogue, a city's name (its features), ``CITY/NUMBER``, an intersection's folder or
-            ``.json`` file, or a folder of several (their features).
+        what: an intersection's folder or ``.json`` file, a folder of several (their features), or, where there is
+            no such path, an id of the catalogue, a city's name (its features) or ``CITY/NUMBER``.
 
     Raises:
         IzooError: it is none of these, or the picture cannot be written.
     """
     check_png(png)
-    path = Path(what).expanduser()
-    if what.isascii() and what.lstrip("-").isdigit():
-        return _draw_one(catalogue.get(int(what)).intersection, {}, png)
+    path = expanded(what)
     if path.exists():
         return _draw_path(path, png)
+    if re.fullmatch(r"-?\d{1,18}", what, re.ASCII):
+        return _draw_one(catalogue.get(int(what)).intersection, {}, png)
     city, _, number = what.partition("/")
     try:
         cities.city_name(city)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from izoo.conf.report_options import ReportConfig
 from izoo.errors import IzooError
+from izoo.files import expanded
 from izoo.reporting import page, sweeps
 
 
@@ -20,7 +21,7 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
     Raises:
         IzooError: options of the page are given for a sweep, which has none.
     """
-    folder = Path(str(config.results)).expanduser()
+    folder = expanded(str(config.results))
     if sweeps.is_sweep(folder):
         _check_sweep(folder, given)
         path = sweeps.report(folder)
@@ -28,7 +29,7 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
         return path
     path = page.write_report(
         folder,
-        None if config.out is None else Path(config.out).expanduser(),
+        None if config.out is None else expanded(config.out),
         config.title,
         replay=config.replay,
         imports=config.imports,

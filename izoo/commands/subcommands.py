@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from izoo.console import exit_code
-from izoo.errors import IzooError
-from izoo.files import os_reason
+from izoo.files import usable_paths
 
 
 class Subcommand(NamedTuple):
@@ -51,11 +50,5 @@ class SubcommandCommand:
 
 
 def _run(options: argparse.Namespace) -> int:
-    try:
+    with usable_paths():
         return options.run(options) or 0
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        if error.filename is None:
-            raise
-        raise IzooError(f"cannot use {error.filename}: {os_reason(error)}; choose another path.") from error

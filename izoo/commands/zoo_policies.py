@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
+from izoo.conf.quoting import quoted
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
 from izoo.zoo import shelf
@@ -112,14 +115,25 @@ def _differences(values: dict[str, Any], default: Any, prefix: str = "") -> list
         path, was = f"{prefix}{name}", default.get(name) if isinstance(default, dict) else None
         if path in NOT_TOLD or value == was:
             continue
-        if isinstance(value, dict):
+        if isinstance(value, dict) and isinstance(was, dict):
             found += _differences(value, was, f"{path}.")
-        elif value is not None and name in ELSEWHERE:
-            found.append(f"{path}=FOLDER")
         else:
-            text = "[" + ",".join(map(str, value)) + "]" if isinstance(value, list) else value
-            found.append(f"{path}={'null' if value is None else str(text).lower() if text in (True, False) else text}")
+            found.append(shlex.quote(f"{path}={_written(value, name)}"))
     return found
+
+
+def _written(value: Any, name: str = "") -> str:
+    """Return the value of an option as it is written on a command line; places of one machine are not told."""
+    if isinstance(value, dict):
+        return "{" + ",".join(f"{key}:{_written(entry, key)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(_written, value)) + "]"
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    if name in ELSEWHERE:
+        return "FOLDER"
+    text = str(value)
+    return text if re.fullmatch(r"[\w.+/-]+", text) else quoted(text)
 
 
 def _figures(evaluation: Path | None) -> list[str]:

@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from izoo.algos import registry
 from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.quoting import quoted
 from izoo.contexts.cities.rebuilt import CITIES, city_name
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.envs.mdp.reward import PRESETS
@@ -95,9 +96,8 @@ def parse(words: Sequence[str], multirun: bool = False) -> list[Override]:
         try:
             override = parser.parse_override(word)
         except HydraException:
-            escaped = value.replace("\\", "\\\\").replace("'", "\\'")
             try:
-                override = parser.parse_override(f"{key}='{escaped}'")
+                override = parser.parse_override(f"{key}={quoted(value)}")
             except HydraException:
                 raise IzooError(f"cannot read {word!r}; options are written option=value.") from None
         if override.is_sweep_override() and not multirun:

@@ -9,13 +9,15 @@ from typing import Any, Literal, TypeAlias
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
-from izoo.contexts.distributions import Box, Key, Uniform, Weighted
+from izoo.contexts.distributions import Box, Key, Uniform, Weighted, as_distribution
 from izoo.contexts.procedural import (
     DEFAULTS,
     EASY,
+    NAMED_VALUES,
     SYSTEMATICITY_TEST_SAMPLE,
     SYSTEMATICITY_TRAIN,
     ProceduralSource,
+    check_support,
 )
 from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError, check_choice, check_types
@@ -60,9 +62,9 @@ class PcgContexts:
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
         approach: the leg that demand enters from, A to D, or ``all``.
-        exclude: boxes that no context lies in, each with one or more features:
-            ``[{lane_count:2,green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the preset's, ``[]`` lifts
-            them.
+        exclude: boxes that no context lies in, each with one or more features, of which it holds a value, some values
+            or an interval: ``[{lane_count:[2,3],green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the
+            preset's, ``[]`` lifts them.
     """
 
     name: Literal["pcg"] = "pcg"
@@ -194,8 +196,18 @@ def _interval(name: str, value: str) -> tuple[float, float]:
 def _box(sides: Mapping[str, Any]) -> Box:
     for name in sides:
         check_choice("feature of contexts.exclude", name, DEFAULTS)
-    intervals = {
-        name: _interval(f"exclude: {name}", side) if isinstance(side, str) and ".." in side else side
-        for name, side in sides.items()
-    }
-    return Box(intervals)
+    return Box({name: _side(name, side) for name, side in sides.items()})
+
+
+def _side(name: str, side: Any) -> Any:
+    """Read a side of a box: a value, a list of values, or an interval as ``(low, high)``."""
+    value = _setting(f"exclude: {name}", side)
+    if isinstance(value, Weighted) or (isinstance(value, Uniform) and name in NAMED_VALUES):
+        raise IzooError(f"contexts.exclude: {name} is {side!r}; give a value or a list of values.")
+    if isinstance(value, Uniform):
+        return value.low, value.high
+    try:
+        check_support(name, as_distribution(value))
+    except IzooError as error:
+        raise IzooError(f"contexts.exclude: {error}") from error
+    return value

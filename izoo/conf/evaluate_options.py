@@ -11,6 +11,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_choice, check_range, check_types
+from izoo.files import expanded
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class EvaluateConfig:
         for name in ("run", "out", "cache"):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, str(Path(value).expanduser().absolute()))
+                object.__setattr__(self, name, str(expanded(value).absolute()))
 
 
 def check_episodes(config: Any) -> None:

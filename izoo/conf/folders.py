@@ -13,6 +13,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
 from izoo.errors import IzooError, check_range, check_types
+from izoo.files import expanded
 
 
 @dataclass(frozen=True)
@@ -176,5 +177,5 @@ def _with_county_weather(context: Context, season: str) -> Context:
 def _make_absolute(config: DatasetContexts | OsmContexts) -> None:
     """Resolve the paths, so that a run can be resumed and evaluated from another folder."""
     if config.path is not None:
-        object.__setattr__(config, "path", str(Path(config.path).expanduser().absolute()))
+        object.__setattr__(config, "path", str(expanded(config.path).absolute()))
     resolve_drivers(config)

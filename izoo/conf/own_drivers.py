@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from izoo.contexts.population import read_population
 from izoo.contexts.source import ContextSource, with_drivers
 from izoo.errors import IzooError
+from izoo.files import expanded
 
 
 def resolve_drivers(config: Any) -> None:
     """Make the path absolute, so that a run can be resumed and evaluated from another folder."""
     if config.drivers is not None:
-        object.__setattr__(config, "drivers", str(Path(config.drivers).expanduser().absolute()))
+        object.__setattr__(config, "drivers", str(expanded(config.drivers).absolute()))
 
 
 def with_own_drivers(source: ContextSource, path: str | None) -> ContextSource:

@@ -107,7 +107,7 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
 }
 """What each recipe is for, and its words."""
-_CHOICES = ("algo", "action", "contexts")
+_CHOICES = ("algo", "action", "contexts", "env.reward")
 
 
 def recipe_words(name: str) -> tuple[str, ...]:
@@ -137,6 +137,6 @@ def with_recipe(words: Sequence[str]) -> list[str]:
     kept = [
         word
         for word in words
-        if word.partition("=")[0] not in said and word.partition("=")[0].partition(".")[0] not in replaced
+        if (name := word.partition("=")[0]) not in said and not any(f"{name}.".startswith(f"{g}.") for g in replaced)
     ]
     return [*kept, *others]

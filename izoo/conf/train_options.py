@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 from izoo.algos.action import ActionConfig, DirectAction
@@ -15,6 +14,7 @@ from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range, check_types
+from izoo.files import expanded
 
 TWIN_ENVS = 64
 """Environments on the twin where nothing is said."""
@@ -374,4 +374,4 @@ def _make_absolute(config: object, name: str) -> None:
     """Resolve a path against the folder the command was given in, so that the saved options hold anywhere."""
     value = getattr(config, name)
     if value is not None:
-        object.__setattr__(config, name, str(Path(value).expanduser().absolute()))
+        object.__setattr__(config, name, str(expanded(value).absolute()))

@@ -129,7 +129,7 @@ def as_distribution(value: Any) -> Distribution:
 
 @dataclass(frozen=True)
 class Box:
-    """A closed box: per feature the interval ``(low, high)``, or the single value, that lies inside.
+    """A closed box: per feature the interval ``(low, high)``, the list of values, or the single one, that lies inside.
 
     Features that are not named are unrestricted.
     """
@@ -151,7 +151,7 @@ class Box:
 def _inside(value: Any, side: Any) -> bool:
     if isinstance(side, tuple):
         return bool(side[0] <= value <= side[1])
-    return bool(value == side)
+    return value in side if isinstance(side, list) else bool(value == side)
 
 
 @dataclass(frozen=True)

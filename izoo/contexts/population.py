@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from izoo.errors import IzooError
+from izoo.files import read_text
 
 DRIVER_CLASSES = ("light", "heavy")
 IDM_PARAMETERS = ("v0_mps", "s0_m", "T_s", "alpha_mps2", "beta_mps2")
@@ -26,6 +27,7 @@ MAX_LOG_SD = 2.0
 """A driver in twenty would lie more than fifty times above or below the median."""
 MAX_FILE_BYTES = 10_000_000
 
+T = TypeVar("T")
 Row = tuple[float, ...]
 
 
@@ -43,8 +45,8 @@ class DriverPopulation:
 
     def __post_init__(self) -> None:
         # Lists come from JSON; equal populations must hash alike whatever they were made from.
-        object.__setattr__(self, "log_mean", tuple(_row(row) for row in self.log_mean))
-        object.__setattr__(self, "log_cov", tuple(tuple(_row(row) for row in rows) for rows in self.log_cov))
+        object.__setattr__(self, "log_mean", _list(self.log_mean, _row))
+        object.__setattr__(self, "log_cov", _list(self.log_cov, lambda rows: _list(rows, _row)))
         if not len(self.log_mean) == len(self.log_cov) == len(DRIVER_CLASSES):
             raise IzooError(
                 f"a population of drivers has {len(self.log_mean)} classes; give {' and '.join(DRIVER_CLASSES)}."
@@ -69,9 +71,7 @@ def read_population(path: str | Path) -> DriverPopulation:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise IzooError(f"{path} has more than {MAX_FILE_BYTES // 10**6} MB; a population of drivers has a few kB.")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path, MAX_FILE_BYTES))
     except OSError as error:
         raise IzooError(
             f"cannot read the drivers {path}: {error.strerror}; give a file that `calibrate` wrote."
@@ -95,11 +95,18 @@ def read_population(path: str | Path) -> DriverPopulation:
         raise IzooError(f"{path}: {error}") from None
 
 
+def _list(values: Any, read: Callable[[Any], T]) -> tuple[T, ...]:
+    """Read every entry of a list."""
+    if not isinstance(values, (list, tuple)):
+        raise IzooError(f"a population of drivers has {values!r} where a list belongs.")
+    return tuple(read(value) for value in values)
+
+
 def _row(values: Any) -> Row:
     try:
-        return tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise IzooError(f"a population of drivers has {values!r} where a list of numbers belongs.") from None
+        return _list(values, float)
+    except (TypeError, ValueError, OverflowError):
+        raise IzooError(f"a population of drivers has {values!r:.60} where a list of numbers belongs.") from None
 
 
 def _check(name: str, mean: Row, covariance: Sequence[Row]) -> None:

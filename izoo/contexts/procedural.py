@@ -41,7 +41,7 @@ DEFAULTS: dict[str, Any] = {
 """Every feature of a procedural context with the value it has when nothing is said: an easy, one-lane context with the
 published Salt Lake City weather and demand from leg A alone. ``inflow_vph_per_lane`` is the peak inflow."""
 
-_NAMED_VALUES: dict[str, tuple[Any, ...]] = {
+NAMED_VALUES: dict[str, tuple[Any, ...]] = {
     "phase_count": PHASE_COUNTS,
     "engine": ENGINES,
     "cv_vehicle": CV_VEHICLES,
@@ -161,7 +161,7 @@ class ProceduralSource:
             features, exclude = _TRAIN_FEATURES, (*_TEST_BOXES, *exclude)
         self.product = Product(features, tuple(exclude))
         for key, distribution in self.product.features.items():
-            _check_support(key, distribution)
+            check_support(key, distribution)
 
     def sample(self, generator: np.random.Generator) -> Context:
         """Draw one context."""
@@ -207,19 +207,19 @@ def _left_of(leg: str) -> str:
     return LEGS[(LEGS.index(leg) + 1) % 4]
 
 
-def _check_support(key: Key, distribution: Any) -> None:
+def check_support(key: Key, distribution: Any) -> None:
     """Check a feature's whole support against its legal values."""
     names = (key,) if isinstance(key, str) else key
     for name in names:
         if name not in DEFAULTS:
             raise unknown_choice("procedural feature", name, DEFAULTS)
-        if isinstance(distribution, Uniform) and (name in _NAMED_VALUES or name == "lane_count"):
+        if isinstance(distribution, Uniform) and (name in NAMED_VALUES or name == "lane_count"):
             raise IzooError(f"{name} takes separate values; give a list instead of an interval.")
     ends: Any = (distribution.low, distribution.high) if isinstance(distribution, Uniform) else distribution.support
     for end in ends:
         for name, value in zip(names, (end,) if isinstance(key, str) else end, strict=True):
-            if name in _NAMED_VALUES:
-                check_choice(name, value, _NAMED_VALUES[name])
+            if name in NAMED_VALUES:
+                check_choice(name, value, NAMED_VALUES[name])
             elif name == "lane_count":
                 check_choice(name, value, range(1, MAX_LANES + 1))
             else:

@@ -16,7 +16,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.files import read_bytes, write_bytes
+from izoo.files import expanded, read_bytes, write_bytes
 from izoo.zoo.shelf import WEIGHTS
 
 SOURCES_FILE = "sources.json.gz"
@@ -50,7 +50,7 @@ def add_sources(folder: Path, contexts: Iterable[Context], policy: str, source: 
     except IzooError:
         old = Sources()
     is_file = isinstance(source, Path) or (source is not None and Path(source).suffix == WEIGHTS)
-    text = os.path.relpath(Path(source or "").expanduser(), folder) if is_file else source
+    text = os.path.relpath(expanded(source or ""), folder) if is_file else source
     everything = {**old.contexts, **{context.content_hash: context for context in contexts}}
     content = {
         "format": FORMAT,

@@ -124,14 +124,20 @@ def read_road(path: str | Path) -> RoadNet:
 @functools.lru_cache(maxsize=64)
 def _read_road(path: str, _stamp: int) -> RoadNet:
     data = Path(path).read_bytes()
-    return _Reader(parse_net(data, path), path, hashlib.sha256(data).hexdigest()).read()
+    root = parse_net(data, path)
+    try:
+        return _Reader(root, path, hashlib.sha256(data).hexdigest()).read()
+    except IzooError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise IzooError(f"{path} is not a complete SUMO net ({error!r}); fetch the file again.") from error
 
 
 def parse_net(data: bytes, path: str | Path) -> Any:
     """Parse XML of a net, refusing entities and whatever is not a SUMO net."""
     try:
         root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, DefusedXmlException) as error:
+    except (ElementTree.ParseError, DefusedXmlException, LookupError, ValueError) as error:  # or an unknown encoding
         raise IzooError(f"{path} is not well-formed XML ({error}); fetch the file again.") from error
     if root.tag != "net":
         raise IzooError(f"{path} is not a SUMO net: its root element is <{root.tag}>; a <net> is needed.")

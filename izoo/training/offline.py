@@ -27,7 +27,7 @@ from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
-from izoo.files import NO_ROOM, ensure_empty, write_json
+from izoo.files import NO_ROOM, ensure_empty, expanded, write_json
 from izoo.gpu import check_gpu
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
@@ -181,7 +181,7 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:
     """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     path = folder / MANIFEST
     if not path.is_file():
         raise IzooError(f"{folder} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")

@@ -23,7 +23,7 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import claimed, ensure_empty, read_text, write_text
+from izoo.files import claimed, ensure_empty, expanded, read_text, write_text
 from izoo.training import checkpoint
 from izoo.training.learner import load_state
 
@@ -188,7 +188,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     Returns:
         The algorithm, the run's options, and the whole checkpoint.
     """
-    path = checkpoint.find(Path(where).expanduser().absolute())
+    path = checkpoint.find(expanded(where).absolute())
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
     check_state(state, config, path)

@@ -7,7 +7,7 @@ import zipfile
 from pathlib import Path
 
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import os_reason
+from izoo.files import expanded, os_reason
 
 PREFIX = "zoo:"
 """``policy=zoo:NAME`` means the shipped policy ``NAME``."""
@@ -43,7 +43,7 @@ def named(policy: str) -> str | None:
         name = policy.removeprefix(PREFIX)
         check_name(name)
         return name
-    path = Path(policy).expanduser()
+    path = expanded(policy)
     if path.suffix != WEIGHTS or path.is_dir():
         return None
     return None if _is_checkpoint(path) else str(path)
@@ -52,12 +52,12 @@ def named(policy: str) -> str | None:
 def absolute(policy: str) -> str:
     """Return ``policy``, a file ``NAME.pt`` with its whole path, so that it means the same in any folder."""
     is_file = not policy.startswith(PREFIX) and Path(policy).suffix == WEIGHTS
-    return str(Path(policy).expanduser().absolute()) if is_file else policy
+    return str(expanded(policy).absolute()) if is_file else policy
 
 
 def check_exported(policy: str) -> None:
     """Raise :class:`IzooError` where ``policy`` is a checkpoint of a run, which is no policy by itself."""
-    path = Path(policy).expanduser()
+    path = expanded(policy)
     if named(policy) is None and path.suffix == WEIGHTS and path.is_file():
         raise IzooError(
             f"{policy} is a checkpoint of a run; evaluate it with python -m izoo.evaluate run={policy}, or make a "

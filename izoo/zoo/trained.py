@@ -15,7 +15,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import replacing
+from izoo.files import expanded, replacing
 from izoo.zoo import shelf
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def load(name: str) -> TrainedPolicy:
     Raises:
         IzooError: no policy of that name ships, and the message lists those that do; or the file cannot be used.
     """
-    return read(Path(name).expanduser() if name.endswith(shelf.WEIGHTS) else shelf.weights(name))
+    return read(expanded(name) if name.endswith(shelf.WEIGHTS) else shelf.weights(name))
 
 
 def read(path: Path) -> TrainedPolicy:

@@ -236,6 +236,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     inside = tmp_path / "in" / "leaderboard.json"
     for _ in range(2):
         assert command.main(["merge", str(tmp_path / "in"), "--out", str(inside)]) == 0
+    assert command.main(["merge", str(tmp_path / "in"), "--out", str(tmp_path / "all.json")]) == 0, "it is passed over"
     inside.unlink()
     assert command.main(["merge", str(tmp_path / "in"), "--out", str(tmp_path / "in" / "ppo.json")]) == 2
     assert "ppo.json is there and is no merged leaderboard" in capsys.readouterr().err

@@ -118,6 +118,11 @@ def test_procedural_settings():
     assert set(lanes) == {1, 2}
 
 
+def test_a_side_of_a_box_may_be_several_values() -> None:
+    source = PcgContexts(preset="easy", lane_count=[1, 2, 3], exclude=[{"lane_count": [1, 2]}]).build()
+    assert {source.sample(np.random.default_rng(k)).intersection.leg("A").approach.lane_count for k in range(20)} == {3}
+
+
 def test_an_exclusion_may_name_a_feature_that_is_not_drawn():
     easy = PcgContexts(preset="easy", lane_count=[1, 2], exclude=[{"lane_count": 2, "green_s": "20..30"}]).build()
     lanes = {easy.sample(np.random.default_rng(k)).intersection.leg("A").approach.lane_count for k in range(20)}
@@ -186,8 +191,12 @@ def test_dataset_splits_share_out_the_intersections(dataset):
         (["contexts=pcg", "contexts.lane_count=[]"], "empty"),
         (["contexts=pcg", "contexts.lane_count=7"], "lane_count"),
         (["contexts=pcg", "contexts.exclude=[{}]"], "exclude everything"),
-        (["contexts=pcg", "contexts.exclude=[{green_s:30..20}]"], "low first"),
+        (["contexts=pcg", "contexts.exclude=[{green_s:30..20}]"], "low end must come first"),
         (["contexts=pcg", "contexts.exclude=[{lanes:2}]"], "lane_count"),
+        (["contexts=pcg", "contexts.exclude=[{engine:electrc}]"], "electrc"),
+        (["contexts=pcg", "contexts.exclude=[{engine:0..1}]"], "give a value or a list of values"),
+        (["contexts=pcg", "contexts.exclude=[{green_s:26-29}]"], "green_s is '26-29'"),
+        (["contexts=pcg", "contexts.exclude=[{lane_count:{1:0.5,2:0.5}}]"], "give a value or a list of values"),
         (["contexts=pcg", "contexts.exclude=[{green_s:0..300}]"], "leaves nothing"),
         (["contexts=systematicity_test", "contexts.lane_count=1"], "together"),
     ],

@@ -37,6 +37,14 @@ def test_another_choice_takes_the_place_of_all_that_the_recipe_says_of_it() -> N
     assert changed.simulator == "twin"
 
 
+@pytest.mark.parametrize("words", [("env.reward=paper", "env.reward.eta=0.5"), ("env.reward=fuel",)])
+def test_another_reward_is_whole(words: tuple[str, ...]) -> None:
+    """The recipe's own weight on lost time belongs to the recipe's reward."""
+    assert composed("recipe=city").env.reward.delay == -0.2
+    assert composed("recipe=city", *words).env.reward == composed(*words).env.reward
+    assert composed("recipe=city", "env.reward.delay=-0.5").env.reward.delay == -0.5
+
+
 def test_unknown_recipes_and_commands_without_recipes_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert train.main(["recipe=busy_road"]) == 2
     assert "busy_lane" in capsys.readouterr().err

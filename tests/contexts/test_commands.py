@@ -91,6 +91,18 @@ def test_draw_by_path(few, town, tmp_path):
         assert png.read_bytes().startswith(PNG)
 
 
+def test_a_folder_comes_before_an_id_of_the_catalogue(few, tmp_path, monkeypatch):
+    monkeypatch.chdir(few)
+    one = next(path.name for path in few.iterdir() if path.name.isdigit())
+    drawn = [tmp_path / name for name in ("folder.png", "same.png", "id.png")]
+    assert main(["draw", one, str(drawn[0])]) == main(["draw", f"./{one}", str(drawn[1])]) == 0
+    monkeypatch.chdir(tmp_path)
+    assert main(["draw", one, str(drawn[2])]) == 0
+    folder, same, scenario = (path.read_bytes() for path in drawn)
+    assert folder == same != scenario
+    assert main(["draw", "--", "--5", str(tmp_path / "x.png")]) == 2
+
+
 def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsys):
     nodes = "".join(f'<node id="{k}" lat="1.00{k}" lon="1.0"/>' for k in (1, 2, 3))
     way = '<way id="9"><nd ref="1"/><nd ref="2"/><nd ref="3"/><tag k="highway" v="primary"/></way>'

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 import yaml
 
 import izoo.conf
-from izoo.commands.evaluating import resolve
+from izoo.commands.evaluating import _changed_contexts, resolve
+from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import with_given
@@ -19,6 +21,7 @@ from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluate import main
 from izoo.evaluation.selection import choose_contexts
+from tests.networks.test_dataset import published  # noqa: F401
 
 TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
 
@@ -64,6 +67,51 @@ def test_bad_options_are_one_sentence_and_exit_code_2(
     assert "Traceback" not in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_contexts_that_changed_go_into_a_folder_of_their_own(
+    tmp_path: Path,
+    cache: Path,
+    published: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As where a town is built again: the options are the same, its contexts are not."""
+    monkeypatch.chdir(tmp_path)
+    town = shutil.copytree(published / "106", tmp_path / "town" / "9")
+    words = ["policy=glide", "contexts=dataset", "contexts.path=town", "contexts.approaches=all", f"cache={cache}"]
+    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1", "uncommanded=false"]
+    words += ["num_contexts=1"]
+    for inflow in ("1000\n", "2000\n"):
+        (town / "inflows.txt").write_text(inflow * len((town / "inflows.txt").read_text().splitlines()))
+        assert main(words) == 0
+        assert main([*words, "out=together"]) == 0
+    apart = [json.loads((path / "summary.json").read_text()) for path in (tmp_path / "evaluations").iterdir()]
+    assert [summary["n"]["episodes"] for summary in apart] == [2, 2]
+    said = capsys.readouterr().out
+    assert said.count(f"1 other context of earlier evaluations in {tmp_path / 'together'}: ") == 1
+
+
+def test_one_option_of_a_runs_contexts_is_changed() -> None:
+    own = PcgContexts(lane_count=2, green_s="20..30")
+    chosen = CityContexts(adoption=0.5, split="test")
+    changed = _changed_contexts(own, chosen, frozenset({"contexts.adoption", "seeds"}))
+    assert changed == PcgContexts(lane_count=2, green_s="20..30", adoption=0.5)
+    with pytest.raises(IzooError, match=r"trained on contexts=pcg, which has no option split; .* write contexts=NAME"):
+        _changed_contexts(own, chosen, frozenset({"contexts.split"}))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["policy=glide", "contexts=dataset", f"contexts.path={'x' * 300}"],
+        ["policy=glide", "out=~nobodyofthisname/x", "contexts=pcg_easy", "env.horizon_s=2e9"],
+    ],
+)
+def test_what_the_system_says_of_a_path_is_one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("izoo evaluate: ") and "Traceback" not in error and error.count("\n") == 1
 
 
 def test_yaml_equals_dataclass() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
+from izoo.files import claimed
 from izoo.networks.dataset import importing
 from izoo.networks.dataset.importing import import_dataset
 from izoo.networks.dataset.intersections import load_dataset
@@ -138,6 +139,12 @@ def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(IzooError, match="none of the 1 folders"):
         import_dataset(path, tmp_path / "target")
+    path = pack(tmp_path / "v.zip", {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"})
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"PK\x01\x02") + 6] = 140  # the version that it takes to unpack a member, in the directory
+    path.write_bytes(data)
+    with pytest.raises(IzooError, match=r"neither a folder nor a readable zip archive .*14"):
+        import_dataset(path, tmp_path / "target")
     assert not (tmp_path / "target").exists()
 
 
@@ -150,6 +157,40 @@ def test_other_files_in_the_target_are_safe(tmp_path: Path, source: Path) -> Non
     assert tree(target) == {"thesis.tex"}
     with pytest.raises(IzooError, match="within each other"):
         import_dataset(source, source / "target")
+
+
+@pytest.mark.parametrize("manifest", ['{"name": "app"}', '{"datasets": ["thesis"]}', "[]", "no JSON"])
+def test_a_manifest_of_something_else_is_safe(manifest: str, tmp_path: Path, source: Path) -> None:
+    target = tmp_path / "target"
+    (target / "thesis").mkdir(parents=True)
+    (target / "thesis" / "thesis.tex").write_text("years of work")
+    (target / "manifest.json").write_text(manifest)
+    before = tree(target)
+    with pytest.raises(IzooError, match=r"has not written, or that was damaged .*; choose a new folder\."):
+        import_dataset(source, target)
+    assert tree(target) == before
+
+
+def test_two_imports_into_one_target_do_not_meet(tmp_path: Path, source: Path) -> None:
+    with claimed(tmp_path / "target"), pytest.raises(IzooError, match=r"another process works in .*target; wait"):
+        import_dataset(source, tmp_path / "target")
+    assert tree(tmp_path / "target") == set()
+    assert len(import_dataset(source, tmp_path / "target").usable) == 2
+
+
+def test_a_net_in_an_unknown_encoding_costs_its_own_folder_alone(tmp_path: Path, source: Path) -> None:
+    net = source / "9" / "net.net.xml"
+    net.write_text('<?xml version="1.0" encoding="foo"?>' + net.read_text().partition("?>")[2])
+    report = import_dataset(source, tmp_path / "target")
+    assert "not well-formed XML" in report.unusable["salt-lake-city/9"] and report.usable
+
+
+def test_names_of_a_foreign_archive_cannot_command_a_terminal(tmp_path: Path) -> None:
+    odd = "\x1b[31mred\u202e"
+    files = {"net.net.xml": NET, "inflows.txt": "1\n1\n1\n"}
+    members = {f"t/{name}/{file}": text for name in ("1", odd) for file, text in files.items()}
+    said = str(import_dataset(pack(tmp_path / "x.zip", members), tmp_path / "target"))
+    assert "\\x1b[31mred\\u202e" in said and "\x1b" not in said and "\u202e" not in said
 
 
 def test_an_earlier_import_is_replaced_whole(tmp_path: Path, source: Path) -> None:

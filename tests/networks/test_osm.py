@@ -294,6 +294,7 @@ def test_traffic_counts_by_way_and_by_name(tmp_path: Path) -> None:
         ("way,aadt\n10,many\n", "line 2: 'many'"),
         ("way,aadt\n10,-1\n", "line 2: '-1'"),
         ("way,aadt\nMain Street,5\n", "not the id of a way"),
+        ("way,aadt\n-77,100\n", r"names 1 ways .*\(-77\)"),
         ("way,aadt\n,5\n", "is missing"),
         ("way,aadt\n10,5\n10,6\n", "two different values"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +22,9 @@ from izoo.benchmarks.generalization_options import GeneralizationConfig, parse_e
 from izoo.benchmarks.ladder_options import LadderConfig
 from izoo.benchmarks.plan import evaluation_env
 from izoo.benchmarks.twin import env_of
-from izoo.commands.zoo_policies import ZOO
+from izoo.commands.entries import TRAIN
+from izoo.commands.zoo_policies import ZOO, _changed
+from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv
@@ -169,6 +172,24 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     words = ["export", str(run), "--out", str(tmp_path / "other.pt"), "--evaluation", str(tmp_path)]
     assert ZOO.main(words) == 2 and not (tmp_path / "other.pt").exists()
     assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("contexts=pcg", "contexts.lane_count={1:0.25,2:0.75}", "contexts.exclude=[{lane_count:[2,3],green_s:26..29}]"),
+        ("contexts=mixed", "contexts.sources=[{name:city,city:atlanta},{name:dataset,path:/home/me/secret}]"),
+        ("contexts=city", "contexts.city=atlanta", "contexts.split=all", "algo.kl_to_start=0.1"),
+        ("recipe=busy_lane", "env.lane_change=false", "algo.hidden=[16,16]"),
+    ],
+)
+def test_the_command_on_a_card_can_be_run(words: tuple[str, ...]) -> None:
+    config = compose_config("train", TrainConfig, TRAIN.options(words))
+    command = " ".join(_changed(config))
+    assert "secret" not in command
+    again = compose_config("train", TrainConfig, shlex.split(command))
+    assert (again.algo, again.env, again.contexts.name) == (config.algo, config.env, config.contexts.name)
+    assert again.contexts == config.contexts or "path:FOLDER" in command
 
 
 def test_an_exported_policy_is_evaluated_and_replayed_as_its_run_is(

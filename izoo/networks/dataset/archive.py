@@ -52,7 +52,7 @@ def open_archive(source: Path) -> Iterator[Archive]:
     else:
         try:
             file = zipfile.ZipFile(source)
-        except (zipfile.BadZipFile, OSError) as error:
+        except Exception as error:  # zipfile's errors about damaged directories have no common base, either
             raise IzooError(f"{source} is neither a folder nor a readable zip archive ({error}).") from error
         with file:
             yield ZipArchive(source, file)

@@ -17,9 +17,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
+from izoo.console import plain
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
-from izoo.files import discard_partials, is_partial, os_reason, write_bytes, write_json
+from izoo.files import claimed, discard_partials, expanded, is_partial, os_reason, write_bytes, write_json
 from izoo.networks.dataset.archive import Archive, open_archive
 from izoo.networks.dataset.intersections import INFLOW_FILE, MARKER, NET_FILE, load_intersection, natural_key
 from izoo.networks.road import read_road
@@ -69,7 +70,7 @@ class ImportReport:
             f"into {self.target}"
         ]
         lines += [f"unusable: {place}: {reason}" for place, reason in self.unusable.items()]
-        return "\n".join(lines)
+        return "\n".join(map(plain, lines))
 
 
 def import_dataset(source: Path | str, target: Path | str, progress: Progress | None = None) -> ImportReport:
@@ -85,31 +86,45 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
             The target is then as it was before; an import that is stopped while it replaces an earlier one leaves
             a target that readers refuse, and that the next import replaces.
     """
-    source, target = Path(source).expanduser(), Path(target).expanduser().absolute()
+    source, target = expanded(source), expanded(target).absolute()
     with open_archive(source) as archive:
         places = _find_places(archive)
         if not places:
             raise IzooError(f"{source} holds no intersection folders with {NET_FILE} and {INFLOW_FILE}.")
         _check_target(target, source)
         fresh = not target.exists()
-        staging = target / _STAGING
-        try:
-            shutil.rmtree(staging, ignore_errors=True)
-            staging.mkdir(parents=True)
-            discard_partials(target)
-            rows, unusable = _stage(archive, places, staging, progress)
-            if not rows:
-                first = next(iter(unusable.items()))
-                raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
-            _publish(target, staging, rows, unusable, source.name)
-        except BaseException as error:
-            shutil.rmtree(staging, ignore_errors=True)
-            if fresh and target.is_dir() and not any(target.iterdir()):
-                target.rmdir()
-            if isinstance(error, OSError):
-                raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
-            raise
+        with claimed(target, "wait for it, or choose another target"):
+            rows, unusable = _fill(target, archive, places, source, fresh, progress)
     return ImportReport(target, tuple(rows), unusable)
+
+
+def _fill(
+    target: Path,
+    archive: Archive,
+    places: list[PurePosixPath],
+    source: Path,
+    fresh: bool,
+    progress: Progress | None,
+) -> tuple[list[IndexRow], dict[str, str]]:
+    """Stage the intersections and publish them, or leave the target as it was: not there if it is ``fresh``."""
+    staging = target / _STAGING
+    try:
+        shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir(parents=True)
+        discard_partials(target)
+        rows, unusable = _stage(archive, places, staging, progress)
+        if not rows:
+            first = next(iter(unusable.items()))
+            raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
+        _publish(target, staging, rows, unusable, source.name)
+    except BaseException as error:
+        shutil.rmtree(staging, ignore_errors=True)
+        if fresh and target.is_dir() and not any(target.iterdir()):
+            target.rmdir()
+        if isinstance(error, OSError):
+            raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
+        raise
+    return rows, unusable
 
 
 def _find_places(archive: Archive) -> list[PurePosixPath]:
@@ -164,9 +179,6 @@ def _stage_one(archive: Archive, place: PurePosixPath, staging: Path) -> IndexRo
     except IzooError as error:
         shutil.rmtree(folder)
         raise IzooError(str(error).replace(f"{folder.absolute()}{os.sep}", "")) from error
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
-        shutil.rmtree(folder)
-        raise IzooError(f"{NET_FILE} is not a complete SUMO net ({error!r}); fetch the file again.") from error
     return _index_row(spec, dataset, intersection, hashlib.sha256(data[INFLOW_FILE]).hexdigest())
 
 
@@ -203,15 +215,24 @@ def _check_target(target: Path, source: Path) -> None:
 
 
 def _imported_folders(target: Path) -> list[str]:
-    """Dataset folders that an earlier import, finished or not, has written into ``target``."""
+    """Dataset folders that an earlier import, finished or not, has written into ``target``.
+
+    Raises:
+        IzooError: it holds a file of an import's name that no import has written, or that was damaged since.
+    """
     names: list[str] = []
     for file in (target / MANIFEST, target / MARKER):
         if file.is_file():
             try:
                 found = json.loads(file.read_text(encoding="utf-8"))
+                if found["format"] != FORMAT:
+                    raise ValueError(f"its format is {found['format']!r}")
                 names += [name for name in found["datasets"] if _SAFE_NAME.fullmatch(name)]
-            except (ValueError, KeyError, TypeError) as error:
-                raise IzooError(f"{file} is damaged ({error}); remove {target} and import again.") from error
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                raise IzooError(
+                    f"the target {target} holds a {file.name} that this version of izoo has not written, or that was "
+                    f"damaged ({error}); choose a new folder."
+                ) from error
     return names
 
 
@@ -219,7 +240,7 @@ def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[s
     """Replace an earlier import by the staged one; the marker stands from the first change to the last."""
     datasets = sorted({row.dataset for row in rows})
     earlier = _imported_folders(target)
-    write_json(target / MARKER, {"datasets": sorted({*datasets, *earlier})})
+    write_json(target / MARKER, {"format": FORMAT, "datasets": sorted({*datasets, *earlier})})
     (target / MANIFEST).unlink(missing_ok=True)
     for name in earlier:
         shutil.rmtree(target / name, ignore_errors=True)

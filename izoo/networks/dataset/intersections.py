@@ -19,7 +19,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError, check_choice
-from izoo.files import read_bytes
+from izoo.files import expanded, read_bytes
 from izoo.networks.dataset.netspec import spec_from_net
 from izoo.networks.osm.store import CMDP_FILE, load_cmdp
 
@@ -96,7 +96,7 @@ def _default_weather(city: str | None) -> tuple[float, float]:
 
 def load_specs(path: Path | str) -> list[IntersectionSpec]:
     """Load every intersection under ``path``; see :func:`load_dataset` for what may stand there."""
-    if (Path(path).expanduser() / CMDP_FILE).is_file():
+    if (expanded(path) / CMDP_FILE).is_file():
         return load_cmdp(path)
     return [load_intersection(folder) for folder in find_intersections(path)]
 
@@ -169,7 +169,7 @@ def _inflow(text: str, path: Path, line: int) -> float:
 
 
 def _existing(path: Path | str) -> Path:
-    path = Path(path).expanduser()
+    path = expanded(path)
     if not path.exists():
         raise IzooError(f"{path} does not exist; give the path of a dataset folder or of one intersection folder.")
     if not path.is_dir():

@@ -21,7 +21,7 @@ from izoo.contexts.cities.plans import measure
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec, SignalPlan
 from izoo.errors import IzooError
-from izoo.files import replacing
+from izoo.files import expanded, replacing
 from izoo.networks.draw.plan_view import LANE_M, Layout, layout_of_road, layout_of_spec
 from izoo.networks.road import RoadNet, read_road
 
@@ -282,7 +282,7 @@ def _histogram(axes: Axes, values: np.ndarray, width: float | None) -> None:
 
 
 def _save(figure: Figure, path: Path | str) -> Path:
-    path = Path(path).expanduser()
+    path = expanded(path)
     if path.suffix.lower() != ".png":
         raise IzooError(f"pictures are written as PNG; {path} must end in .png.")
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -68,8 +68,11 @@ def layout_of_spec(spec: IntersectionSpec) -> Layout:
 
 
 def layout_of_road(road: RoadNet, spec: IntersectionSpec) -> Layout:
-    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture."""
+    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture; one without lanes inside the
+    junction is laid out as the intersection says."""
     inside = [k for k in range(len(road.lane_ids)) if road.lane_location[k] == INSIDE]
+    if not inside:
+        return layout_of_spec(spec)
     junction = np.concatenate([road.shapes[k][:, :2] for k in inside])
     middle = (junction.min(axis=0) + junction.max(axis=0)) / 2.0
     extent = float(np.abs(junction - middle).max()) + REACH_M

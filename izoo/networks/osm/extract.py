@@ -19,9 +19,11 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from izoo.console import plain
 from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
+from izoo.files import expanded
 from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
@@ -61,7 +63,7 @@ class OsmReport:
         if self.stray_signals:
             lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
         lines += [f"  imputed {kind}: {count} of {self.approaches} approaches" for kind, count in self.imputed.items()]
-        return "\n".join(lines)
+        return "\n".join(map(plain, lines))
 
 
 def build_from_osm(
@@ -78,7 +80,7 @@ def build_from_osm(
     Raises:
         IzooError: a file is missing or malformed, or the extract has no usable signalised intersection.
     """
-    file, target = Path(file).expanduser(), Path(target).expanduser().absolute()
+    file, target = expanded(file), expanded(target).absolute()
     check_target(target)
     streets = read_streets(file)
     builder = _Builder(

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from izoo.errors import IzooError
+from izoo.files import expanded
 from izoo.networks.osm.streets import StreetMap, Way
 
 _LONLAT = "EPSG:4326"
@@ -29,7 +30,7 @@ class Elevation:
     """
 
     def __init__(self, path: Path | str) -> None:
-        path = Path(path).expanduser()
+        path = expanded(path)
         if not path.is_file():
             raise IzooError(f"the elevation raster {path} does not exist; give the path of a GeoTIFF.")
         rasterio = _rasterio()
@@ -100,7 +101,7 @@ def read_counts(path: Path | str, streets: StreetMap) -> TrafficCounts:
         IzooError: the file is missing, lacks the columns, holds something that is no count, contradicts itself, or
             names a way or street that the extract does not have.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     if not path.is_file():
         raise IzooError(f"the AADT table {path} does not exist; give the path of a CSV file.")
     by_way: dict[int, float] = {}
@@ -121,7 +122,7 @@ def read_counts(path: Path | str, streets: StreetMap) -> TrafficCounts:
                 way, name = ((row.get(columns.get(key, "")) or "").strip() for key in ("way", "name"))
                 if not way and not name:
                     raise IzooError(f"{place}: a way id or a street name is missing.")
-                if way and not way.isdecimal():
+                if way and not way.removeprefix("-").isdecimal():  # editors number what is new below zero
                     raise IzooError(f"{place}: {way!r} is not the id of a way; put street names in the column name.")
                 known = int(way) in streets.ways if way else name.lower() in names
                 if not known:

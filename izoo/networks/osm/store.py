@@ -11,7 +11,7 @@ from typing import Any
 
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
 from izoo.errors import IzooError
-from izoo.files import os_reason, replacing_folder
+from izoo.files import expanded, os_reason, replacing_folder
 
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
@@ -61,7 +61,7 @@ def load_cmdp(folder: Path | str) -> list[IntersectionSpec]:
     Raises:
         IzooError: a file is missing, damaged, or of another format version.
     """
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     return [load_record(folder / f"{key}.json")[0] for key in _index(folder)]
 
 

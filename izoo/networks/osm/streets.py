@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
+from izoo.files import expanded
 
 SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2")
 EARTH_RADIUS_M = 6_371_000.0
@@ -74,7 +75,7 @@ def read_streets(path: Path | str) -> StreetMap:
     Raises:
         IzooError: osmium is not installed; the file is missing, of another format or malformed, or has no streets.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     if not path.is_file():
         raise IzooError(f"{path} does not exist; give the path of an OpenStreetMap extract ({', '.join(SUFFIXES)}).")
     if not path.name.endswith(SUFFIXES):
