@@ -51,7 +51,8 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config, contexts)
     where = "" if config.simulator == "sumo" else " on the twin"
-    print(f"Evaluating {subject.name}{where}: {describe(contexts, seeds, subject.env)}. Results: {out}", flush=True)
+    what = f"contexts={subject.contexts.name}, {describe(contexts, seeds, subject.env)}"
+    print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,
