@@ -49,6 +49,7 @@ TABLES: dict[str, list[Path]] = {
         FILES / "atlanta" / "uncommanded.json",
     ],
     "systematicity": [FILES / "systematicity"],
+    "measured": [FILES / "measured"],
     "paper presets": [FILES / "paper_presets", Path("--uncommanded"), FILES / "uncommanded.json"],
 }
 """What the command is given for each table of the pages, by the comment before it."""
