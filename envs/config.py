@@ -24,7 +24,7 @@ class EnvConfig:
     """Everything about an environment that is not the context.
 
     Attributes:
-        step_s: length of a simulation step.
+        step_s: length of a simulation step, in whole milliseconds.
         hold_s: how long a decision of the policy lasts, a whole multiple of ``step_s``; ``None``: one step. Its action
             is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
             (until then its own driver drives). The last decision of an episode may be shorter.

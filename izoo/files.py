@@ -25,6 +25,11 @@ from izoo.errors import IzooError
 CACHE_ENV = "IZOO_CACHE_DIR"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or has become read-only."""
+_ABOUT_PATHS = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+    *(errno.EEXIST, *NO_ROOM),
+)
+"""Errors for which another path is a remedy."""
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)-[0-9a-f]+")
 
 
@@ -35,13 +40,14 @@ def expanded(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def usable_paths() -> Iterator[None]:
-    """Turn what the system says about a path, such as that it may not be read, into an :class:`IzooError`."""
+    """Turn what the system says about a path, such as that it may not be read, into an :class:`IzooError`.
+
+    What it says of other things stays as it is.
+    """
     try:
         yield
-    except BrokenPipeError:
-        raise
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None or error.errno not in _ABOUT_PATHS:
             raise
         raise IzooError(f"cannot use {error.filename}: {os_reason(error)}; choose another path.") from error
 

@@ -142,6 +142,9 @@ def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
     assert "unknown policy 'nonsense'" in capsys.readouterr().err
     assert adoption.command([str(tmp_path), str(tmp_path / "out"), f"ppo=glide,{tmp_path / 'gone.pt'}"]) == 2
     assert "gone.pt" in capsys.readouterr().err
+    for words in (["a/b=glide"], ["=glide"], ["glide", "glide"], ["glide", "glide=uncommanded"]):
+        assert adoption.command([str(tmp_path), str(tmp_path / "out"), *words]) == 2, words
+        assert "name" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -157,6 +160,8 @@ def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = adoption.measure([context], entries, tmp_path, seeds=2, horizon_s=125.0)
     found = {(row["policy"], row["vehicle"], round(row["adoption"], 2)): row["benefit"]["value"] for row in rows}
     assert len(found) == 24
+    again = adoption.measure([context.replace(temperature_c=5.0)], entries[:2], tmp_path, seeds=2, horizon_s=125.0)
+    assert {row["n"]["approaches"] for row in again} == {1}, "what is there of other contexts does not count"
     for (name, *setting), value in found.items():
         if name == "both":
             apart = [found[(other, *setting)] for other in ("glide", "measured_search")]

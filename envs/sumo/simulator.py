@@ -225,9 +225,9 @@ class SumoSimulator:
 
     def _remove_routes(self) -> None:
         if self._routes is not None:
-            with contextlib.suppress(OSError):  # Windows keeps files that are open: they go with the next episode
+            with contextlib.suppress(OSError):
                 self._routes.unlink(missing_ok=True)
-                self._routes = None
+            self._routes = None
 
 
 def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:

@@ -74,7 +74,7 @@ class Host:
             config, emit=("vehicles", "signal", "reward_vector"), gui=render_mode == "human"
         )
         self.render_mode = render_mode
-        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, seed)
+        self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, check_seed(seed))
         self.context: Context | None = None
         self.over = True
         self.steps = 0
@@ -111,17 +111,20 @@ class Host:
         for name in options:
             if name not in OPTIONS:
                 raise unknown_choice("reset option", name, OPTIONS)
+        for name in {"episode", "episode_seed"} & options.keys():
+            check_seed(options[name], f"the reset option {name!r}")
+        context = options.get("context")
+        if "context" in options and not isinstance(context, Context):
+            raise IzooError(f"the reset option 'context' is a {type(context).__name__}; give an izoo Context.")
         if seed is not None:
             self.schedule, self._next_episode = reseed(self.schedule, check_seed(seed)), 0
-        if "context" in options:
-            context, episode_seed, episode = options["context"], 0, -1
-            if not isinstance(context, Context):
-                raise IzooError(f"the reset option 'context' is a {type(context).__name__}; give an izoo Context.")
+        if context is not None:
+            episode_seed, episode = 0, -1
         else:
-            episode = check_seed(options.get("episode", self._next_episode), "the reset option 'episode'")
+            episode = int(options.get("episode", self._next_episode))
             context, episode_seed = self.schedule(episode)
             self._next_episode = episode + 1
-        episode_seed = check_seed(options.get("episode_seed", episode_seed), "the reset option 'episode_seed'")
+        episode_seed = int(options.get("episode_seed", episode_seed))
         self.over = True
         if not self._finalizer.alive:
             self._make_backend()

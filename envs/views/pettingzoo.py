@@ -91,7 +91,6 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         simulator: str,
     ) -> None:
         check_range("max_vehicles", max_vehicles, 1, 10**6)
-        check_range("seed", seed, 0, np.inf)
         self.host = Host(contexts, config, seed, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
         self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": self.host.fps}

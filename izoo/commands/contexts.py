@@ -150,7 +150,7 @@ def _build(options: argparse.Namespace) -> None:
 
 
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", help="an id, CITY, CITY/NUMBER, or a path: an intersection, or a folder of them")
+    parser.add_argument("what", help="a path (an intersection, or a folder of some), or an id, CITY or CITY/NUMBER")
     parser.add_argument("png", type=Path, help="the picture to write")
 
 

@@ -33,6 +33,7 @@ EVALUATE = OptionCommand(
     config="izoo.conf.evaluate_options:EvaluateConfig",
     work="izoo.commands.evaluating:evaluate",
     check="izoo.commands.given_paths:check_evaluate",
+    before="izoo.commands.given_paths:contexts_of_run",
     stopped=GOES_ON,
 )
 COLLECT = OptionCommand(

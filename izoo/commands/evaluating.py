@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Sequence
@@ -103,26 +102,12 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
             f"the run {folder} was trained on other observations than the env options describe "
             f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
         )
-    contexts = config.contexts if "contexts" in given else _changed_contexts(trained.contexts, config.contexts, given)
+    changed = [option for option in sorted(given) if option.startswith("contexts.")]
+    if changed and "contexts" not in given:  # as in a sweep over runs
+        raise IzooError(f"{changed[0]} is given, and it is not known of which contexts; give contexts=NAME as well.")
+    contexts = config.contexts if changed or "contexts" in given else trained.contexts
     name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
-
-
-def _changed_contexts(own: ContextsConfig, chosen: ContextsConfig, given: frozenset[str]) -> ContextsConfig:
-    """Return a run's own contexts with the options of them that were written.
-
-    Raises:
-        IzooError: they have no such option.
-    """
-    known = {field.name for field in dataclasses.fields(own)}
-    for name in sorted(given):
-        group, _, option = name.partition(".")
-        if group == "contexts" and option.partition(".")[0] not in known:
-            raise IzooError(
-                f"the run was trained on contexts={own.name}, which has no option {option}; to evaluate on others, "
-                "write contexts=NAME as well."
-            )
-    return with_given(own, chosen, given, "contexts")
 
 
 def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from izoo.algos.registry import DRIVER_NAMES
+from izoo.conf.quoting import written
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import check_folder, expanded
+from izoo.files import check_folder, expanded, read_text
 from izoo.training import checkpoint
 from izoo.zoo import shelf
 
@@ -49,6 +53,24 @@ def check_evaluate(config: EvaluateConfig) -> None:
         if ":" in config.policy:
             _check_module(config.policy)
     _check_contexts(config.contexts)
+
+
+def contexts_of_run(words: Sequence[str]) -> list[str]:
+    """Return the contexts of the run that shall be evaluated as words, where some of their options are written anew.
+
+    A run that cannot be read is refused later.
+    """
+    said = {name: value for name, _, value in (word.partition("=") for word in words)}
+    if "run" not in said or "contexts" in said or not any(name.startswith("contexts.") for name in said):
+        return []
+    try:
+        folder = checkpoint.run_of(checkpoint.find(expanded(said["run"].strip("'\"")), said.get("checkpoint", "last")))
+        contexts = dict(yaml.safe_load(read_text(folder / "config.yaml"))["contexts"])
+        name = contexts.pop("name")
+    except (IzooError, OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        return []
+    options = {f"contexts.{key}": value for key, value in contexts.items() if value is not None}
+    return [f"contexts={name}", *(f"{key}={written(value)}" for key, value in options.items() if key not in said)]
 
 
 def check_collect(config: CollectConfig) -> None:

@@ -42,6 +42,8 @@ class OptionCommand:
             imported; it imports nothing slow.
         place: an option that is given without its name, as in ``izoo.report FOLDER``.
         literal: options whose values are taken as they are written, whatever signs they hold.
+        before: ``module:name`` of what returns further words, which count before those that were written; called with
+            these, it imports nothing slow.
         stopped: what to say after Ctrl-C beside that it was stopped, such as how to go on.
         recipes: whether ``recipe=NAME`` may stand for other words (:mod:`izoo.conf.recipes`).
     """
@@ -54,6 +56,7 @@ class OptionCommand:
     check: str | None = None
     place: str | None = None
     literal: tuple[str, ...] = ()
+    before: str | None = None
     stopped: str = ""
     recipes: bool = False
 
@@ -77,6 +80,8 @@ class OptionCommand:
         """
         if self.recipes:
             words = with_recipe(words)
+        if self.before is not None:
+            words = [*pkgutil.resolve_name(self.before)(words), *words]
         if self.place is not None:
             # Folders may contain "=": what exists is a folder.
             nameless = [word for word in words if "=" not in word or os.path.exists(word)]  # noqa: PTH110 (any length)
@@ -103,10 +108,11 @@ class OptionCommand:
         if "--help" in flags or "-h" in flags:
             print(help_text(self, config_class, compose.choices()))
             return 0
-        options = self.options([word for word in words if not word.startswith("-")])
-        if "-m" in flags or "--multirun" in flags:
-            return _multirun(self, config_class, options, show="--cfg" in flags)
-        config: Any = compose.compose_config(self.name, config_class, options)
+        with usable_paths():
+            options = self.options([word for word in words if not word.startswith("-")])
+            if "-m" in flags or "--multirun" in flags:
+                return _multirun(self, config_class, options, show="--cfg" in flags)
+            config: Any = compose.compose_config(self.name, config_class, options)
         if "--cfg" in flags:
             print(to_yaml(config), end="")
             return 0

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import re
 import shlex
 from pathlib import Path
 from typing import Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
-from izoo.conf.quoting import quoted
+from izoo.conf.quoting import written
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
 from izoo.zoo import shelf
 
-ELSEWHERE = ("path", "drivers")
-"""Options of contexts that name a place on one machine."""
+ELSEWHERE = ("path", "drivers", "start")
+"""Options that name a place on one machine."""
 NOT_TOLD = (
     *("run_dir", "resume", "num_workers", "device", "logger", "checkpoint", "validation", "evaluation", "env.emit"),
 )
@@ -118,22 +117,8 @@ def _differences(values: dict[str, Any], default: Any, prefix: str = "") -> list
         if isinstance(value, dict) and isinstance(was, dict):
             found += _differences(value, was, f"{path}.")
         else:
-            found.append(shlex.quote(f"{path}={_written(value, name)}"))
+            found.append(shlex.quote(f"{path}={written(value, ELSEWHERE, name)}"))
     return found
-
-
-def _written(value: Any, name: str = "") -> str:
-    """Return the value of an option as it is written on a command line; places of one machine are not told."""
-    if isinstance(value, dict):
-        return "{" + ",".join(f"{key}:{_written(entry, key)}" for key, entry in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ",".join(map(_written, value)) + "]"
-    if value is None or isinstance(value, bool):
-        return "null" if value is None else str(value).lower()
-    if name in ELSEWHERE:
-        return "FOLDER"
-    text = str(value)
-    return text if re.fullmatch(r"[\w.+/-]+", text) else quoted(text)
 
 
 def _figures(evaluation: Path | None) -> list[str]:

@@ -1,7 +1,7 @@
 """Whole sets of training options that go together, by name: ``recipe=NAME``.
 
-Other words on the command line change them. A word that chooses another algorithm, action mode or set of contexts takes
-the place of all that the recipe says about it, since the options of one choice mean nothing to another.
+Other words on the command line change them. A word that chooses another algorithm, action mode, set of contexts or
+reward takes the place of all that the recipe says about it, since the options of one choice mean nothing to another.
 """
 
 from __future__ import annotations

@@ -177,9 +177,15 @@ class Product:
         for key, distribution in features.items():
             _check_tuples(key, distribution)
         for box in self.exclude:
-            for name in box.sides:
+            for name, side in box.sides.items():
                 if name not in names:
                     raise unknown_choice("feature of an exclusion box", name, names)
+                drawn = features.get(name)
+                if isinstance(drawn, Uniform) and drawn.low < drawn.high and not isinstance(side, tuple):
+                    raise IzooError(
+                        f"excluding {side!r} along {name!r} means nothing, since {name} is drawn from an interval, "
+                        "which hits no single value; give (low, high), as an option low..high."
+                    )
         if self.exclude and not self._any_point_left():
             raise IzooError(f"the exclusion {[dict(box.sides) for box in self.exclude]} leaves nothing; shrink a box.")
         if self.exclude and self.is_finite:

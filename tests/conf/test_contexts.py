@@ -194,6 +194,8 @@ def test_dataset_splits_share_out_the_intersections(dataset):
         (["contexts=pcg", "contexts.exclude=[{green_s:30..20}]"], "low end must come first"),
         (["contexts=pcg", "contexts.exclude=[{lanes:2}]"], "lane_count"),
         (["contexts=pcg", "contexts.exclude=[{engine:electrc}]"], "electrc"),
+        (["contexts=pcg_easy", "contexts.green_s=20..30", "contexts.exclude=[{green_s:25}]"], "means nothing, since"),
+        (["contexts=pcg_easy", "contexts.green_s=20..30", "contexts.exclude=[{green_s:[20,30]}]"], "means nothing"),
         (["contexts=pcg", "contexts.exclude=[{engine:0..1}]"], "give a value or a list of values"),
         (["contexts=pcg", "contexts.exclude=[{green_s:26-29}]"], "green_s is '26-29'"),
         (["contexts=pcg", "contexts.exclude=[{lane_count:{1:0.5,2:0.5}}]"], "give a value or a list of values"),

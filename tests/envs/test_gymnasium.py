@@ -306,6 +306,18 @@ def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     joint.step(forward(joint))
 
 
+def test_a_refused_reset_leaves_the_schedule_alone(joint: gymnasium.Env[Any, Any]) -> None:
+    first = joint.reset(seed=3)[1]
+    with pytest.raises(IzooError, match="'episode' is -1"):
+        joint.reset(seed=7, options={"episode": -1})
+    with pytest.raises(IzooError, match="'episode_seed' is None"):
+        joint.reset(options={"episode_seed": None})
+    assert (
+        joint.reset()[1]["episode"] == 1
+        and joint.reset(options={"episode": 0})[1]["episode_seed"] == first["episode_seed"]
+    )
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

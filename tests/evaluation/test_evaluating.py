@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 import izoo.conf
-from izoo.commands.evaluating import _changed_contexts, resolve
-from izoo.conf.built_in import CityContexts
+from izoo import train
+from izoo.benchmarks import generalization
+from izoo.commands.evaluating import resolve
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import with_given
@@ -92,26 +93,55 @@ def test_contexts_that_changed_go_into_a_folder_of_their_own(
     assert said.count(f"1 other context of earlier evaluations in {tmp_path / 'together'}: ") == 1
 
 
-def test_one_option_of_a_runs_contexts_is_changed() -> None:
-    own = PcgContexts(lane_count=2, green_s="20..30")
-    chosen = CityContexts(adoption=0.5, split="test")
-    changed = _changed_contexts(own, chosen, frozenset({"contexts.adoption", "seeds"}))
-    assert changed == PcgContexts(lane_count=2, green_s="20..30", adoption=0.5)
-    with pytest.raises(IzooError, match=r"trained on contexts=pcg, which has no option split; .* write contexts=NAME"):
-        _changed_contexts(own, chosen, frozenset({"contexts.split"}))
+@pytest.mark.parametrize("sweep", [False, True])
+def test_options_of_a_runs_own_contexts_are_changed(
+    sweep: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One by one, whatever these contexts are; the others stay as they were in training."""
+    monkeypatch.chdir(tmp_path)
+    trained = [
+        "contexts=pcg",
+        "contexts.lane_count={1:0.25,2:0.75}",
+        "contexts.green_s=20..30",
+        "contexts.adoption=0.2",
+    ]
+    short = ["env.horizon_s=30", "env.warmup_s=5", "algo.frames_per_batch=50", "total_frames=50"]
+    short += ["evaluation.contexts=0", "num_workers=1", "collector=single", "run_dir=run"]
+    assert train.main([*trained, *short]) == 0
+    words = ["run=run", "contexts.adoption=0..1", "contexts.exclude=[{lane_count:2}]"]
+    if sweep:
+        assert main(["run=run", "contexts.adoption=0.5", "seeds=1,2", "num_contexts=1", "-m", "--cfg"]) == 0
+        assert capsys.readouterr().out.count("name: pcg") == 2
+        assert main(["run=run,elsewhere", "contexts.adoption=0.5", "num_contexts=1", "-m"]) == 2
+        return
+    capsys.readouterr()
+    assert main([*words, "--cfg"]) == 0
+    shown = yaml.safe_load(capsys.readouterr().out.partition("\n")[2])["contexts"]
+    assert shown["name"] == "pcg" and shown["green_s"] == "20..30" and shown["adoption"] == "0..1"
+    assert {float(lanes) for lanes in shown["lane_count"]} == {1.0, 2.0} and shown["exclude"] == [{"lane_count": 2}]
+    assert main(["run=run", "contexts.split=test"]) == 2
+    assert "contexts.split" in capsys.readouterr().err
+    assert main(["run=run", "contexts.adoption=0.5", "num_contexts=1", "seeds=1", "num_workers=0", *short[:2]]) == 0
+    assert "contexts=pcg, 1 context" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["policy=glide", "contexts=dataset", f"contexts.path={'x' * 300}"],
-        ["policy=glide", "out=~nobodyofthisname/x", "contexts=pcg_easy", "env.horizon_s=2e9"],
-    ],
-)
-def test_what_the_system_says_of_a_path_is_one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("izoo evaluate: ") and "Traceback" not in error and error.count("\n") == 1
+def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    long = "x" * 300
+    for command, words in (
+        (main, ["policy=glide", "contexts=dataset", f"contexts.path={long}"]),
+        (generalization.main, [f"train={long}"]),
+        (generalization.main, [f"algos=[{long}.pt]"]),
+    ):
+        assert command(words) == 2
+        error = capsys.readouterr().err
+        assert "File name too long" in error and "Traceback" not in error and error.count("\n") == 1
+
+
+def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert EvaluateConfig(out="~nobodyofthisname/x").out == str(tmp_path / "~nobodyofthisname" / "x")
+    assert EvaluateConfig(out="~/x").out == str(tmp_path / "home" / "x")
 
 
 def test_yaml_equals_dataclass() -> None:

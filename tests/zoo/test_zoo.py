@@ -179,7 +179,7 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     [
         ("contexts=pcg", "contexts.lane_count={1:0.25,2:0.75}", "contexts.exclude=[{lane_count:[2,3],green_s:26..29}]"),
         ("contexts=mixed", "contexts.sources=[{name:city,city:atlanta},{name:dataset,path:/home/me/secret}]"),
-        ("contexts=city", "contexts.city=atlanta", "contexts.split=all", "algo.kl_to_start=0.1"),
+        ("contexts=city", "contexts.city=atlanta", "contexts.split=all", "start=/home/me/secret"),
         ("recipe=busy_lane", "env.lane_change=false", "algo.hidden=[16,16]"),
     ],
 )
@@ -188,7 +188,9 @@ def test_the_command_on_a_card_can_be_run(words: tuple[str, ...]) -> None:
     command = " ".join(_changed(config))
     assert "secret" not in command
     again = compose_config("train", TrainConfig, shlex.split(command))
-    assert (again.algo, again.env, again.contexts.name) == (config.algo, config.env, config.contexts.name)
+    for name in ("algo", "action", "env", "simulator", "twin", "num_envs", "total_frames", "seed"):
+        assert getattr(again, name) == getattr(config, name), name
+    assert again.contexts.name == config.contexts.name
     assert again.contexts == config.contexts or "path:FOLDER" in command
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from izoo.conf.folders import DatasetContexts
 from izoo.console import exit_code
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
+from izoo.errors import IzooError
 from izoo.evaluation import evaluate_policy
 from izoo.evaluation.across import aggregate, run_rows
 from izoo.evaluation.policies import as_candidate
@@ -49,9 +51,16 @@ class Entry:
 
     @classmethod
     def named(cls, text: str) -> Entry:
-        """Return the entry that ``POLICY`` or ``NAME=POLICY,POLICY`` means; names that mean nothing are refused."""
-        name, seeds, policies = text.partition("=")
-        entry = cls(name, tuple(policies.split(","))) if seeds else cls(text.removeprefix(zoo.PREFIX), (text,))
+        """Return the entry that ``POLICY`` or ``NAME=POLICY,POLICY`` means.
+
+        Raises:
+            IzooError: a policy means nothing, or the name cannot be that of a folder.
+        """
+        name, several, policies = text.partition("=")
+        own = Path(text).stem if text.endswith(".pt") else text.rpartition(":")[2]
+        entry = cls(name, tuple(policies.split(","))) if several else cls(own, (text,))
+        if not re.fullmatch(r"\w[\w.+-]*", entry.name):
+            raise IzooError(f"{entry.name!r} in {text!r} is no name; write letters and digits: ppo=FILE.pt,FILE.pt.")
         for policy in entry.policies:
             as_candidate(policy, own_env(policy))
         return entry
@@ -106,7 +115,8 @@ def measure(
                         out_dir=folder,
                         name=entry.name,
                     )
-                    parts.append(run_rows(table, entry.name, seed))
+                    played = table[table["context_hash"].isin([context.content_hash for context in here])]
+                    parts.append(run_rows(played, entry.name, seed))
                 found = aggregate(pd.concat(parts, ignore_index=True))
                 estimates = {
                     label: found["all"][part]["mean"] for label, part in FIGURES.items() if part in found["all"]
@@ -147,6 +157,9 @@ def main(dataset: str, out: str, policies: Sequence[str], limit: int = 10, num_w
     """Evaluate on ``limit`` approaches drawn from the test split, and write ``adoption.json`` and ``adoption.png``."""
     folder = Path(out)
     entries = [Entry.named(policy) for policy in policies]  # a name that means nothing is refused before playing
+    names = [entry.name for entry in entries]
+    if len(set(names)) < len(names):
+        raise IzooError(f"the entries {', '.join(names)} share a name; give each another, as in NAME=POLICY.")
     contexts = choose_contexts(DatasetContexts(path=dataset, split="test").build(), limit, 0)
     rows = measure(contexts, entries, folder, num_workers=num_workers)
     write_json(folder / "adoption.json", {"rows": rows})

@@ -91,9 +91,10 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
         places = _find_places(archive)
         if not places:
             raise IzooError(f"{source} holds no intersection folders with {NET_FILE} and {INFLOW_FILE}.")
-        _check_target(target, source)
         fresh = not target.exists()
+        _check_target(target, source)  # before a folder is made
         with claimed(target, "wait for it, or choose another target"):
+            _check_target(target, source)
             rows, unusable = _fill(target, archive, places, source, fresh, progress)
     return ImportReport(target, tuple(rows), unusable)
 
