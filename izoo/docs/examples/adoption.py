@@ -137,7 +137,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         names = list(dict.fromkeys(row["policy"] for row in rows))
         for number, name in enumerate(names):
             mine = [row for row in rows if row["policy"] == name and row["vehicle"] == vehicle]
-            x = np.arange(len(mine)) + 0.12 * (number - (len(names) - 1) / 2)
+            x = np.arange(len(mine)) + min(0.12, 0.4 / len(names)) * (number - (len(names) - 1) / 2)
             y = [100 * row["benefit"]["value"] for row in mine]
             panel.plot(x, y, "o-", label=name.replace("_", " "), markersize=4)
             for place, row in zip(x, mine, strict=True):
