@@ -63,6 +63,7 @@ def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path
         assert "Run folder: " in (tmp_path / f"seed{seed}.log").read_text()
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: Path) -> None:
     long = tmp_path / "long"
     (tmp_path / "taken").mkdir()
@@ -78,6 +79,7 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     assert int(checkpoint.listed(long)[-1].stem.rpartition("-")[2]) == learned[-1]
 
 
+@pytest.mark.slow
 def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
     """A second request would stop it at once."""
     words = [f"import sys; sys.path[:] = {sys.path!r}"]
