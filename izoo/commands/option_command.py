@@ -94,6 +94,7 @@ class OptionCommand:
             words = [f"{self.place}={word}" if word in nameless else word for word in words]
         return [_quoted(word) if word.partition("=")[0] in self.literal else word for word in words]
 
+    @usable_paths()
     def _run(self, words: Sequence[str]) -> int:
         print(f"izoo {__version__} {self.name}", flush=True)
         flags = [word for word in words if word.startswith("-")]
@@ -108,11 +109,10 @@ class OptionCommand:
         if "--help" in flags or "-h" in flags:
             print(help_text(self, config_class, compose.choices()))
             return 0
-        with usable_paths():
-            options = self.options([word for word in words if not word.startswith("-")])
-            if "-m" in flags or "--multirun" in flags:
-                return _multirun(self, config_class, options, show="--cfg" in flags)
-            config: Any = compose.compose_config(self.name, config_class, options)
+        options = self.options([word for word in words if not word.startswith("-")])
+        if "-m" in flags or "--multirun" in flags:
+            return _multirun(self, config_class, options, show="--cfg" in flags)
+        config: Any = compose.compose_config(self.name, config_class, options)
         if "--cfg" in flags:
             print(to_yaml(config), end="")
             return 0
@@ -123,11 +123,10 @@ class OptionCommand:
 
     def _check(self, config: Any) -> None:
         if self.check is not None:
-            with usable_paths():
-                pkgutil.resolve_name(self.check)(config)
+            pkgutil.resolve_name(self.check)(config)
 
     def _work(self, config: Any, given: frozenset[str]) -> None:
-        with usable_paths():
+        with usable_paths():  # Hydra calls it, in a sweep
             pkgutil.resolve_name(self.work)(config, given)
 
 

@@ -49,6 +49,6 @@ class SubcommandCommand:
         return exit_code(self.name, lambda: _run(options))
 
 
+@usable_paths()
 def _run(options: argparse.Namespace) -> int:
-    with usable_paths():
-        return options.run(options) or 0
+    return options.run(options) or 0
