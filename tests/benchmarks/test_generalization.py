@@ -17,7 +17,7 @@ import torch
 from matplotlib import image
 from rich.console import Console
 
-from izoo.benchmarks import campaign, generalization
+from izoo.benchmarks import campaign, generalization, training_runs
 from izoo.benchmarks.outcome import outcome_tables
 from izoo.errors import IzooError
 from izoo.evaluation.table import read_csv
@@ -256,7 +256,7 @@ def test_policies_of_another_benchmark_are_tested_without_training_them_again(
 ) -> None:
     other = tmp_path / "other"
     with monkeypatch.context() as patched:
-        patched.setattr(campaign, "train", stop)
+        patched.setattr(training_runs, "train", stop)
         assert generalization.main([*elsewhere(copy), f"out={other}", f"cache={done[1]}"]) == 0
     assert f"1 training run taken over from {copy}.\n" in capsys.readouterr().out
     results = read_results(other)
@@ -271,7 +271,7 @@ def test_a_run_that_is_not_finished_there_is_trained_here(
     copy: Path, done: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     checkpoint.listed(copy / "train/ppo/seed0")[-1].unlink()
-    monkeypatch.setattr(campaign, "train", stop)
+    monkeypatch.setattr(training_runs, "train", stop)
     assert generalization.main([*elsewhere(copy), f"out={tmp_path / 'other'}", f"cache={done[1]}"]) == 130
     assert "still to be trained: ppo seed 0.\n" in capsys.readouterr().out
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from izoo.benchmarks.campaign import Campaign, _seconds
+from izoo.benchmarks.campaign import Campaign
 from izoo.benchmarks.contestants import _selected, untrained
 from izoo.benchmarks.generalization_options import GeneralizationConfig
+from izoo.benchmarks.training_runs import trained_for_s
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint
@@ -63,13 +64,13 @@ def test_every_training_seed_is_also_tested_as_it_begins(tmp_path: Path) -> None
 
 def test_the_time_that_a_run_took_is_read_as_its_own_table_reads_it(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
-    assert _seconds(tmp_path) == 0.0
+    assert trained_for_s(tmp_path) == 0.0
     path.write_text("frames,seconds,return\n100,1.5,-3\n200,2.5,\n300,9")  # the last row was cut off
-    assert _seconds(tmp_path) == 2.5
+    assert trained_for_s(tmp_path) == 2.5
     for damage in (bytes(range(256)) * 8, b"frames,seconds\n100,soon\n", b"<html></html>\n1,2,3\n"):
         path.write_bytes(damage)
         with pytest.raises(IzooError, match=r"cannot read .*metrics\.csv: .*; restore it, or remove it"):
-            _seconds(tmp_path)
+            trained_for_s(tmp_path)
 
 
 def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
@@ -79,12 +80,12 @@ def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path) -> None:
         config = GeneralizationConfig(protocol="systematicity", algos=("ppo",), select=select, frames=200).resolved()
         benchmark = Campaign(config, tmp_path / select)
         job = next(job for job in benchmark.jobs() if job.kind == "train")
-        run_dir = benchmark._run_dir(job)
+        run_dir = benchmark.runs.run_dir(job.key)
         run_dir.mkdir(parents=True)
         last = checkpoint.save(run_dir, 200, {"features": 1}, keep=2)
-        assert benchmark._is_trained(job.key, run_dir)
+        assert benchmark.runs.is_trained(job.key)
         candidate = checkpoint.make_candidate(last)
-        trained[select] = benchmark._is_trained(job.key, run_dir)
+        trained[select] = benchmark.runs.is_trained(job.key)
         checkpoint.make_best(candidate)
-        assert benchmark._is_trained(job.key, run_dir)
+        assert benchmark.runs.is_trained(job.key)
     assert trained == {"last": True, "best": False}
