@@ -21,7 +21,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torch.distributions import Normal, kl_divergence
 from torchrl.modules import ValueNorm
-from torchrl.objectives import ClipPPOLoss, DDPGLoss, TD3Loss, ValueEstimators
+from torchrl.objectives import ClipPPOLoss, DDPGLoss, LossModule, TD3Loss, ValueEstimators
 
 from izoo.algos import base
 from izoo.algos.masked_gae import MaskedGAE
@@ -29,6 +29,18 @@ from izoo.algos.masked_rows import check_finite, is_set_module, on_rows, path_of
 from izoo.algos.resting import normal_of
 from izoo.algos.sets import COLUMN, FRAME
 from izoo.errors import IzooError
+
+
+def _is_of_nobody(batch: TensorDictBase, mask: Tensor | None) -> bool:
+    """Whether no agent is in a batch ``[*B]``: light traffic makes such ones."""
+    return batch.numel() == 0 if mask is None else not bool(mask.any())
+
+
+def _nothing(loss: LossModule) -> TensorDict:
+    """Return losses of 0, whose gradients are 0, and statistics of 0: TorchRL's averages over no rows are NaN."""
+    zero = 0.0 * torch.stack([weights.sum() for weights in loss.parameters()]).sum()
+    keys = loss.out_keys
+    return TensorDict({key: zero if key.startswith("loss_") else zero.detach() for key in keys}, batch_size=[])
 
 
 class MaskedPPOLoss(ClipPPOLoss):
@@ -141,9 +153,11 @@ class MaskedPPOLoss(ClipPPOLoss):
         return rows_of(batch, batch.get(keys.mask), needed)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask."""
-        rows = tensordict
-        if tensordict.get(self.tensor_keys.mask, None) is not None:
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0."""
+        rows, mask = tensordict, tensordict.get(self.tensor_keys.mask, None)
+        if _is_of_nobody(tensordict, mask):
+            return _nothing(self)
+        if mask is not None:
             if tensordict.get(self.tensor_keys.advantage, None) is None:
                 tensordict = self.value_estimator(tensordict.copy(), params=self._cached_critic_network_params_detached)
             rows = self.rows(tensordict)
@@ -263,12 +277,15 @@ class _OnTransitions:
         return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask.
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0.
 
         The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
         """
         plain = super().forward  # type: ignore[misc]
         mask = tensordict.get(self.tensor_keys.mask, None)
+        if _is_of_nobody(tensordict, mask):
+            tensordict.set(self.tensor_keys.priority, torch.zeros(tensordict.shape if mask is None else mask.shape))
+            return _nothing(self)
         if mask is None:
             return plain(tensordict)
         rows = self.rows(tensordict)

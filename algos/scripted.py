@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -52,20 +53,28 @@ class RandomDriver(TensorDictModuleBase):
 
     Args:
         low, high: bounds of the acceleration, m/s^2.
-        seed: of the draws; ``None`` takes torch's default generator, which evaluation seeds for each episode.
+        seed: of the draws; ``None`` takes torch's default generator, which evaluation seeds for each episode. A copy,
+            such as one that is sent to another process, begins to draw anew.
     """
 
     def __init__(self, low: float = ACTION_LOW_MPS2, high: float = ACTION_HIGH_MPS2, seed: int | None = 0) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [MASK], [ACTION]
         self.low, self.high = low, high
-        self._generator = None if seed is None else torch.Generator().manual_seed(seed)
+        self._seed = seed
+        self._generator: torch.Generator | None = None  # made at the first draw: PyTorch cannot send it to a process
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write accelerations ``[*B, A, 1]``."""
         shape = (*tensordict.get(MASK).shape, 1)
+        if self._generator is None and self._seed is not None:
+            self._generator = torch.Generator().manual_seed(self._seed)
         uniform = torch.rand(shape, generator=self._generator)
         return tensordict.set(ACTION, self.low + (self.high - self.low) * uniform)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made of."""
+        return {**self.__dict__, "_generator": None}
 
 
 class ScriptedDriver(TensorDictModuleBase):

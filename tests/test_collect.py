@@ -13,7 +13,7 @@ import pytest
 import torch
 from tensordict import MemoryMappedTensor, NonTensorData
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
-from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
+from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
@@ -70,7 +70,7 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
     writer = offline.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
-    whole, storage = collect.load(data), buffer.storage
+    whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
     assert len(storage) == 300 and [len(shard) for shard in storage.shards] == [128, 128, 44]
     assert all(isinstance(shard["agents", "observation"], MemoryMappedTensor) for shard in storage.shards)
     key = ("agents", "observation")
@@ -92,10 +92,35 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
     assert torch.equal(torch.cat([batch[key] for batch in ordered]), whole[key])
 
 
+def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path) -> None:
+    words = [
+        *TOY,
+        "simulator=twin",
+        "num_envs=3",
+        "policy=tests.evaluation.odd_policies:gentle",
+        f"out={tmp_path / 'd'}",
+    ]
+    assert collect.main([*words, "frames=500", "shard_frames=200", "env.emit=[context,signal]"]) == 0
+    sampler = SliceSampler(slice_len=10, traj_key=("collector", "traj_ids"))
+    buffer = collect.replay_buffer(tmp_path / "d", batch_size=400, sampler=sampler)
+    slices = buffer.sample().reshape(-1, 10)
+    assert (slices["agents", "action"][slices["agents", "mask"]] == 0.5).all(), "one's own policy was asked"
+    for one in slices:
+        assert one["context", "seed"].unique().numel() == 1
+        assert torch.equal(one["agents", "observation"][1:], one["next", "agents", "observation"][:-1])
+    assert slices["context", "seed"].unique().numel() > 3
+    whole = collect.load(tmp_path / "d")
+    order = torch.cat([torch.arange(environment, 500, 3) for environment in range(3)])
+    assert torch.equal(buffer.storage[:]["agents", "observation"], whole["agents", "observation"][order])
+    with pytest.raises(IzooError, match="takes no writer, collate_fn"):
+        collect.replay_buffer(tmp_path / "d", writer=None, collate_fn=None)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         ([], "out=DIR"),
+        (["out=o", "policy=tests.evaluation.odd_policies:nobody"], "It is written module:function"),
         (["out=o", "policy=rnadom"], "Did you mean 'random'?"),
         (["out=o", "frames=0"], "frames is 0"),
         (["out=o", "contexts=dataset", "contexts.path=missing"], "missing"),
@@ -129,6 +154,9 @@ def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -
     path.write_text(json.dumps(manifest))
     with pytest.raises(IzooError, match="shard-00000"):
         collect.load(tmp_path)
+    path.write_text(json.dumps({**manifest, "environments": 0}))
+    with pytest.raises(IzooError, match="damaged"):
+        collect.replay_buffer(tmp_path)
     path.write_text(json.dumps({**manifest, "format": "other"}))
     with pytest.raises(IzooError, match="other"):
         collect.load(tmp_path)

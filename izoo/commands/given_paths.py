@@ -74,14 +74,14 @@ def contexts_of_run(words: Sequence[str]) -> list[str]:
 
 
 def check_collect(config: CollectConfig) -> None:
-    """Refuse a missing ``out``, a policy that is neither a driver nor a run, or contexts in a missing folder."""
+    """Refuse a missing ``out``, a policy that nobody knows, or contexts in a missing folder."""
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     # Human driving is a matter of the contexts (contexts.adoption=0), not of a policy.
     drivers = [name for name in DRIVER_NAMES if name != "human"]
-    known = shelf.named(config.policy) or config.policy in drivers
+    known = shelf.named(config.policy) or config.policy in drivers or ":" in config.policy
     if not known and not expanded(config.policy).exists():
-        error = unknown_choice("policy", config.policy, [*drivers, "zoo:NAME"])
+        error = unknown_choice("policy", config.policy, [*drivers, "zoo:NAME", "FILE.pt", "module:function"])
         raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     _check_contexts(config.contexts)
 

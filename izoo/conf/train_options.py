@@ -18,6 +18,7 @@ from izoo.files import expanded
 
 TWIN_ENVS = 64
 """Environments on the twin where nothing is said."""
+MAX_ENVS = 65536
 
 
 @dataclass(frozen=True)
@@ -323,8 +324,8 @@ class CollectConfig:
 
     Attributes:
         policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is
-            left to IDM), a trained policy that ships (``zoo:NAME``) or was exported (``FILE.pt``), or the folder of a
-            training run.
+            left to IDM), a trained policy that ships (``zoo:NAME``) or was exported (``FILE.pt``), the folder of a
+            training run, or one's own, ``module:function``.
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
@@ -363,7 +364,7 @@ def check_num_envs(simulator: str, num_envs: int | None) -> None:
     """Raise :class:`IzooError` where the number of environments is out of range, or would be ignored."""
     if num_envs is None:
         return
-    check_range("num_envs", num_envs, 1, 65536)
+    check_range("num_envs", num_envs, 1, MAX_ENVS)
     if simulator == "sumo":
         raise IzooError(
             f"num_envs is {num_envs}, but on SUMO every environment is a process: set num_workers, or simulator=twin."

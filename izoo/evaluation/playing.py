@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import itertools
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
@@ -21,23 +25,24 @@ if TYPE_CHECKING:
     from izoo.envs.twin_env import TwinEnv
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
+INIT = "is_init"
+"""Key ``[*B, 1]``, as of TorchRL's ``InitTracker``: whether an episode begins."""
 _SEED_MASK = 2**63 - 1
 
 
 def run_episode(env: EcoDrivingEnv, policy: Policy, name: str, context: Context, seed: int) -> Rows:
     """Play one episode and return a row per scored approach (:mod:`izoo.evaluation.table`).
 
-    Stochastic policies act by their mode, and torch's default generator is seeded from the context and the seed, so
-    that rows depend on neither the worker nor the order.
+    Stochastic policies act by their mode, and the default generators of torch, numpy and Python are seeded from the
+    context and the seed, so that rows depend on neither the worker nor the order.
 
     Args:
         env: its frames hold the metrics, whether it emits them or not.
         policy: reads ``("agents", "observation")`` and ``("agents", "mask")``, writes ``("agents", "action")``.
         name: the policy's name in the rows.
     """
-    torch_seed = (int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK
-    with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-        torch.manual_seed(torch_seed)
+    drawn_from = (int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK
+    with _seeded(drawn_from), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         play(env, policy, env.reset(context=context, seed=seed))
     return _rows(env.road, env.reader.metrics(), name, context, seed)
 
@@ -61,14 +66,38 @@ def run_together(env: TwinEnv, policy: Policy, name: str, plays: Sequence[tuple[
     ]
 
 
+@contextlib.contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Seed what a policy may draw from by default, and leave it as it was found."""
+    of_numpy, of_python = np.random.get_state(), random.getstate()  # noqa: NPY002 - what policies draw from
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            np.random.seed(seed % 2**32)  # noqa: NPY002
+            random.seed(seed)
+            yield
+    finally:
+        np.random.set_state(of_numpy)  # noqa: NPY002
+        random.setstate(of_python)
+
+
 def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase) -> None:
-    """Step from a reset to the end of the episode."""
-    while True:
+    """Step from a reset to the end of the episode.
+
+    The policy finds ``is_init``, true in the first step alone, and what it has written before: at the root, or under
+    ``"next"``, as TorchRL's recurrent modules do.
+    """
+    for first in itertools.chain([True], itertools.repeat(False)):
+        tensordict.set(INIT, torch.full((*env.batch_size, 1), first))
         result = policy(tensordict)
         if result is None or ("agents", "action") not in result.keys(include_nested=True):
             raise IzooError("the policy wrote no ('agents', 'action'); it must return the TensorDict with that key.")
-        if env.step_lean(result).get("done").any():
+        kept = result.get("next", None)
+        following = env.step_lean(result)
+        if following.get("done").any():
             return
+        if kept is not None:
+            following.update(kept.exclude(*following.keys(True, True)))
         tensordict = step_mdp(result, exclude_action=True)
 
 

@@ -39,12 +39,12 @@ class Candidate:
     fingerprint: str
 
     def pack(self) -> bytes:
-        """Serialise for a worker process; modules travel on the CPU.
+        """Serialise for a worker process; modules travel on the CPU, and are to evaluate, not to train.
 
         Raises:
             IzooError: it holds something that cannot be sent.
         """
-        policy = copy.deepcopy(self.policy).to("cpu") if isinstance(self.policy, nn.Module) else self.policy
+        policy = copy.deepcopy(self.policy).to("cpu").eval() if isinstance(self.policy, nn.Module) else self.policy
         try:
             return cloudpickle.dumps(policy)
         except Exception as error:

@@ -276,7 +276,7 @@ class Pulse:
 
 
 class Player:
-    """An environment and the policies, unpacked when first needed."""
+    """An environment and the packed policies; each episode gets one that has played nothing before."""
 
     def __init__(
         self, policies: Mapping[str, bytes], config: EnvConfig, simulator: str, pulse: Pulse | None = None
@@ -286,14 +286,11 @@ class Player:
 
         self.env = EcoDrivingEnv(config=config, simulator=simulator)
         self._packed, self._pulse = policies, pulse
-        self._policies: dict[str, Any] = {}
 
     def play(self, task: Task) -> Rows:
         from izoo.evaluation.playing import run_episode
 
-        if task.policy not in self._policies:
-            self._policies[task.policy] = cloudpickle.loads(self._packed[task.policy])
-        policy = self._policies[task.policy]
+        policy = cloudpickle.loads(self._packed[task.policy])
         if self._pulse is not None:
             policy = self._pulse.beating(policy)
         return run_episode(self.env, policy, task.name, task.context, task.seed)

@@ -8,6 +8,7 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,13 @@ def code_digest(drivers: bool = False) -> str:
     Args:
         drivers: over the algorithms and scripted drivers instead.
     """
+    return digest_of({"izoo.algos": None} if drivers else SIMULATED_BY)
+
+
+def digest_of(packages: Mapping[str, tuple[str, ...] | None]) -> str:
+    """Return SHA-256 over the files of packages, all of them or, of each package, those that are named."""
     digest = hashlib.sha256()
-    for package, names in ({"izoo.algos": None} if drivers else SIMULATED_BY).items():
+    for package, names in packages.items():
         folder = Path(str(resources.files(package)))
         for path in sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
             name = path.relative_to(folder).as_posix()

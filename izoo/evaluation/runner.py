@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from izoo.algos.scripted import RandomDriver
 from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs.config import SIMULATORS, EnvConfig
@@ -54,7 +55,8 @@ def evaluate_policy(
     """Play a policy and its baselines in every context with every seed.
 
     Args:
-        policy: a scripted driver's name, ``module:function``, a TensorDict module, or a callable of TensorDicts.
+        policy: a scripted driver's name, ``module:function``, a TensorDict module, or a callable of TensorDicts. Each
+            episode is played by a fresh copy of it, a module in evaluation mode.
         contexts: the contexts; repeated ones are played once.
         seeds: episode seeds, the same in all contexts or each intersection's own; three or more for the tested gate to
             mean something.
@@ -92,6 +94,8 @@ def evaluate_policy(
     names = list(dict.fromkeys([HUMAN, *([UNCOMMANDED] if uncommanded else []), candidate.name]))
     candidates = {driver: as_candidate(driver, config) for driver in POLICY_FREE} | {candidate.name: candidate}
     check_choice("simulator", simulator, SIMULATORS)
+    if executor == "together" and isinstance(candidate.policy, RandomDriver):
+        raise IzooError("executor=together cannot play a policy that draws random numbers; choose executor=processes.")
     if simulator == "twin":
         from izoo.envs.twin.twin_backend import check_settings  # it compiles, and most evaluations need none
 

@@ -128,6 +128,7 @@ def _resumed(
     where = Path(config.resume or "")
     path = None if _has_only_begun(where) else checkpoint.find(where)
     stored = runs.read_config(run_dir)
+    runs.check_drivers(run_dir, stored)
     config = with_given(dataclasses.replace(stored, run_dir=str(run_dir)), config, given - {"resume"})
     state = None if path is None else checkpoint.load(path)
     if state is not None and path is not None:

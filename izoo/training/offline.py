@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
@@ -20,20 +20,22 @@ from izoo import __version__, zoo
 from izoo.algos.registry import DRIVER_NAMES
 from izoo.algos.scripted import RandomDriver, make_driver
 from izoo.conf.mapping import to_mapping, with_given
-from izoo.conf.train_options import TWIN_ENVS, CollectConfig
+from izoo.conf.train_options import MAX_ENVS, TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError, UnfinishedError
+from izoo.errors import IzooError, UnfinishedError, check_range
+from izoo.evaluation.playing import Policy
+from izoo.evaluation.policies import import_policy
 from izoo.files import NO_ROOM, ensure_empty, expanded, write_json
 from izoo.gpu import check_gpu
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are
 
 MANIFEST = "manifest.json"
-FORMAT = "izoo-steps-1"
+FORMAT = "izoo-steps-2"
 SCRIPTED = tuple(name for name in DRIVER_NAMES if name != "human")
 """Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
@@ -98,7 +100,7 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     return out
 
 
-def _make_collector(config: CollectConfig, policy: TensorDictModuleBase, schedule: RandomSchedule) -> Collector:
+def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSchedule) -> Collector:
     """Return the source of batches, which has begun its first episodes."""
     with workers_ignore_interrupts():
         env = _make_env(config, schedule)
@@ -121,16 +123,29 @@ def _make_collector(config: CollectConfig, policy: TensorDictModuleBase, schedul
 
 def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
     if config.simulator == "sumo":
-        return SumoParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed)
-    count = TWIN_ENVS if config.num_envs is None else config.num_envs
+        return SumoParallelEnv(_environments(config), contexts=schedule, config=config.env, seed=config.seed)
     twin = config.twin
     if twin.surrogate == "cuda":
         check_gpu("twin.surrogate", "torch")
-    return TwinEnv(count, schedule, config=config.env, seed=config.seed, threads=twin.threads, surrogate=twin.surrogate)
+    return TwinEnv(
+        _environments(config),
+        schedule,
+        config=config.env,
+        seed=config.seed,
+        threads=twin.threads,
+        surrogate=twin.surrogate,
+    )
 
 
-def make_policy(config: CollectConfig) -> TensorDictModuleBase:
-    """Return the policy that ``config.policy`` names: a scripted driver, a shipped policy, or that of a run."""
+def _environments(config: CollectConfig) -> int:
+    """Return how many environments step together."""
+    if config.simulator == "sumo":
+        return config.num_workers
+    return TWIN_ENVS if config.num_envs is None else config.num_envs
+
+
+def make_policy(config: CollectConfig) -> Policy:
+    """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed)
     if config.policy in SCRIPTED:
@@ -140,6 +155,9 @@ def make_policy(config: CollectConfig) -> TensorDictModuleBase:
         found = zoo.load(shipped)
         found.check_observed(config.env)
         return found.policy
+    if ":" in config.policy and not expanded(config.policy).exists():
+        policy = import_policy(config.policy)
+        return policy.eval() if isinstance(policy, nn.Module) else policy
     algorithm, trained, _ = runs.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(
@@ -158,8 +176,9 @@ def load(folder: Path | str) -> TensorDictBase:
     """Open a collected data set.
 
     Returns:
-        Steps ``[frames]``, in the order of collection: worker after worker within a time step. One shard stays
-        memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer` does not do.
+        Steps ``[frames]``, in the order of collection: environment after environment within a time step. One shard
+        stays memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer`, where
+        steps that follow each other stand beside each other, does not do.
 
     Raises:
         IzooError: the folder is not a finished data set of izoo, or a shard is missing.
@@ -171,27 +190,30 @@ def load(folder: Path | str) -> TensorDictBase:
 def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
 
+    It holds the steps of one environment after those of another, each in the order of time, so that TorchRL's
+    ``SliceSampler(traj_key=("collector", "traj_ids"), ...)`` draws slices of episodes. (It reads the whole data set
+    once, to find where they begin.)
+
     Args:
         folder: what ``out=`` named.
         options: of :class:`torchrl.data.TensorDictReplayBuffer`, such as ``batch_size``, ``sampler`` or ``transform``.
+
+    Raises:
+        IzooError: the data set cannot be read, or an option is one that a data set determines.
     """
-    storage = ShardStorage(load_shards(folder))
+    ours = [name for name in ("storage", "writer", "collate_fn") if name in options]
+    if ours:
+        raise IzooError(
+            f"replay_buffer() takes no {', '.join(ours)}: a data set is read only, in a storage of its own."
+        )
+    storage = ShardStorage(load_shards(folder), _read_manifest(folder)["environments"])
     return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options)
 
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:
     """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
     folder = expanded(folder)
-    path = folder / MANIFEST
-    if not path.is_file():
-        raise IzooError(f"{folder} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
-    try:
-        manifest = json.loads(path.read_text())
-        shards = [(folder / Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
-    except (ValueError, KeyError, TypeError) as error:
-        raise IzooError(f"{path} is damaged; collect the data again.") from error
-    if manifest.get("format") != FORMAT:
-        raise IzooError(f"{path} is of format {manifest.get('format')!r}; this version of izoo reads {FORMAT}.")
+    shards = [(folder / name, frames) for name, frames in _read_manifest(folder)["shards"]]
     missing = [shard.name for shard, _ in shards if not shard.is_dir()]
     if missing or not shards:
         raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
@@ -203,6 +225,24 @@ def load_shards(folder: Path | str) -> list[TensorDictBase]:
         raise IzooError(f"{folder} cannot be read: {text}; copy it whole, or collect again.") from error
     # A collection that Ctrl-C ended leaves room at the end of its last shard.
     return [steps if len(steps) == frames else steps[:frames] for steps, frames in opened]
+
+
+def _read_manifest(folder: Path | str) -> dict[str, Any]:
+    """Return ``environments``, how many stepped together, and ``shards``, name and frames of each."""
+    path = expanded(folder) / MANIFEST
+    if not path.is_file():
+        raise IzooError(f"{path.parent} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
+    try:
+        manifest = json.loads(path.read_text())
+        form = manifest.get("format")
+        shards = [(Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
+        environments = int(manifest["environments"]) if form == FORMAT else 1
+        check_range("environments", environments, 1, MAX_ENVS)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise IzooError(f"{path} is damaged; collect the data again.") from error
+    if form != FORMAT:
+        raise IzooError(f"{path} is of format {form!r}; this version of izoo reads {FORMAT}.")
+    return {"environments": environments, "shards": shards}
 
 
 class ShardWriter:
@@ -260,7 +300,7 @@ class ShardWriter:
             "izoo": __version__,
             "frames": sum(shard["frames"] for shard in self._shards),
             "simulator": self.config.simulator,
-            "num_workers": self.config.num_workers,
+            "environments": _environments(self.config),
             "observation_names": list(observation_names(self.config.env)),
             "shards": self._shards,
             "options": to_mapping(self.config),

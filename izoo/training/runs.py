@@ -19,11 +19,14 @@ from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoade
 from izoo.algos.base import Algorithm
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
+from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.own_drivers import driver_files
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import claimed, ensure_empty, expanded, read_text, write_text
+from izoo.files import claimed, ensure_empty, expanded, read_bytes, read_text, write_bytes, write_text
 from izoo.training import checkpoint
 from izoo.training.learner import load_state
 
@@ -50,7 +53,7 @@ _RESTORE = "restore the file, or train again"
 
 @contextlib.contextmanager
 def created(config: TrainConfig) -> Iterator[Path]:
-    """Make the folder of a new run, write its options, and give its absolute path; it belongs to this process.
+    """Make the folder of a new run, write its options and drivers, and give its absolute path; this process owns it.
 
     Where the block ends with an error before anything was learned, nothing is left behind.
 
@@ -63,6 +66,7 @@ def created(config: TrainConfig) -> Iterator[Path]:
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
         write_config(run_dir, config)
+        keep_drivers(run_dir, config)
         try:
             yield run_dir
         except BaseException:
@@ -92,6 +96,45 @@ def _remove(run_dir: Path, existed: bool) -> None:
 def write_config(run_dir: Path, config: TrainConfig) -> None:
     """Write the resolved options as ``config.yaml``."""
     write_text(run_dir / CONFIG_FILE, OmegaConf.to_yaml(OmegaConf.create(to_mapping(config))))
+
+
+def keep_drivers(run_dir: Path, config: TrainConfig) -> None:
+    """Copy the files of ``contexts.drivers`` into the run's folder: what they held belongs to what the run is."""
+    for path, kept in _drivers(run_dir, config):
+        write_bytes(kept, read_bytes(path, MAX_FILE_BYTES))
+
+
+def check_drivers(run_dir: Path, config: TrainConfig, contexts: ContextsConfig | None = None) -> None:
+    """Check that files of ``contexts.drivers`` still hold the drivers that a run was trained with.
+
+    Args:
+        run_dir: the run's folder.
+        config: its options.
+        contexts: what is played, where that is not the run's own; only files that it names are checked.
+
+    Raises:
+        IzooError: a file holds others, or none, by now.
+    """
+    used = driver_files(contexts or config.contexts)
+    for path, kept in _drivers(run_dir, config):
+        if path in used and not _same_drivers(path, read_population(kept)):
+            raise IzooError(
+                f"contexts.drivers: {path} does not hold the drivers any more that {run_dir} was trained with; put "
+                f"their copy back there: {kept}."
+            )
+
+
+def _drivers(run_dir: Path, config: TrainConfig) -> list[tuple[Path, Path]]:
+    """Return every file of drivers that a run's options name, with its copy in the run's folder."""
+    files = driver_files(config.contexts)
+    return [(path, run_dir / f"drivers-{number}.json") for number, path in enumerate(files, 1)]
+
+
+def _same_drivers(path: Path, kept: DriverPopulation) -> bool:
+    try:
+        return read_population(path) == kept
+    except IzooError:
+        return False
 
 
 def read_config(run_dir: Path) -> TrainConfig:

@@ -20,18 +20,19 @@ def as_they_are(rows: TensorDictBase) -> TensorDictBase:
 
 
 class ShardStorage(Storage):
-    """Memory-mapped shards, one after the other; read only.
+    """Memory-mapped shards as one sequence of steps, those of one environment after those of another; read only.
 
     A replay buffer with ``collate_fn=as_they_are`` samples from it: an index copies the rows that it names, and no
     others.
 
     Args:
-        shards: steps ``[frames of the shard]`` with the same leaves.
+        shards: steps ``[frames of the shard]`` with the same leaves, environment after environment within a time step.
+        environments: how many stepped together.
     """
 
-    def __init__(self, shards: Sequence[TensorDictBase]) -> None:
+    def __init__(self, shards: Sequence[TensorDictBase], environments: int = 1) -> None:
         super().__init__(sum(len(shard) for shard in shards))
-        self.shards = list(shards)
+        self.shards, self.environments = list(shards), environments
         self._starts = torch.tensor([0, *itertools.accumulate(len(shard) for shard in shards)])
 
     def __len__(self) -> int:
@@ -55,6 +56,7 @@ class ShardStorage(Storage):
             raise IndexError(f"an index is out of range: the data set has {len(self)} steps")
         if len(flat) == 0:
             return self.shards[0][:0]
+        flat = self._stored(flat)
         owner = torch.searchsorted(self._starts, flat, right=True) - 1
         parts, places = [], []
         for shard in owner.unique().tolist():
@@ -63,6 +65,16 @@ class ShardStorage(Storage):
             places.append(place)
         rows = parts[0] if len(parts) == 1 else torch.cat(parts)[torch.cat(places).argsort()]
         return rows[0] if wanted.ndim == 0 else rows.reshape(wanted.shape)
+
+    def _stored(self, steps: Tensor) -> Tensor:
+        """Return where steps ``[n]`` of this sequence are stored; the first environments may have a step more."""
+        times, more = divmod(len(self), self.environments)
+        long = more * (times + 1)
+        rest = (steps - long).clamp_min(0)
+        in_long = steps < long
+        environment = torch.where(in_long, steps // (times + 1), more + rest // max(times, 1))
+        time = torch.where(in_long, steps % (times + 1), rest % max(times, 1))
+        return time * self.environments + environment
 
     def contains(self, item: int) -> bool:
         """Whether there is a step of this number."""

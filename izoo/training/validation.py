@@ -227,6 +227,7 @@ def validate(path: Path) -> dict[str, Any]:
 
     started = time.perf_counter()
     algorithm, config, state = runs.load_algorithm(path)
+    runs.check_drivers(checkpoint.run_of(path), config)
     options = config.validation
     contexts = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
     seeds = EpisodeSeeds(VALIDATION_SEED, options.seeds)

@@ -162,6 +162,24 @@ def test_what_is_not_finite_in_a_valid_slot_is_named(kind: str) -> None:
         total(loss, batch)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_nobody_there_is_nothing_to_learn(kind: str) -> None:
+    """Minibatches without a vehicle are common in light traffic, and stock training loops hand them over."""
+    loss = make(kind)
+    batch = collect(loss)
+    some = {key for key in loss(batch.clone()).keys() if key.startswith("loss_")}  # noqa: SIM118
+    batch[MASK][:] = False
+    if kind not in OFF_POLICY:
+        batch = loss.value_estimator(batch)
+        assert not batch[base.ADVANTAGE].any()
+    losses = loss(batch)
+    assert some <= set(losses.keys()) and all(float(value) == 0.0 for value in losses.values())
+    assert all(not part.any() for part in gradients(loss, batch))
+    assert len(gradients(loss, batch)) == len(list(loss.parameters())), "the loss has no graph"
+    if kind in OFF_POLICY:
+        assert batch[loss.tensor_keys.priority].shape == batch[MASK].shape
+
+
 @pytest.mark.parametrize("kind", ["ppo", *OFF_POLICY])
 def test_a_batch_without_a_mask_is_rows(kind: str) -> None:
     loss = make(kind)

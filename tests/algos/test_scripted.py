@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from multiprocessing.reduction import ForkingPickler
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -78,6 +80,15 @@ def test_random_driver_covers_the_range_and_repeats_with_its_seed() -> None:
     assert -4.5 <= float(one.min()) < -4.3
     assert 2.4 < float(one.max()) <= 2.6
     assert not torch.equal(one, RandomDriver(-4.5, 2.6, seed=5)(make_step(50, 40))["agents", "action"])
+
+
+def test_random_driver_can_be_sent_to_processes_where_it_begins_anew() -> None:
+    """As stock collectors do; PyTorch cannot send a generator."""
+    driver = RandomDriver(seed=4)
+    draws = [driver(make_step(5, 4))["agents", "action"] for _ in range(2)]
+    sent = ForkingPickler.loads(ForkingPickler.dumps(driver))
+    assert not torch.equal(*draws)
+    assert torch.equal(sent(make_step(5, 4))["agents", "action"], draws[0])
 
 
 def test_random_driver_without_a_seed_follows_torch() -> None:

@@ -206,7 +206,7 @@ def test_a_forked_process_that_ends_leaves_its_parents_workers_alone() -> None:
 DOUBLES = """
 import warnings
 from torchrl.envs import ParallelEnv
-from izoo.envs import EcoDrivingEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from tests.envs.worlds import crossing, short
 if __name__ == '__main__':
     makers = {makers}
@@ -218,7 +218,15 @@ TOLD = "[lambda k=k: EcoDrivingEnv(crossing(), config=short(), worker=k, num_wor
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("makers", "distinct"), [("lambda: EcoDrivingEnv(crossing(), config=short())", 1), (TOLD, 2)])
+@pytest.mark.parametrize(
+    ("makers", "distinct"),
+    [
+        ("lambda: EcoDrivingEnv(crossing(), config=short())", 1),
+        (TOLD, 2),
+        ("lambda: TwinEnv(2, crossing(), config=short())", 2),
+        ("[lambda k=k: TwinEnv(2, crossing(), config=short(), shard=k, num_shards=2) for k in range(2)]", 4),
+    ],
+)
 def test_torchrls_own_workers_are_told_that_they_play_the_same(makers: str, distinct: int, tmp_path: Any) -> None:
     program = tmp_path / "program.py"
     program.write_text(DOUBLES.format(makers=makers))
@@ -226,4 +234,5 @@ def test_torchrls_own_workers_are_told_that_they_play_the_same(makers: str, dist
     done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=200, env=environment)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) == distinct
-    assert ("plays the same episodes" in done.stderr.replace("\n", " ")) == (distinct == 1)
+    told = "shard=k" in makers or "worker=k" in makers
+    assert ("plays the same episodes" in done.stderr.replace("\n", " ")) == (not told)

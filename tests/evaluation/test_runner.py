@@ -101,6 +101,35 @@ def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cac
     assert_frame_equal(forward, backward, check_exact=True)
 
 
+@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy])
+def test_no_policy_plays_otherwise_for_what_it_played_before(
+    make: type, contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    """One that counts, one with memory, and one that draws from a generator of its own or of numpy."""
+    options = {"progress": False, "cache": cache, "uncommanded": False}
+    forward = evaluate_policy(make(), contexts, SEEDS, SHORT, num_workers=0, **options)
+    backward = evaluate_policy(make(), contexts[::-1], SEEDS[::-1], SHORT, num_workers=0, **options)
+    assert_frame_equal(forward, backward, check_exact=True)
+    assert (forward.loc[forward["policy"] == "policy", "deferred_steps"] > 0).any(), "the policy acted"
+
+
+def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], cache: Path) -> None:
+    seen: list[tuple[bool, float | None]] = []
+    drivers.Recurrent.seen = seen
+    for _ in range(2):
+        evaluate_policy(drivers.Recurrent(), contexts[:1], SEEDS[:1], SHORT, num_workers=0, progress=False, cache=cache)
+    first, second = seen[:STEPS], seen[STEPS:]
+    assert first == second == [(True, None), *((False, float(step)) for step in range(1, STEPS))]
+
+
+def test_modules_are_played_as_they_evaluate(contexts: list[Context], cache: Path) -> None:
+    policy = drivers.Moody().train()
+    table = evaluate_policy(policy, contexts[:1], SEEDS[:1], SHORT, num_workers=0, progress=False, cache=cache)
+    assert policy.training, "the caller's own is left as it is"
+    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS[:1], SHORT, 0, progress=False, cache=cache)
+    assert_frame_equal(table, gentle, check_exact=True)
+
+
 def test_an_identical_policy_has_exactly_no_benefit(contexts: list[Context], cache: Path) -> None:
     """Nobody commands under another name: the numbers of the uncommanded CV, and both gates passed."""
     table = evaluate_policy(

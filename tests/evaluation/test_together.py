@@ -54,6 +54,8 @@ def test_side_by_side_or_one_after_the_other_is_the_same(tmp_path: Path, monkeyp
 def test_what_it_cannot_play_is_refused_and_what_fails_is_named(tmp_path: Path) -> None:
     with pytest.raises(IzooError, match=r"but simulator is sumo; choose simulator=twin"):
         evaluate_policy("glide", CONTEXTS[:1], [1], SHORT, executor="together", progress=False, cache=tmp_path)
+    with pytest.raises(IzooError, match=r"draws random numbers; choose executor=processes"):
+        evaluated("together", tmp_path, "random")
 
     def fails(tensordict: torch.Tensor) -> torch.Tensor:
         raise ValueError(f"no idea for {tensordict[MASK].shape}")
