@@ -27,7 +27,8 @@ from izoo.envs.mdp.state import (
     STOP_LINE,
 )
 from izoo.networks.clock import GREEN, RED, YELLOW
-from izoo.networks.road import APPROACHING, INSIDE, LEAVING, LEFT, RIGHT, STRAIGHT, RoadNet
+from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 FAR_M = 1000.0
 """Distance of a neighbour that is not there; its speed, blinkers and flag ``present`` are 0."""

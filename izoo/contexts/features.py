@@ -1,4 +1,4 @@
-"""Every context feature, declared once: name, unit, bounds, default, where it acts, and whether a policy may see it."""
+"""Every context feature, declared once: name, unit, bounds, and whether a policy may see it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from izoo.errors import IzooError, check_range, unknown_choice
-
-ACTS_ON = ("context", "approach", "movement", "driver", "fleet", "demand", "ghosts")
 
 
 @dataclass(frozen=True)
@@ -18,9 +16,6 @@ class Feature:
         name: the name used in settings, observations and messages.
         unit: its unit; empty for shares, counts and codes.
         low, high: legal range, ends included.
-        default: the value of a context that says nothing about it; ``None`` where the source always gives it.
-        acts_on: what the feature belongs to, one of :data:`ACTS_ON`: a vehicle sees the value of the whole context, of
-            its approach, or of its movement.
         scale: an observation holds ``value / scale``, of order 1; 0 for features that are never observed.
         hidden: why a policy cannot see it; empty for observed features.
     """
@@ -29,8 +24,6 @@ class Feature:
     unit: str
     low: float
     high: float
-    default: float | None
-    acts_on: str
     scale: float = 0.0
     hidden: str = ""
 
@@ -47,23 +40,23 @@ class Feature:
 _UNPREDICTABLE = "a road user cannot measure it; it belongs to the procedural, unobserved part of the context"
 
 FEATURES = (
-    Feature("adoption", "", 0.0, 1.0, 1.0 / 3.0, "context", 1.0),
-    Feature("green_s", "s", 1.0, 300.0, None, "movement", 100.0),
-    Feature("red_s", "s", 1.0, 300.0, None, "movement", 100.0),
-    Feature("temperature_c", "degrees C", -60.0, 60.0, 20.0, "context", 40.0),
-    Feature("humidity_pct", "%", 0.0, 100.0, 46.0, "context", 100.0),
-    Feature("engine", "", 0.0, 1.0, 0.0, "context", 1.0),
-    Feature("lane_count", "lanes", 1.0, 8.0, None, "approach", 4.0),
-    Feature("lane_length_m", "m", 10.0, 5000.0, None, "approach", 250.0),
-    Feature("speed_limit_mps", "m/s", 1.0, 60.0, None, "approach", 15.0),
-    Feature("phase_count", "phases", 1.0, 8.0, 1.0, "approach", hidden="green_s and red_s say what a vehicle meets"),
-    Feature("inflow_vph_per_lane", "veh/h", 0.0, 900.0, None, "demand", hidden=_UNPREDICTABLE),
-    Feature("offset_s", "s", -300.0, 300.0, 0.0, "ghosts", hidden="the signals of the neighbours are out of sight"),
-    Feature("grade", "", -0.35, 0.35, 0.0, "approach", hidden=_UNPREDICTABLE),
-    Feature("driver_aggressiveness", "", 0.0, 1.0, None, "driver", hidden=_UNPREDICTABLE),
-    Feature("fleet", "", 0.0, 1.0, None, "fleet", hidden=_UNPREDICTABLE),
-    Feature("arrivals", "", 0.0, 1.0, None, "demand", hidden=_UNPREDICTABLE),
-    Feature("turning", "", 0.0, 1.0, None, "demand", hidden=_UNPREDICTABLE),
+    Feature("adoption", "", 0.0, 1.0, 1.0),
+    Feature("green_s", "s", 1.0, 300.0, 100.0),
+    Feature("red_s", "s", 1.0, 300.0, 100.0),
+    Feature("temperature_c", "degrees C", -60.0, 60.0, 40.0),
+    Feature("humidity_pct", "%", 0.0, 100.0, 100.0),
+    Feature("engine", "", 0.0, 1.0, 1.0),
+    Feature("lane_count", "lanes", 1.0, 8.0, 4.0),
+    Feature("lane_length_m", "m", 10.0, 5000.0, 250.0),
+    Feature("speed_limit_mps", "m/s", 1.0, 60.0, 15.0),
+    Feature("phase_count", "phases", 1.0, 8.0, hidden="green_s and red_s say what a vehicle meets"),
+    Feature("inflow_vph_per_lane", "veh/h", 0.0, 900.0, hidden=_UNPREDICTABLE),
+    Feature("offset_s", "s", -300.0, 300.0, hidden="the signals of the neighbours are out of sight"),
+    Feature("grade", "", -0.35, 0.35, hidden=_UNPREDICTABLE),
+    Feature("driver_aggressiveness", "", 0.0, 1.0, hidden=_UNPREDICTABLE),
+    Feature("fleet", "", 0.0, 1.0, hidden=_UNPREDICTABLE),
+    Feature("arrivals", "", 0.0, 1.0, hidden=_UNPREDICTABLE),
+    Feature("turning", "", 0.0, 1.0, hidden=_UNPREDICTABLE),
 )
 """All features. ``engine`` is 0 for combustion and 1 for electric. ``green_s`` and ``red_s`` are those of a vehicle's
 own movement; their sum is the cycle. The last four are random draws made from the episode's seed."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.networks.road import RoadNet
-from izoo.traffic.demand import turning_shares
+from izoo.networks.turning import turning_shares
 
 SATURATION_FLOW_VPH_PER_LANE = 1800.0
 """Vehicles per hour of green and lane: one every two seconds (HCM: 1,900 under ideal conditions)."""

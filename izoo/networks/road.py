@@ -23,9 +23,9 @@ from defusedxml.common import DefusedXmlException
 
 from izoo.errors import IzooError
 from izoo.networks.clock import SignalClock, read_clock
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 APPROACHING, INSIDE, LEAVING = 0, 1, 2
-RIGHT, STRAIGHT, LEFT = 0, 1, 2
 TURN_OF_DIRECTION = {"r": RIGHT, "R": RIGHT, "s": STRAIGHT, "l": LEFT, "L": LEFT, "t": LEFT}
 _REGION_EDGE = re.compile(r"([A-Z])2TL(?:_intern)?|TL2([A-Z])")
 

@@ -1,34 +1,12 @@
-"""When vehicles arrive and which way they turn."""
+"""When vehicles arrive, and draws from given shares."""
 
 from __future__ import annotations
 
 import numpy as np
 
-RIGHT, STRAIGHT, LEFT = 0, 1, 2
-TURN_SHARE = 0.1
 STRAIGHT_SOURCE_SHARE = 0.9
 """Share of an approach's traffic that comes straight through the ghost intersection; the rest turns in."""
 _BLOCK = 512
-
-
-def turning_shares(movement_turn: np.ndarray, movement_links: np.ndarray) -> np.ndarray:
-    """Return the share of an approach's traffic that takes each exit, ``[Q]`` float64.
-
-    10 % right, 80 % straight and 10 % left where these are the three exits; 10 % for the turn where the other of two
-    exits is straight; otherwise by connected lanes. They sum to 1, or are all 0 where the approach leads nowhere.
-
-    Args:
-        movement_turn: ``[Q]`` 0 right, 1 straight, 2 left, -1 where there is no such movement.
-        movement_links: ``[Q]`` number of lane connections at the stop line.
-    """
-    turn = np.asarray(movement_turn)
-    exits = turn >= 0
-    kinds = sorted(turn[exits].tolist())
-    if kinds == [RIGHT, STRAIGHT, LEFT] or (len(kinds) == 2 and kinds.count(STRAIGHT) == 1):
-        straight = 1.0 - TURN_SHARE * (len(kinds) - 1)
-        return np.where(exits, np.where(turn == STRAIGHT, straight, TURN_SHARE), 0.0)
-    links = np.where(exits, movement_links, 0).astype(np.float64)
-    return links / max(links.sum(), 1.0)
 
 
 def poisson_arrivals(generator: np.random.Generator, rate_per_s: float, duration_s: float) -> np.ndarray:

@@ -14,7 +14,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.spec import LEG_NAMES
 from izoo.errors import IzooError
 from izoo.files import write_text
-from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals, turning_shares
+from izoo.networks.turning import turning_shares
+from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals
 from izoo.traffic.drivers import sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, lengths_m, sample_classes
 

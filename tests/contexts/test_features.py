@@ -1,6 +1,6 @@
 import pytest
 
-from izoo.contexts.features import ACTS_ON, BY_NAME, FEATURES, OBSERVED, check_observed, feature, scales
+from izoo.contexts.features import BY_NAME, FEATURES, OBSERVED, check_observed, feature, scales
 from izoo.errors import IzooError
 
 
@@ -15,9 +15,7 @@ def test_declarations_are_consistent():
     assert len(BY_NAME) == len(FEATURES)
     for declared in FEATURES:
         assert declared.low < declared.high
-        assert declared.acts_on in ACTS_ON
         assert declared.observed == (declared.scale > 0)
-        assert declared.default is None or declared.low <= declared.default <= declared.high
 
 
 def test_selection_comes_back_in_canonical_order():

@@ -24,7 +24,8 @@ from izoo.envs.mdp.state import (
     WRONG_LANE,
 )
 from izoo.envs.mdp.step import emit_vehicles
-from izoo.networks.road import APPROACHING, LEFT, STRAIGHT
+from izoo.networks.road import APPROACHING
+from izoo.networks.turning import LEFT, STRAIGHT
 from tests.envs.placed import STEP_S, Scene
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError
-from izoo.networks.road import APPROACHING, INSIDE, LEAVING, LEFT, RIGHT, STRAIGHT, RoadNet, read_road
+from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet, read_road
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 from tests.networks.handmade import HANDMADE_NET, write_handmade
 
 A_LANES = ("A2TL_0", "A2TL_1", ":S_0_0", ":S_0_1", ":S_0_2", "A2TL_intern_0", "A2TL_intern_1", "A2TL_intern_2")

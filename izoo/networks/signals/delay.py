@@ -14,6 +14,7 @@ from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.movements import conflict
 from izoo.contexts.spec import IntersectionSpec
 from izoo.networks.net.connections import Link, signal_links
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT, turning_shares
 
 SATURATION_VPH = 1800.0
 """Saturation flow of a lane."""
@@ -22,7 +23,7 @@ ANALYSIS_H = 0.25
 """Analysis period of the overflow part."""
 CRITICAL_GAP_S, FOLLOW_UP_S, SNEAKERS = 4.5, 2.5, 2.0
 """Permissive turns: critical gap, follow-up time, and how many go per cycle at the end of green."""
-TURN_SHARE = 0.1
+TURNS = {"r": RIGHT, "s": STRAIGHT, "l": LEFT}
 States = Sequence[Sequence[tuple[str, str, str]]]
 """Per interval, ``(from_leg, to_leg, colour)`` of the movements that are not red."""
 
@@ -50,22 +51,13 @@ def peak_movements(spec: IntersectionSpec) -> tuple[Movement, ...]:
         for link in links:
             if link.from_leg == leg.name:
                 by_exit.setdefault(link.to_leg, []).append(link)
-        shares = _shares({end: (served[0].turn, len(served)) for end, served in by_exit.items()})
-        for end, served in by_exit.items():
-            flow_vph = per_lane * leg.approach.main_lane_count * shares[end]
+        turns = np.array([TURNS[served[0].turn] for served in by_exit.values()])
+        shares = turning_shares(turns, np.array([len(served) for served in by_exit.values()]))
+        for share, (end, served) in zip(shares.tolist(), by_exit.items(), strict=True):
+            flow_vph = per_lane * leg.approach.main_lane_count * share
             lanes = tuple(link.from_lane for link in served)
             movements.append(Movement(leg.name, end, served[0].turn, flow_vph, lanes))
     return tuple(movements)
-
-
-def _shares(exits: dict[str, tuple[str, int]]) -> dict[str, float]:
-    """Share of the traffic per exit, given ``(turn, connected lanes)``: fixed for turns beside a straight way on."""
-    turns = sorted(turn for turn, _ in exits.values())
-    if turns == ["l", "r", "s"] or (len(turns) == 2 and turns.count("s") == 1):
-        straight = 1.0 - TURN_SHARE * (len(turns) - 1)
-        return {end: straight if turn == "s" else TURN_SHARE for end, (turn, _) in exits.items()}
-    total = sum(lanes for _, lanes in exits.values())
-    return {end: lanes / total for end, (_, lanes) in exits.items()}
 
 
 class DelayModel:
