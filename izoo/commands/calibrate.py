@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from izoo import __version__
 from izoo.console import Progress, exit_code
+from izoo.contexts.population import read_population
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
 
@@ -43,9 +44,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate, print, draw and write; return 0, or 1 where the chains did not converge."""
     check_out(options.out)
-    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
-    if missing:
-        raise IzooError(f"calibration needs {' and '.join(missing)}: python -m pip install 'izoo[calibrate]'.")
+    check_packages()
     from izoo.drivers.followers import ReadConfig, read_following
 
     names = ("step_s", "default_length_m", "heavy_from_m", "max_drivers", "seed")
@@ -70,16 +69,17 @@ def calibrate(options: argparse.Namespace) -> int:
         print(describe(name, results[name]), flush=True)
     source = f"calibrated by izoo {__version__} on {', '.join(path.name for path in options.files)}"
     content = to_content(results, config, source)
-    written = []
+    out = options.out if content["converged"] else not_converged_out(options.out)
+    written = [out]
     try:
+        write_json(out, content)
         for name, result in results.items():
-            png = options.out.with_suffix(f".{name}.png")
+            png = out.with_suffix(f".{name}.png")
             draw_estimate(result, f"{len(result.data.drivers)} {name} drivers", png)
             written.append(png)
-        write_json(options.out, content)
     except OSError as error:
-        raise IzooError(f"cannot write {error.filename or options.out}: {os_reason(error)}; choose another.") from None
-    print(f"wrote {', '.join(map(str, [options.out, *written]))}")
+        raise IzooError(f"cannot write {error.filename or out}: {os_reason(error)}; choose another.") from None
+    print(f"wrote {', '.join(map(str, written))}")
     for name in ("light", "heavy"):
         if name not in results:
             print(f"{name} drivers: too few in the data; the built-in {name} population stands in the file.")
@@ -89,6 +89,8 @@ def calibrate(options: argparse.Namespace) -> int:
             "much; if that does not help, the data do not fix these numbers: give more drivers, or more braking.",
             flush=True,
         )
+        if out != options.out:
+            print(f"{options.out} holds drivers of before and stays as it was.", flush=True)
         return EXIT_NOT_CONVERGED
     print(f"drive with it: python -m izoo.train contexts.drivers={options.out}")
     return 0
@@ -100,6 +102,22 @@ def check_out(path: Path) -> None:
         raise IzooError(f"--out is {path}; give the name of a file that ends in .json.")
     if path.is_dir() or not path.parent.is_dir():
         raise IzooError(f"--out is {path}, which is a folder or lies in none; give a file in a folder that exists.")
+
+
+def check_packages() -> None:
+    """Raise :class:`IzooError` where the packages of the extra are not installed."""
+    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise IzooError(f"calibration needs {' and '.join(missing)}: python -m pip install 'izoo[calibrate]'.")
+
+
+def not_converged_out(path: Path) -> Path:
+    """Return where a result that nobody may drive with is written: beside a file that contexts accept, not over it."""
+    try:
+        read_population(path)
+    except IzooError:
+        return path
+    return path.with_suffix(".not-converged.json")
 
 
 def describe(name: str, result: Estimate) -> str:

@@ -106,6 +106,7 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     if changed and "contexts" not in given:  # as in a sweep over runs
         raise IzooError(f"{changed[0]} is given, and it is not known of which contexts; give contexts=NAME as well.")
     contexts = config.contexts if changed or "contexts" in given else trained.contexts
+    runs.check_drivers(folder, trained, contexts)
     name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
 

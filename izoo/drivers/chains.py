@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from numpyro.infer import NUTS, util
 
+from izoo.cores import usable_cores
 from izoo.drivers import hierarchy
 from izoo.drivers.followers import Following
 from izoo.drivers.pilot import Pilot
@@ -110,7 +110,7 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
     constrain = jax.jit(jax.vmap(functools.partial(_constrained, data, pilot)))
     warmup, kept = -(-config.warmup // PIECE), -(-config.draws // PIECE)
     keys = jax.random.split(jax.random.PRNGKey(config.seed), config.chains)
-    with ThreadPoolExecutor(min(config.chains, os.cpu_count() or 1)) as threads:
+    with ThreadPoolExecutor(min(config.chains, usable_cores())) as threads:
         states = [begin(key) for key in keys]
         pieces: list[list[Any]] = [[] for _ in keys]
         for piece in range(warmup + kept):

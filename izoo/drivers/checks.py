@@ -15,7 +15,9 @@ LONGEST_GAP_M = 1000.0
 SHORTEST_VEHICLE_M, LONGEST_VEHICLE_M = 0.5, 40.0
 NUMBERS = ("time_s", "gap_m", "position_m", "speed_mps", "leader_speed_mps", "length_m")
 TIME_TOLERANCE = 0.02
-"""Of a step: what rounding of times may do."""
+"""Of a step: by how much rows may be off."""
+TIME_ROUNDING_S = 0.001 + 1e-9
+"""By how much they may be off in any case: between two times that are given to a millisecond."""
 SLOPE_RANGE = (0.67, 1.5)
 """Of changes of the gap over what the speeds say; metres over feet is 0.3, and m/s over km/h 3.6."""
 CLEAR_CHANGE_M, ENOUGH_ROWS = 0.25, 30
@@ -93,9 +95,12 @@ def time_step(pairs: pd.DataFrame, problem: Problem) -> float:
         )
     # The smallest ones are the step; a percentile is not misled by a single odd row.
     step = float(np.percentile(change.dropna(), 10))
-    step = float(np.median(change[change < 1.5 * step]))
+    single = change[change < 1.5 * step]
+    # Their mean is (last - first) / count of every stretch without a gap, so that what times are rounded by cancels.
+    step = float(single[(single - single.median()).abs() <= TIME_ROUNDING_S].mean())
     multiple = (change / step).round()
-    odd = change.notna() & ((multiple < 1) | ((change - multiple * step).abs() > TIME_TOLERANCE * step))
+    allowed_s = max(TIME_TOLERANCE * step, TIME_ROUNDING_S)
+    odd = change.notna() & ((multiple < 1) | ((change - multiple * step).abs() > allowed_s))
     remedy = f"the step is {step:g} s, and this row comes at another time; resample to equal steps"
     problem.refuse(pairs, odd, "time_s", remedy)
     if step > LONGEST_STEP_S:

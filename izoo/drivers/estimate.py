@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -32,8 +33,8 @@ class Quantity:
     Attributes:
         name: ``median T_s``, ``spread T_s`` (standard deviation of the log) or ``correlation T_s s0_m``.
         mean, low, high: of the posterior; 90 % lie between ``low`` and ``high``.
-        r_hat: potential scale reduction of the halves of the chains; 1 when they agree.
-        ess: how many independent draws the chains are worth.
+        r_hat: potential scale reduction of the halves of the chains; 1 when they agree; NaN where they do not move.
+        ess: how many independent draws the chains are worth; NaN likewise.
     """
 
     name: str
@@ -147,6 +148,11 @@ def to_content(estimates: Mapping[str, Estimate], config: SamplerConfig, source:
     }
 
 
+def finite(value: float, digits: int) -> float | None:
+    """Return a number with so many decimals; ``None``, as JSON has it, where chains that do not move give none."""
+    return round(value, digits) if math.isfinite(value) else None
+
+
 def _provenance(result: Estimate, config: SamplerConfig) -> dict[str, Any]:
     return {
         "drivers": len(result.data.drivers),
@@ -164,8 +170,8 @@ def _provenance(result: Estimate, config: SamplerConfig) -> dict[str, Any]:
             quantity.name: {
                 "mean": float(f"{quantity.mean:.5g}"),
                 "interval_90": [float(f"{quantity.low:.5g}"), float(f"{quantity.high:.5g}")],
-                "r_hat": round(quantity.r_hat, 4),
-                "ess": round(quantity.ess),
+                "r_hat": finite(quantity.r_hat, 4),
+                "ess": finite(quantity.ess, 0),
             }
             for quantity in result.quantities
         },

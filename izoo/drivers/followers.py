@@ -96,7 +96,7 @@ def read_following(paths: Sequence[Path], config: ReadConfig) -> tuple[dict[str,
     steps: dict[float, Path] = {}
     for number, path in enumerate(paths):
         pairs, step_s = _steps_of(path, config)
-        steps.setdefault(round(step_s, 6), path)
+        steps.setdefault(round(step_s, 4), path)
         if len(paths) > 1:
             pairs["driver"] = f"{number + 1}:" + pairs["driver"]
         tables.append(pairs)

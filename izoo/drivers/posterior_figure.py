@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from izoo.drivers.estimate import Estimate
 from izoo.drivers.predictive import Predictions
+from izoo.files import replacing
 
 LABELS = (
     "desired speed v0, m/s",
@@ -36,7 +37,8 @@ def draw_estimate(estimate: Estimate, title: str, path: Path) -> None:
     _ranks(axes.flat[5], estimate.predictions)
     _accelerations(axes.flat[6], estimate)
     _drive(axes.flat[7], axes.flat[8], estimate)
-    figure.savefig(path, dpi=100, format="png")
+    with replacing(path, durable=False) as partial:
+        figure.savefig(partial, dpi=100, format="png")
 
 
 def _parameter(axes: Axes, estimate: Estimate, k: int, label: str) -> None:

@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from izoo import train
+from izoo.commands.evaluating import resolve
 from izoo.conf import compose
-from izoo.conf.context_choices import DatasetContexts, PcgContexts
+from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.own_drivers import driver_files
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
@@ -23,6 +27,8 @@ from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
+from izoo.training import checkpoint
+from izoo.training.validation import validate
 
 
 def own_population(tau_s: float = 0.6) -> dict[str, Any]:
@@ -155,3 +161,40 @@ def test_a_file_that_is_not_there_is_named() -> None:
         chosen("contexts=city", "contexts.drivers=/nowhere").build()
     with pytest.raises(IzooError, match="1 classes; give light and heavy"):
         DriverPopulation(((0.0,) * 5,), ())
+
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=100", "simulator=twin", "num_envs=2", "algo=ppo"),
+    *("twin.threads=1", "twin.compare_every=0", "algo.hidden=[8]", "algo.frames_per_batch=100", "total_frames=100"),
+    *("algo.minibatch_rows=64", "evaluation.contexts=0", "validation.every_batches=0"),
+]
+
+
+def test_a_run_keeps_its_drivers_and_refuses_others(
+    own_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir, before = tmp_path / "run", own_file.read_text()
+    assert train.main([*TOY, f"contexts.drivers={own_file}", f"run_dir={run_dir}"]) == 0
+    kept = run_dir / "drivers-1.json"
+    assert kept.read_text() == before
+    play = EvaluateConfig(run=str(run_dir))
+    assert resolve(play, frozenset({"run"})).contexts.drivers == str(own_file)
+    for changed in (json.dumps(own_population(0.9)), None):
+        own_file.unlink() if changed is None else own_file.write_text(changed)
+        with pytest.raises(IzooError, match=f"does not hold the drivers any more .* put their copy back there: {kept}"):
+            resolve(play, frozenset({"run"}))
+        with pytest.raises(IzooError, match="put their copy back"):
+            validate(checkpoint.find(run_dir))
+        capsys.readouterr()
+        assert train.main([f"resume={run_dir}", "total_frames=200"]) == 2
+        assert "put their copy back" in capsys.readouterr().err
+    others = EvaluateConfig(run=str(run_dir), contexts=PcgContexts(preset="easy"))
+    assert resolve(others, frozenset({"run", "contexts"})).contexts.drivers is None
+    own_file.write_text(before)
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0
+
+
+def test_a_mixture_names_each_file_once(own_file: Path, tmp_path: Path) -> None:
+    easy = PcgContexts(preset="easy", drivers=str(own_file))
+    mixed = MixedContexts(sources=[easy, PcgContexts(drivers=str(tmp_path / "b.json")), PcgContexts(), easy])
+    assert driver_files(mixed) == [own_file, tmp_path / "b.json"] and driver_files(PcgContexts()) == []

@@ -74,6 +74,24 @@ def test_finer_steps_are_thinned_and_missing_rows_split(pairs: pd.DataFrame, tmp
         read_following([written(fine, tmp_path)], ReadConfig(step_s=0.25))
 
 
+@pytest.mark.parametrize("rate_per_s", [30.0, 24.0, 60.0])
+def test_times_may_be_rounded_to_milliseconds(rate_per_s: float, tmp_path: Path) -> None:
+    """As those of a video are."""
+    time_s = np.arange(round(20 * rate_per_s)) / rate_per_s
+    tables = []
+    for driver in range(6):
+        speed, leader = 10.0 + np.sin(time_s + driver), 10.0 + np.sin(time_s + driver + 0.5)
+        gap = 20.0 + np.cumsum(leader - speed) / rate_per_s
+        about = {"driver": f"d{driver}", "time_s": time_s.round(3), "length_m": 5.0}
+        tables.append(pd.DataFrame(about | {"gap_m": gap, "speed_mps": speed, "leader_speed_mps": leader}))
+    table = pd.concat(tables, ignore_index=True)
+    data = read_following([written(table, tmp_path)], ReadConfig())[0]["light"]
+    assert data.step_s == 0.5 and (data.used.sum(axis=1) == 39).all()
+    table.loc[300, "time_s"] += 0.008
+    with pytest.raises(IzooError, match=r"column time_s: .*; the step is 0.0\d+ s, and this row comes at another time"):
+        read_following([written(table, tmp_path)], ReadConfig())
+
+
 def test_trajectories_of_all_vehicles_become_pairs(tmp_path: Path) -> None:
     table = convoy()
     classes, _ = read_following([written(table, tmp_path)], ReadConfig())
