@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Sequence
+from numbers import Real
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -124,7 +125,7 @@ class Scenarios(Sequence[Context]):
         adoption: one share or several; any share in [0, 1]; ``None`` means the catalogue's levels.
         split: which intersections of each city (:mod:`izoo.contexts.splits`).
         approaches: ``all``: demand from every approach at once; ``one``: one context per approach (the paper's form).
-        weather: ``county`` or ``published``.
+        weather: ``county`` or ``published``: that of the paper's summer, so that ``season`` must be ``summer``.
         cv_vehicle: ``paper`` or ``human``.
     """
 
@@ -148,10 +149,16 @@ class Scenarios(Sequence[Context]):
         seasons = _ordered("season", _several(season, SEASONS), SEASONS)
         hours = _ordered("hour", _several(hour, HOURS), HOURS)
         engines = _ordered("engine", _several(engine, ENGINES), ENGINES)
-        adoptions = tuple(sorted({float(value) for value in _several(adoption, ADOPTIONS)}))
-        for value in adoptions:
+        shares = _several(adoption, ADOPTIONS)
+        for value in shares:
             check_range("adoption", value, 0.0, 1.0)
+        adoptions = tuple(sorted({float(value) for value in shares}))
         if weather == "published":
+            if seasons != ("summer",):
+                raise IzooError(
+                    f"season is {season!r}, but weather='published' is the weather of the paper's summer; choose "
+                    "season='summer' or weather='county'."
+                )
             for name in self.cities:
                 check_choice("city with published weather", name, WEATHER_PUBLISHED)
         self._levels: tuple[tuple[Any, ...], ...] = (seasons, adoptions, hours, engines)
@@ -205,9 +212,9 @@ class Scenarios(Sequence[Context]):
 def by_ids(ids: Sequence[range], cv_vehicle: str = "paper") -> ContextList:
     """Return the scenarios with the ids in some ranges, in that order, each built when it is asked for."""
     check_choice("cv_vehicle", cv_vehicle, CV_VEHICLES)
-    for numbers in ids:
-        if len(numbers):
-            describe(numbers[0]), describe(numbers[-1])
+    for several in ids:
+        if len(several):
+            describe(several[0]), describe(several[-1])
     return ContextList(_Listed(ids, cv_vehicle))
 
 
@@ -234,7 +241,7 @@ class _Listed(Sequence[Context]):
 def _several(value: Any, every: tuple[Any, ...]) -> tuple[Any, ...]:
     if value is None:
         return every
-    if isinstance(value, (str, float, int)):
+    if isinstance(value, (str, Real)):
         return (value,)
     return tuple(value)
 

@@ -127,11 +127,23 @@ def test_one_approach_of_several_levels_enumerates_every_pair_once():
 
 
 def test_published_weather():
-    chosen = Scenarios(city="atlanta", weather="published")
+    chosen = Scenarios(city="atlanta", season="summer", weather="published")
     assert (chosen[0].temperature_c, chosen[0].humidity_pct, chosen[0].season) == (22.8, 83.0, None)
     assert chosen[0].context_id is None
     with pytest.raises(IzooError, match="published weather"):
-        Scenarios(city="boston", weather="published")
+        Scenarios(city="boston", season="summer", weather="published")
+    assert len({context.content_hash for context in chosen[:40]}) == 40
+    for season in (None, "fall", ["summer", "fall"]):
+        with pytest.raises(IzooError, match="season='summer' or weather='county'"):
+            Scenarios(city="atlanta", season=season, weather="published")
+
+
+def test_shares_may_be_numbers_of_any_kind_and_nothing_else():
+    for share in (1, np.int64(1), np.float32(1.0), [np.int64(1), 1.0]):
+        assert Scenarios(city="atlanta", adoption=share)[0].adoption == 1.0
+    for share in ("0.5", ["x"], [None]):
+        with pytest.raises(IzooError, match=r"adoption is .*; it must be a number"):
+            Scenarios(city="atlanta", adoption=share)
 
 
 def test_empty_filters_are_refused():
