@@ -35,7 +35,7 @@ BESIDE = {
     HUMAN: "human driving",
 }
 """Rows that nobody trains."""
-SUMS = ("emission_g", "crossed")
+SUMS = ("demand_emission_g", "crossed")
 
 
 def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> dict[str, Any]:
@@ -43,6 +43,7 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> dict[str
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from rich.console import Console
 
+    from izoo.benchmarks.whole_episodes import WHOLE_DEMAND
     from izoo.errors import IzooError
     from izoo.files import claimed, write_json
 
@@ -58,12 +59,12 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> dict[str
             for seed in range(config.seeds):
                 bench.trained(name, seed)
         found = summary(bench.entries, bench.places)
-        write_json(folder / RESULT_FILE, {"setting": bench.about, "rows": found})
+        write_json(folder / RESULT_FILE, {"setting": bench.about, "figures": WHOLE_DEMAND, "rows": found})
     draw(found, folder / FIGURE_FILE)
     Console().print(table(found))
     print(
-        f"On the twin, {len(bench.contexts)} contexts, {config.eval_seeds} seeds each, not trained on. CO2 per vehicle "
-        f"that crosses; brackets: 95 % intervals over contexts and training seeds. Result: {folder / RESULT_FILE}"
+        f"On the twin, {len(bench.contexts)} contexts, {config.eval_seeds} seeds each, not trained on. {WHOLE_DEMAND} "
+        f"Brackets: 95 % intervals over contexts and training seeds. Result: {folder / RESULT_FILE}"
     )
     return {"rows": found}
 
@@ -76,11 +77,13 @@ class Bench:
         folder: where runs and results lie.
 
     Attributes:
-        entries: by row and training seed, CO2 in g and vehicles through of every context, ``[contexts]`` each.
-        about: what a result rests on; other settings are refused in the same folder.
+        entries: by row and training seed, CO2 of the whole demand in g and vehicles through, ``[contexts]`` each.
+        about: what a result rests on, versions and code included; another one is refused in the same folder.
     """
 
     def __init__(self, config: AblationConfig, folder: Path) -> None:
+        from izoo.benchmarks.claim import with_drivers
+        from izoo.evaluation.provenance import versions
         from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
         from izoo.training.validation import VALIDATION_SEED, held_out
 
@@ -97,6 +100,7 @@ class Bench:
             "eval_seeds": config.eval_seeds,
             "horizon_s": config.horizon_s,
             "simulator": "twin",
+            "versions": with_drivers(versions()),
         }
         self.entries: dict[str, dict[int, dict[str, Any]]] = {}
 
@@ -167,21 +171,21 @@ class Bench:
     def _play(self, name: str, seed: int, work: Any) -> None:
         """Do ``work`` unless its result lies there, and keep that."""
         from izoo.errors import IzooError
+        from izoo.evaluation.folder import differences
         from izoo.files import write_json
 
         path = self.folder / "results" / f"{name}-seed{seed}.json"
         row = [*ROWS[name].words, f"start={ROWS[name].start}"] if name in ROWS else []
-        about = {**self.about, "row": row}
+        about = json.loads(json.dumps({**self.about, "row": row}))
         if path.is_file():
             try:
                 kept = json.loads(path.read_text())
-                same = kept["about"] == json.loads(json.dumps(about))
-            except (OSError, ValueError, LookupError, TypeError) as error:
+                differing = differences(kept["about"], about)
+            except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
                 raise IzooError(f"cannot read {path}: {error}; remove it, and it is made anew.") from error
-            if not same:
+            if differing:
                 raise IzooError(
-                    f"{path} is the result of other settings (train, num_contexts, eval_seeds, horizon_s, or what the "
-                    "row stands for); give those, or another out."
+                    f"{path} is the result of other settings or versions ({differing}); give those, or another out."
                 )
         else:
             print(f"\n{name}, seed {seed}", flush=True)
@@ -201,23 +205,25 @@ def summary(entries: Mapping[str, Mapping[int, Mapping[str, Any]]], places: Sequ
     """Return every row's savings over uncommanded CVs and human driving, and its difference from the reference.
 
     Args:
-        entries: by row and training seed: sums of CO2 and vehicles, per context.
+        entries: by row and training seed: sums of CO2 and vehicles, per context. Contexts in which uncommanded CVs or
+            human drivers burn nothing, or do not cross, have no savings and are left out for everybody.
         places: the intersection of every context.
     """
     import numpy as np
 
+    from izoo.benchmarks.whole_episodes import per_vehicle_g
     from izoo.metrics.statistics import estimate, mean
 
     def sums(name: str, what: str) -> Any:
         return np.array([entry[what] for _, entry in sorted(entries[name].items())], float)
 
     def rates(name: str) -> Any:
-        return sums(name, "emission_g") / sums(name, "crossed")
+        return per_vehicle_g(sums(name, "demand_emission_g"), through(name))
 
     def through(name: str) -> Any:
         return sums(name, "crossed")
 
-    kept = (through(UNCOMMANDED)[0] > 0) & (through(HUMAN)[0] > 0)
+    kept = np.logical_and.reduce([sums(name, what)[0] > 0 for name in (UNCOMMANDED, HUMAN) for what in SUMS])
     groups = [place for place, there in zip(places, kept, strict=True) if there]
 
     def figure(scores: Any) -> dict[str, Any]:
@@ -232,7 +238,7 @@ def summary(entries: Mapping[str, Mapping[int, Mapping[str, Any]]], places: Sequ
             line["over_uncommanded"] = figure(saved[name])
             line["over_human"] = figure(1.0 - rates(name) / rates(HUMAN))
             line["through_over_uncommanded"] = figure(through(name) / through(UNCOMMANDED) - 1.0)
-            line["per_seed"] = [float(row[kept].mean()) for row in saved[name]]
+            line["per_seed"] = [float(row[kept].mean()) for row in saved[name]] if kept.any() else []
             if name not in BESIDE and name != REFERENCE and len(saved[name]) == len(saved[REFERENCE]):
                 line["over_reference"] = figure(saved[name] - saved[REFERENCE])
             seconds = [entry["train_cpu_s"] for entry in entries[name].values() if "train_cpu_s" in entry]
@@ -275,14 +281,15 @@ def draw(rows: Mapping[str, Mapping[str, Any]], path: Path) -> None:
         estimate = line["over_uncommanded"]
         if estimate["low"] is not None:
             axes.plot([100 * estimate["low"], 100 * estimate["high"]], [place, place], color="tab:blue", linewidth=2)
-        axes.plot(100 * estimate["value"], place, "o", color="tab:blue")
+        if estimate["value"] is not None:
+            axes.plot(100 * estimate["value"], place, "o", color="tab:blue")
         if len(line["per_seed"]) > 1:
             seeds = [100 * value for value in line["per_seed"]]
             axes.plot(seeds, [place] * len(seeds), "|", color="tab:gray", markersize=9)
     axes.set_yticks(range(len(shown)), [line["label"] for line in reversed(shown.values())])
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.grid(axis="x", alpha=0.3)
-    axes.set_xlabel("CO2 per vehicle saved over uncommanded CVs, %")
+    axes.set_xlabel("CO2 of the whole demand per vehicle that crosses, saved over uncommanded CVs, %")
     with replacing(path, durable=False) as partial:
         figure.savefig(partial, format="png", dpi=110)
 

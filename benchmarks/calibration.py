@@ -8,6 +8,7 @@ in the folder are not run again, so the benchmark can be stopped and continued.
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import json
 import sys
 import tempfile
@@ -18,16 +19,19 @@ from typing import Any
 
 import numpy as np
 
+from izoo.commands.calibrate import PACKAGES, check_packages
 from izoo.console import exit_code
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.errors import IzooError, check_range
-from izoo.files import write_json
+from izoo.files import read_text, replacing, usable_paths, write_json
 
 LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
 MEDIAN_RANGES = {"s0_m": (1.5, 3.0), "T_s": (0.6, 1.6), "alpha_mps2": (0.8, 1.8), "beta_mps2": (1.2, 2.5)}
 SPREAD_RANGE = (0.1, 0.25)
 KINDS = ("median", "spread", "correlation")
+SHOWN = ("drivers", "minutes", "seconds", "processor_seconds", "converged", "worst_r_hat", "least_ess", "quantities")
+"""What the summary needs of a set."""
 
 
 def true_population(number: int) -> DriverPopulation:
@@ -81,7 +85,7 @@ def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_
 
 def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
     """Simulate and calibrate one data set; return what is true and what was found."""
-    from izoo.drivers.estimate import estimate
+    from izoo.drivers.estimate import estimate, finite
     from izoo.drivers.followers import ReadConfig, read_following
 
     population = true_population(number)
@@ -103,8 +107,8 @@ def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0
         "not_converged": [quantity.name for quantity in result.quantities if not quantity.converged],
         "diverging": result.diverging,
         "autocorrelation": result.predictions.autocorrelation,
-        "worst_r_hat": max(quantity.r_hat for quantity in result.quantities),
-        "least_ess": min(quantity.ess for quantity in result.quantities),
+        "worst_r_hat": finite(float(np.max([quantity.r_hat for quantity in result.quantities])), 4),
+        "least_ess": finite(float(np.min([quantity.ess for quantity in result.quantities])), 0),
         "quantities": {
             name: {"true": value, "mean": found[name].mean, "low": found[name].low, "high": found[name].high}
             for name, value in truth(population).items()
@@ -161,36 +165,68 @@ def draw(results: Sequence[Mapping[str, Any]], path: Path) -> None:
             ends = [true.min(), true.max()]
             axis.plot(ends, ends, color="#333333", linewidth=1)
             axis.set(title=f"{kind} of {parameter}", xlabel="true", ylabel="calibrated" if column == 0 else "")
-    figure.savefig(path, dpi=90, format="png")
+    with replacing(path, durable=False) as partial:
+        figure.savefig(partial, dpi=90, format="png")
 
 
+@usable_paths()
 def run(options: argparse.Namespace) -> int:
     """Run the sets that the folder lacks, and summarise all of it."""
     check_range("--sets", options.sets, 1, 1000)
     check_range("--drivers", options.drivers, 5, 200)
     check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
+    check_packages()
     from izoo.drivers.chains import SamplerConfig
 
     chains = SamplerConfig(options.warmup, options.draws)
     settings = {name: getattr(options, name) for name in ("drivers", "speed_noise", "warmup", "draws")}
+    about = {"settings": settings, "versions": made_by()}
     options.out.mkdir(parents=True, exist_ok=True)
     results = []
     for number in range(options.sets):
         path = options.out / f"set-{number:03d}.json"
         if not path.is_file():
-            write_json(path, {"settings": settings, **recover(number, options.drivers, chains, options.speed_noise)})
-        last = json.loads(path.read_text())
-        if last["settings"] != settings:
-            raise IzooError(f"{path} is of other settings, {last['settings']}; give another --out, or those settings.")
+            write_json(path, {**about, **recover(number, options.drivers, chains, options.speed_noise)})
+        last = read_set(path, about)
         results.append(last)
+        r_hat, ess = (last[name] for name in ("worst_r_hat", "least_ess"))
+        said = "chains that do not move" if None in (r_hat, ess) else f"worst R-hat {r_hat:.3f}, least ESS {ess:.0f}"
         print(
-            f"set {number}: {last['seconds']:.0f} s, worst R-hat {last['worst_r_hat']:.3f}, least ESS "
-            f"{last['least_ess']:.0f}{'' if last['converged'] else ', not converged'}",
-            flush=True,
+            f"set {number}: {last['seconds']:.0f} s, {said}{'' if last['converged'] else ', not converged'}", flush=True
         )
     print(summarise(results))
     draw(results, options.out / "recovery.png")
     return 0
+
+
+def made_by() -> dict[str, str]:
+    """Return the versions that the sets of a folder share, with a digest of the calibration's own files."""
+    from izoo.evaluation.provenance import digest_of, versions
+
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {**versions(), **packages, "calibration": digest_of({"izoo.drivers": None})}
+
+
+def read_set(path: Path, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Read the result of a set.
+
+    Raises:
+        IzooError: it is damaged, or of other settings or versions than ``about`` says.
+    """
+    from izoo.evaluation.folder import differences
+
+    try:
+        found = json.loads(read_text(path))
+        made = {"settings": found["settings"], "versions": found.get("versions", {})}
+        differing = differences(made, dict(about))
+        missing = [name for name in SHOWN if name not in found]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise IzooError(f"cannot read {path}: {error!r}; remove it, and it is made anew.") from error
+    if differing:
+        raise IzooError(f"{path} is of other settings or versions ({differing}); give another --out, or those.")
+    if missing:
+        raise IzooError(f"{path} lacks {', '.join(missing)}; remove it, and it is made anew.")
+    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:

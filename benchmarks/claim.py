@@ -40,7 +40,7 @@ def check_settings(folder: Path, options: Mapping[str, Any], now: Mapping[str, s
     Raises:
         IzooError: it holds something else, or a benchmark with other settings, which the message names.
     """
-    wanted = {**_kept(options, MAY_DIFFER), "versions": _with_drivers(now)}
+    wanted = {**_kept(options, MAY_DIFFER), "versions": with_drivers(now)}
     path = folder / SETTINGS_FILE
     if path.exists():
         stored = _read_settings(path)
@@ -69,7 +69,7 @@ def check_source(folder: Path, now: Mapping[str, str]) -> None:
     path = folder / SETTINGS_FILE
     if not path.is_file():
         raise IzooError(f"trained_in: {folder} has no {SETTINGS_FILE}; give a folder that a benchmark wrote.")
-    differing = differences(_read_settings(path, "trained_in").get("versions", {}), _with_drivers(now))
+    differing = differences(_read_settings(path, "trained_in").get("versions", {}), with_drivers(now))
     if differing:
         raise IzooError(f"trained_in: {folder} was made by other versions ({differing}); leave it out to train again.")
 
@@ -85,7 +85,8 @@ def check_taken(there: Path, wanted: TrainConfig) -> None:
         raise IzooError(f"trained_in: {there} has other options ({differing}); leave it out to train again.")
 
 
-def _with_drivers(now: Mapping[str, str]) -> dict[str, str]:
+def with_drivers(now: Mapping[str, str]) -> dict[str, str]:
+    """Return versions with a digest of the algorithms' own files, which decide what drivers do."""
     return {**now, "drivers": code_digest(drivers=True)}
 
 

@@ -205,18 +205,19 @@ def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] =
         late: of SUMO with late vehicles.
 
     Returns:
-        ``policy``, ``adoption``, ``demand``; the mean benefit, ungated, in ``sumo`` and on the ``twin``, their
-        ``difference``, and ``own``: the mean size of the difference that late vehicles make in SUMO (NaN without).
+        ``policy``, ``adoption``, ``demand``; the mean benefit, ungated, in ``sumo`` and on the ``twin``, over
+        approaches that have one (NaN where none has), their ``difference``, and ``own``: the mean size of the
+        difference that late vehicles make in SUMO (NaN without).
     """
     rows = []
-    played = set(twin["policy"])
-    for policy in [name for name in sumo["policy"].unique() if name != HUMAN and name in played]:
+    for policy in [name for name in sumo["policy"].unique() if name != HUMAN]:
         for (adoption, demand), _ in sumo[sumo["policy"] == policy].groupby(["adoption", "demand"], sort=True):
 
             def gain(table: pd.DataFrame) -> float:
                 part = table[(table["adoption"] == adoption) & (table["demand"] == demand)]  # noqa: B023
                 chosen, human = (part[part["policy"] == name] for name in (policy, HUMAN))  # noqa: B023
-                return float(benefits(chosen, human)["benefit_ungated"].mean())
+                compared = benefits(chosen, human)
+                return float(compared.loc[compared["left_out"] == "", "benefit_ungated"].mean())
 
             found = {"sumo": gain(sumo), "twin": gain(twin)}
             own = [abs(gain(table) - found["sumo"]) for table in late]
@@ -228,7 +229,8 @@ def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] =
 
 
 def same_order(gained: pd.DataFrame) -> bool:
-    """Whether policies rank the same on both, at every share of CVs and with every demand."""
+    """Whether policies that gain or lose anything rank the same on both, at every share of CVs, with every demand."""
+    gained = gained.dropna(subset=["sumo", "twin"]) if len(gained) else gained
     groups = gained.groupby(["adoption", "demand"]) if len(gained) else ()
     return all(bool((group["sumo"].rank() == group["twin"].rank()).all()) for _, group in groups)
 
@@ -321,9 +323,8 @@ def _aggregates(summed: pd.DataFrame, own: pd.DataFrame) -> list[Table]:
 def _benefits(gained: pd.DataFrame) -> Table:
     benefit = _table("5. Benefit over human driving, not gated", *_ABOUT[:3], "SUMO", "twin", "points", "SUMO's own")
     for row in gained.itertuples():
-        own_points = "" if np.isnan(row.own) else f"{100 * row.own:.2f}"
-        points = f"{100 * row.difference:+.2f}"
-        benefit.add_row(*_about(row)[:3], f"{row.sumo:+.2%}", f"{row.twin:+.2%}", points, own_points)
+        shown = ((row.sumo, "+.2%"), (row.twin, "+.2%"), (100 * row.difference, "+.2f"), (100 * row.own, ".2f"))
+        benefit.add_row(*_about(row)[:3], *("" if np.isnan(value) else f"{value:{form}}" for value, form in shown))
     return benefit
 
 

@@ -44,7 +44,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from rich.console import Console
 
-    from izoo.benchmarks.whole_episodes import played, scripted
+    from izoo.benchmarks.whole_episodes import WHOLE_DEMAND, played, scripted
     from izoo.console import Progress
     from izoo.evaluation.baselines import baseline_context
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
@@ -80,7 +80,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> list[dict
                 rows.append({**row, "adoption": context.adoption, "lanes": lanes, **_sums(found, k)})
             keep(config, rows)
     Console().print(table(rows))
-    print("Percentages are of CO2 per vehicle that crosses, saved over uncommanded CVs; brackets: 95 % intervals.")
+    print(f"Percentages are saved over uncommanded CVs; brackets: 95 % intervals. {WHOLE_DEMAND}")
     return rows
 
 
@@ -88,32 +88,43 @@ def kept(config: PlannerConfig) -> list[dict[str, Any]]:
     """Return the rows that the file ``out`` holds; none where there is no such file."""
     if config.out is None or not Path(config.out).exists():
         return []
+    from izoo.evaluation.folder import differences
+
     try:
         content = json.loads(read_text(Path(config.out)))
-        made_with, rows = content["options"], list(content["rows"])
-    except (ValueError, KeyError, TypeError):
+        made_with, rows, made_by = dict(content["options"]), list(content["rows"]), dict(content.get("versions", {}))
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise IzooError(f"{config.out} is no file of izoo.benchmarks.planner; choose another with out=FILE.") from None
-    for name, value in _identity(config).items():
+    for name, value in _options(config).items():
         if made_with.get(name) != value:
             raise IzooError(
                 f"{config.out} was made with {name}={made_with.get(name)}, and now it is {value}; give the same, or "
                 "choose another file with out=FILE."
             )
-    if any("context_hash" not in row for row in rows):
-        raise IzooError(f"{config.out} was made by an earlier version; choose another file with out=FILE.")
+    differing = differences(made_by, _versions())
+    if differing:
+        raise IzooError(f"{config.out} was made by other versions ({differing}); choose another file with out=FILE.")
     return rows
 
 
 def keep(config: PlannerConfig, rows: Sequence[dict[str, Any]]) -> None:
     """Write the rows, and what they come to, where they are wanted."""
     if config.out is not None:
-        content = {"options": _identity(config), "rows": rows, "summary": summary(rows)}
+        content = {"options": _options(config), "versions": _versions(), "rows": rows, "summary": summary(rows)}
         write_json(Path(config.out), content)
 
 
-def _identity(config: PlannerConfig) -> dict[str, Any]:
+def _options(config: PlannerConfig) -> dict[str, Any]:
     """Return the options that rows of one file share."""
     return {name: value for name, value in to_mapping(config).items() if name not in MAY_CHANGE}
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions that rows of one file share."""
+    from izoo.benchmarks.claim import with_drivers
+    from izoo.evaluation.provenance import versions
+
+    return with_drivers(versions())
 
 
 def settings(config: PlannerConfig) -> EnvConfig:
@@ -207,7 +218,7 @@ def _sums(found: dict[str, Sums], k: int) -> dict[str, float]:
     return {
         f"{name}_{driver}": float(sums[name][k])
         for driver, sums in found.items()
-        for name in ("emission_g", "crossed", "waiting")
+        for name in ("demand_emission_g", "crossed", "waiting")
     }
 
 
@@ -215,13 +226,13 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return, by adoption and lanes, what each driver saves over uncommanded CVs and how many more vehicles cross."""
     import numpy as np
 
+    from izoo.benchmarks.whole_episodes import per_vehicle_g
     from izoo.metrics.statistics import estimate, mean
 
     def rate(row: dict[str, Any], driver: str) -> float:
-        return row[f"emission_g_{driver}"] / max(row[f"crossed_{driver}"], 1.0)
+        return float(per_vehicle_g(row[f"demand_emission_g_{driver}"], row[f"crossed_{driver}"]))
 
-    rows = [row for row in rows if row["crossed_uncommanded"] > 0]
-
+    rows = [row for row in rows if row["crossed_uncommanded"] > 0 and row["demand_emission_g_uncommanded"] > 0]
     lines = []
     for adoption in dict.fromkeys(row["adoption"] for row in rows):
         for kind, fits in (("one", lambda lanes: lanes == 1), ("several", lambda lanes: lanes > 1)):
@@ -232,9 +243,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             line: dict[str, Any] = {"adoption": adoption, "lanes": kind, "episodes": len(chosen)}
             for driver in ("glide", "planner"):
                 saved = np.array([[1.0 - rate(row, driver) / rate(row, "uncommanded") for row in chosen]])
-                more = np.array(
-                    [[row[f"crossed_{driver}"] / max(row["crossed_uncommanded"], 1.0) - 1.0 for row in chosen]]
-                )
+                more = np.array([[row[f"crossed_{driver}"] / row["crossed_uncommanded"] - 1.0 for row in chosen]])
                 line[driver] = estimate(saved, mean, places).to_dict()
                 line[f"{driver}_median"] = float(np.median(saved))
                 line[f"{driver}_crossed"] = estimate(more, mean, places).to_dict()
@@ -267,6 +276,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.planner_options:PlannerConfig",
     work="izoo.benchmarks.planner:run",
+    check="izoo.benchmarks.result_file:check_out",
     stopped=f"with out=FILE {GOES_ON}",
 )
 main = COMMAND.main

@@ -9,13 +9,13 @@ the intersections with growing numbers of environments.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,13 +24,16 @@ from izoo.commands.option_command import OptionCommand
 from izoo.errors import check_range
 from izoo.files import write_json
 
+if TYPE_CHECKING:
+    from izoo.envs import EnvConfig
+
 SETTLE_STEPS = 400
 RESETS = 7
 MIDDLE, MANY_STEPS = 3, 50
 """The world with some 60 vehicles, and the timed steps of the largest number of environments."""
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ScalingConfig:
     """Options of the scaling benchmark.
 
@@ -53,7 +56,7 @@ class ScalingConfig:
     out: str | None = None
 
     def __post_init__(self) -> None:
-        check_range("steps", self.steps, 1, 10**9)
+        check_range("steps", self.steps, 1, 10**5)
         check_range("threads", self.threads, 1, 1024)
         for count in (self.num_envs, *self.counts):
             check_range("num_envs and counts", count, 1, 65536)
@@ -79,13 +82,21 @@ def worlds() -> list[Any]:
     ]
 
 
+def settings(steps: int) -> EnvConfig:
+    """Return an environment whose vehicles keep coming, and whose episode lasts, until ``steps`` are timed."""
+    from izoo.envs import EnvConfig
+
+    config = EnvConfig(emit=(), num_agents=256, num_vehicles=1024)
+    return dataclasses.replace(config, horizon_s=config.warmup_s + (SETTLE_STEPS + steps + 2) * config.step_s)
+
+
 def measure(context: Any, steps: int) -> dict[str, float]:
     """Return vehicles, microseconds per step (bare, environment, and its parts), and milliseconds per reset."""
     import torch
 
-    from izoo.envs import EcoDrivingEnv, EnvConfig
+    from izoo.envs import EcoDrivingEnv
 
-    env = EcoDrivingEnv(context, config=EnvConfig(emit=(), num_agents=256, num_vehicles=1024))
+    env = EcoDrivingEnv(context, config=settings(steps))
     try:
         env.reset()
         simulator: Any = env.backend
@@ -148,9 +159,9 @@ class _Parts:
 
 def bare_us(context: Any, steps: int) -> float:
     """Return microseconds per step of bare libsumo."""
-    from izoo.envs import EcoDrivingEnv, EnvConfig
+    from izoo.envs import EcoDrivingEnv
 
-    with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(emit=()))) as env:
+    with contextlib.closing(EcoDrivingEnv(context, config=settings(steps))) as env:
         env.reset()
         simulator: Any = env.backend
         return 1e6 * seconds_per_step(simulator.session.advance, steps, SETTLE_STEPS)
@@ -173,13 +184,13 @@ def run_twin(config: ScalingConfig) -> None:
         steps = max(config.steps // count, MANY_STEPS)
         by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, **options))
     slope, fixed = np.polyfit([row["vehicles"] for row in by_world], [row["whole_us"] for row in by_world], 1)
-    if config.out is not None:
-        content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
-        write_json(Path(config.out), {**content, **options})
     about = f"surrogate {config.surrogate}, {config.threads} thread{'s' if config.threads > 1 else ''}"
     twin_parts.print_table(f"the twin beside bare libsumo, us per environment step, {about}", by_world)
     twin_parts.print_table(f"the twin by number of environments, {about}", by_count)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
+    if config.out is not None:
+        content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
+        write_json(Path(config.out), {**content, **options})
 
 
 def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
@@ -198,8 +209,6 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
         rows.append(measure(context, config.steps))
     slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row["environment_us"] for row in rows], 1)
-    if config.out is not None:
-        write_json(Path(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
     table = Table(title="one environment: microseconds per step")
     for heading in (
         "vehicles",
@@ -219,6 +228,8 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
         table.add_row(f"{row['vehicles']:.0f}", *(f"{cell:.0f}" for cell in cells), f"{row['reset_ms']:.0f}")
     Console().print(table)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
+    if config.out is not None:
+        write_json(Path(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
 
 
 COMMAND = OptionCommand(
@@ -227,6 +238,7 @@ COMMAND = OptionCommand(
     examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling simulator=twin steps=400 out=scaling.json"),
     config="izoo.benchmarks.scaling:ScalingConfig",
     work="izoo.benchmarks.scaling:run",
+    check="izoo.benchmarks.result_file:check_out",
 )
 main = COMMAND.main
 

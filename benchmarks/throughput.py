@@ -189,6 +189,7 @@ COMMAND = OptionCommand(
     examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4 out=rates.json"),
     config="izoo.benchmarks.throughput:ThroughputConfig",
     work="izoo.benchmarks.throughput:run",
+    check="izoo.benchmarks.result_file:check_out",
 )
 main = COMMAND.main
 

@@ -47,7 +47,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     from izoo.console import counted
     from izoo.envs.twin.playable import check_contexts
     from izoo.envs.twin.twin_backend import check_settings
-    from izoo.evaluation.policies import as_candidate
+    from izoo.evaluation.policies import HUMAN, UNCOMMANDED, as_candidate
     from izoo.evaluation.runner import evaluate_policy
     from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
@@ -62,8 +62,9 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     exact_of = [as_candidate(name, config.env) for name in config.exact]
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
-    # Earlier results of a folder are left out of what is compared.
-    kept = {context.content_hash for context in contexts}
+    # A folder also holds what was played with other options; only what is played now is compared.
+    names = {HUMAN, UNCOMMANDED, *(as_candidate(policy, config.env).name for policy in config.policies)}
+    episodes = pd.MultiIndex.from_tuples([(each.content_hash, seed) for each in contexts for seed in seeds.of(each)])
 
     def evaluated(simulator: str, late_vehicle: int) -> pd.DataFrame:
         folder = f"{simulator}-late-{late_vehicle}" if late_vehicle else simulator
@@ -79,7 +80,8 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
                 cache=config.cache,
                 simulator=simulator,
             )
-        return table[table["context_hash"].isin(kept)]
+        played_now = pd.MultiIndex.from_frame(table[["context_hash", "seed"]]).isin(episodes)
+        return table[played_now & table["policy"].isin(names)]
 
     sumo, played = evaluated("sumo", 0), evaluated("twin", 0)
     late = [evaluated("sumo", number) for number in range(1, config.late + 1)]
@@ -151,6 +153,8 @@ def compare_steps(
 ) -> pd.DataFrame:
     """Play each context's first episode side by side, unless it is in the table at ``path``; return a row for each.
 
+    Contexts in which nobody drives have none.
+
     Returns:
         ``policy``, ``fingerprint`` (of its code and weights), ``context``, ``context_hash``, ``seed``, ``adoption``,
         ``demand``, ``lanes``, ``steps``, ``parted`` (the first step that differs; empty where none does), ``where``
@@ -168,6 +172,7 @@ def compare_steps(
     plays = {
         (each.name, each.fingerprint, context.content_hash, seeds.of(context)[0]): (each, context)
         for context in contexts
+        if context.demand_approaches
         for each in candidates
     }
     todo = [key for key in plays if key not in kept]

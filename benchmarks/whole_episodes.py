@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -13,11 +14,17 @@ from izoo.algos.scripted import make_driver
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig, TwinEnv
 from izoo.evaluation.table import scored_approaches
+from izoo.metrics.benefit import BURNED
 
 Play = tuple[Context, int]
 """A context and an episode seed."""
 Driver = Callable[[TensorDictBase], TensorDictBase]
 Sums = dict[str, np.ndarray]
+WHOLE_DEMAND = (
+    "CO2 of the whole demand up to the stop line, also of those who have not crossed or are held up outside, per "
+    "vehicle that crosses; where nobody does, as if one had."
+)
+"""What the figures of whole episodes are of, for their readers."""
 
 
 def scripted(name: str, env: EnvConfig) -> Callable[[TwinEnv], Driver]:
@@ -27,6 +34,9 @@ def scripted(name: str, env: EnvConfig) -> Callable[[TwinEnv], Driver]:
 
 def played(plays: Sequence[Play], env: EnvConfig, threads: int | None, make: Callable[[TwinEnv], Driver]) -> Sums:
     """Play whole episodes, and return sums of each over its scored approaches, ``[n]``, by name.
+
+    ``demand_emission_g`` is the CO2 of all who came to cross (:data:`izoo.metrics.benefit.FORMS`), ``crossed`` and
+    ``waiting`` are vehicles, and ``lanes`` is the largest number of lanes.
 
     Args:
         plays: ``n`` contexts and seeds.
@@ -51,10 +61,22 @@ def played(plays: Sequence[Play], env: EnvConfig, threads: int | None, make: Cal
         [road.approaches.index(leg) for leg in scored_approaches(context)]
         for road, (context, _) in zip(roads, plays, strict=True)
     ]
+    parts = {"demand_emission_g": BURNED["demand_"], "crossed": ("crossed",), "waiting": ("waiting",)}
     sums = {
-        name: np.array([float(approaches.get(name)[k, legs].sum()) for k, legs in enumerate(chosen)])
-        for name in ("emission_g", "crossed", "waiting")
+        name: np.array(
+            [sum(float(approaches.get(column)[k, legs].sum()) for column in columns) for k, legs in enumerate(chosen)]
+        )
+        for name, columns in parts.items()
     }
     world.close()
     sums["lanes"] = np.array([int(max(road.lane_count[legs])) for road, legs in zip(roads, chosen, strict=True)])
     return sums
+
+
+def per_vehicle_g(demand_emission_g: ArrayLike, crossed: ArrayLike) -> NDArray[np.float64]:
+    """Return the CO2 of the whole demand per vehicle that crosses, in g; as if one had, where nobody does.
+
+    Args:
+        demand_emission_g, crossed: of any shape, as :func:`played` returns them.
+    """
+    return np.asarray(demand_emission_g, float) / np.maximum(np.asarray(crossed, float), 1.0)

@@ -37,11 +37,12 @@ they stood there; per vehicle that crossed). All have the same gates. What upstr
 both sides, so its figures are closer to 0. Episodes in which nobody crosses have no CO2 per vehicle in the first form,
 and are left out of it; in the last a policy pays for them as if one vehicle had crossed, so that a blocked road shows.
 """
-_BURNED = {
+BURNED = {
     "": ("emission_g",),
     "region_": ("region_emission_g",),
     "demand_": ("emission_g", "unfinished_emission_g", "held_up_emission_g"),
 }
+"""Columns whose sum is the CO2 of a form."""
 _VEHICLES = {"": "crossed", "region_": "entered", "demand_": "crossed"}
 
 
@@ -106,7 +107,12 @@ def benefits(policy: pd.DataFrame, baseline: pd.DataFrame, significance: float =
         significance, that less than :data:`MARGIN` of it was lost.
         A gated benefit is NaN in left-out rows only; where nothing crossed under the policy it is 0. So is the ungated
         one by approach, which says nothing then; by demand such a policy is charged (:data:`FORMS`).
+
+    Raises:
+        IzooError: there are no rows, or as :func:`pair` says.
     """
+    if policy.empty:
+        raise IzooError("there are no rows to compare; evaluate a policy, and human driving beside it.")
     joined = pair(policy, baseline)
     rows = [
         {**dict(zip(("context_hash", "approach"), key, strict=True)), **_compare(group)}
@@ -159,7 +165,7 @@ def _saving(group: pd.DataFrame, form: str) -> dict[str, float]:
     emission = {}
     for side in ("policy", "baseline"):
         count = group[f"{_VEHICLES[form]}_{side}"].to_numpy(float)
-        burned_g = group[[f"{part}_{side}" for part in _BURNED[form]]].to_numpy(float).sum(axis=1)
+        burned_g = group[[f"{part}_{side}" for part in BURNED[form]]].to_numpy(float).sum(axis=1)
         if form == "demand_" and side == "policy":
             count = np.where(burned_g > 0.0, np.maximum(count, 1.0), count)
         emission[side] = burned_g / np.where(count > 0, count, np.nan)

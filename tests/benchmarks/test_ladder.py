@@ -24,6 +24,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
 from izoo.evaluation.policies import as_candidate
+from izoo.evaluation.selection import EpisodeSeeds
 from izoo.evaluation.table import COLUMNS, make_table
 from tests.networks.test_dataset import write
 
@@ -309,11 +310,48 @@ def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:
     assert twin.env_of(LadderConfig(), frozenset()) == EnvConfig()
 
 
-def test_policies_that_one_side_has_not_played_yet_have_no_gain() -> None:
-    """A folder may hold what was played before the options were changed."""
-    twin_rows = [episode("human", "A", 1, 10, 1000.0)]
-    sumo = [*twin_rows, episode("glide", "A", 1, 10, 900.0)]
-    assert ladder.gains(pd.DataFrame(sumo), pd.DataFrame(twin_rows)).empty
+def evaluated(*contexts: tuple[str, float, float]) -> pd.DataFrame:
+    """Return an evaluation of glide and human driving: contexts, vehicles that cross, and what glide burns (g)."""
+    rows = []
+    for name, crossed, glide_g in contexts:
+        for policy, g in (("human", 100.0 * crossed), ("glide", glide_g)):
+            rows.append(episode(policy, "A", 1, crossed, g) | {"context": name, "context_hash": name, "entered": 10.0})
+    return make_table(rows)
+
+
+def test_approaches_that_human_drivers_do_not_cross_have_no_part_in_a_gain() -> None:
+    table = evaluated(("free", 10.0, 900.0), ("free too", 10.0, 900.0), ("blocked", 0.0, 0.0))
+    assert ladder.gains(table, table)["sumo"].tolist() == pytest.approx([0.1])
+    blocked = evaluated(("blocked", 0.0, 0.0))
+    found = ladder.gains(blocked, blocked)
+    assert found["sumo"].isna().all() and ladder.same_order(found)
+    out = io.StringIO()
+    Console(file=out, width=80).print(ladder._benefits(found))
+    assert "nan" not in out.getvalue()
+
+
+def test_a_context_in_which_nobody_drives_is_not_played_side_by_side(tmp_path: Path) -> None:
+    quiet = procedural_context(inflow_vph_per_lane=0.0)
+    assert quiet.demand_approaches == ()
+    glide = [as_candidate("glide", EnvConfig())]
+    found = twin.compare_steps([quiet], EpisodeSeeds(0, 1), LadderConfig(), glide, tmp_path / "exact.csv")
+    assert found.empty and list(found) == [*twin.STEPS_COLUMNS, *ladder.COUNTED]
+    assert ladder.exactness(found).empty and ladder.conduct(found).empty
+
+
+@pytest.mark.slow
+def test_what_a_folder_holds_of_other_options_is_not_compared(tmp_path: Path) -> None:
+    """The same numbers as in a folder of its own."""
+    words = ["contexts=pcg_easy", "num_contexts=1", "seeds=1", "env.horizon_s=90", "env.warmup_s=30", "adoptions=[0.5]"]
+    words += ["demand=[given]", "exact=[]", "num_workers=0", f"cache={tmp_path}/cache"]
+    before, now = ["policies=[uncommanded,glide]", "late=0"], ["policies=[random]", "seed=1"]
+    for name, runs in (("shared", (before, now)), ("own", (now,))):
+        for options in runs:
+            assert twin.main([*words, *options, f"out={tmp_path / name}"]) == 0
+    shared, own = (json.loads((tmp_path / name / "ladder.json").read_text()) for name in ("shared", "own"))
+    assert {row["policy"] for row in own["approaches"]} == {"human", "uncommanded", "random"}
+    assert {row["policy"]: row for row in shared["approaches"]} == {row["policy"]: row for row in own["approaches"]}
+    assert shared["gains"] == own["gains"] and len(own["gains"]) == 2
 
 
 @pytest.mark.parametrize("example", twin.COMMAND.examples)

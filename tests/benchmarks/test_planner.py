@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 
 from izoo.benchmarks import planner
 from izoo.benchmarks.planner_options import PlannerConfig
-from izoo.benchmarks.whole_episodes import played, scripted
+from izoo.benchmarks.whole_episodes import per_vehicle_g, played, scripted
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv
@@ -63,7 +64,7 @@ def test_the_planner_earns_more_than_doing_nothing() -> None:
             ("planner", lambda world: planner.Planner(world, config).act),
         )
     }
-    rate = {name: sums["emission_g"] / sums["crossed"] for name, sums in found.items()}
+    rate = {name: per_vehicle_g(sums["demand_emission_g"], sums["crossed"]) for name, sums in found.items()}
     assert (found["planner"]["crossed"] >= found["uncommanded"]["crossed"]).all()
     assert rate["planner"].mean() < 0.99 * rate["uncommanded"].mean()
 
@@ -73,6 +74,7 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     out = tmp_path / "planner.json"
     words = ["contexts=pcg", "contexts.lane_count=[1,2]", "num_contexts=2", "adoptions=[0.5]", "env.horizon_s=160"]
     words += ["contexts.inflow_vph_per_lane=500", "contexts.lane_length_m=120", "look_ahead_s=20", "every_s=10"]
+    assert planner.main([*words, f"out={tmp_path}/nowhere/rows.json"]) == 2 and "no folder" in capsys.readouterr().err
     assert planner.main([*words, "threads=1", f"out={out}"]) == 0
     result = json.loads(out.read_text())
     assert len(result["rows"]) == 2 and {row["adoption"] for row in result["rows"]} == {0.5}
@@ -86,10 +88,9 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "holds 2 episodes" in capsys.readouterr().out
     assert planner.main([*words, "every_s=5", f"out={out}"]) == 2
     assert "every_s=10" in capsys.readouterr().err and out.read_text() != before
-    for row in again["rows"]:
-        del row["context_hash"]
+    again["versions"]["drivers"] = "before"
     out.write_text(json.dumps(again))
-    assert planner.main([*more, f"out={out}"]) == 2 and "earlier version" in capsys.readouterr().err
+    assert planner.main([*more, f"out={out}"]) == 2 and "made by other versions" in capsys.readouterr().err
     other = tmp_path / "other.json"
     other.write_text("[]")
     assert planner.main([*words, f"out={other}"]) == 2 and other.read_text() == "[]"
@@ -108,3 +109,34 @@ def test_the_command_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_what_cannot_work_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert planner.main([*words, "contexts=pcg_easy", "num_contexts=1"]) == 2
     assert message in capsys.readouterr().err
+
+
+def row(k: int, planner_g: float, planner_crossed: float) -> dict[str, object]:
+    own = {"human": (1000.0, 10.0), "uncommanded": (1000.0, 10.0), "glide": (900.0, 10.0)}
+    own["planner"] = (planner_g, planner_crossed)
+    sums = {f"demand_emission_g_{name}": burned_g for name, (burned_g, _) in own.items()}
+    sums |= {f"crossed_{name}": crossed for name, (_, crossed) in own.items()}
+    return {"adoption": 1.0, "lanes": 1, "intersection": f"place {k}", **sums}
+
+
+def test_a_blocked_road_is_no_saving() -> None:
+    """Whoever has not crossed burns, too."""
+    rows = [row(0, 3000.0, 0.0), *(row(k, 900.0, 10.0) for k in range(1, 4))]
+    (line,) = planner.summary(rows)
+    assert line["planner"]["value"] == pytest.approx(((1 - 3000 / 100) + 3 * 0.1) / 4)
+    assert line["planner_crossed"]["value"] == pytest.approx(-0.25) and line["glide"]["value"] == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+def test_what_is_played_counts_those_who_have_not_crossed() -> None:
+    """Commands to stand still keep everyone from the stop line, but not from burning."""
+    env = EnvConfig(horizon_s=160.0, num_agents=24, num_vehicles=96)
+
+    def still(state: TensorDictBase) -> TensorDictBase:
+        state.set(("agents", "action"), torch.full((*state.batch_size, env.num_agents, 1), -9.0))
+        return state.set(("agents", "defer"), torch.zeros(*state.batch_size, env.num_agents, dtype=torch.bool))
+
+    blocked = played([(BUSY.replace(adoption=1.0), 3)], env, 1, lambda world: still)
+    free = played([(BUSY.replace(adoption=1.0), 3)], env, 1, scripted("uncommanded", env))
+    assert blocked["crossed"][0] < free["crossed"][0]
+    assert blocked["demand_emission_g"][0] > free["demand_emission_g"][0] > 0.0

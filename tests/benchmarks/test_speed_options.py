@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from izoo import console
-from izoo.benchmarks import emissions, scaling, throughput
+from izoo.benchmarks import emissions, planner, scaling, throughput
 from izoo.benchmarks.twin_parts import PARTS
+from izoo.envs import EcoDrivingEnv
 
 
 @pytest.mark.parametrize(
@@ -20,6 +22,10 @@ from izoo.benchmarks.twin_parts import PARTS
         (throughput.main, ["steps=199"], "steps is 199; it must be a multiple of 200"),
         (throughput.main, ["scenarios=[lihgt]"], "Did you mean 'light'"),
         (scaling.main, ["steps=0"], "steps is 0"),
+        (scaling.main, ["out=nowhere/rows.json"], "nowhere is no folder; choose another file with out=FILE"),
+        (scaling.main, ["out=/"], "out=/ is a folder"),
+        (throughput.main, ["out=/dev/null/rates.json"], "/dev/null is a file; choose another file with out=FILE"),
+        (planner.main, ["out=/dev/null/rows.json"], "/dev/null is a file; choose another file with out=FILE"),
         (scaling.main, ["simulator=twin", "counts=[0]"], "num_envs and counts is 0"),
         (scaling.main, ["simulator=twni"], "Did you mean 'twin'"),
         (emissions.main, ["batch=0"], "batch is 0"),
@@ -27,7 +33,22 @@ from izoo.benchmarks.twin_parts import PARTS
 )
 def test_what_cannot_be_measured_is_refused(main, words, message, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 2
-    assert message in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert message in said.err and "Loading" not in said.out
+
+
+def test_a_world_has_traffic_until_all_steps_are_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for a reset within them."""
+    resets, whole = [], EcoDrivingEnv._reset
+
+    def counted(env: EcoDrivingEnv, *args: Any, **options: Any) -> Any:
+        resets.append(len(resets))
+        return whole(env, *args, **options)
+
+    monkeypatch.setattr(EcoDrivingEnv, "_reset", counted)
+    monkeypatch.setattr(scaling, "SETTLE_STEPS", 1900)  # as many as an episode of the paper has, nearly
+    row = scaling.measure(scaling.worlds()[0], 200)
+    assert len(resets) == scaling.RESETS + 2 and row["vehicles"] > 0.0 and row["bare_us"] > 0.0
 
 
 def test_an_interrupt_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:

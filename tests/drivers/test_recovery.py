@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
 from izoo.benchmarks import calibration
 
@@ -22,7 +25,15 @@ def one_set(number: int, **settings: Any) -> dict[str, Any]:
     about = {"set": number, "drivers": 30, "minutes": 45.0, "seconds": 9.0, "processor_seconds": 8.0}
     state = {"converged": True, "not_converged": [], "diverging": 0, "autocorrelation": 0.0}
     used = {"drivers": 30, "speed_noise": 0.0, "warmup": 200, "draws": 400, **settings}
-    return {"settings": used, **about, **state, "worst_r_hat": 1.0, "least_ess": 900.0, "quantities": quantities}
+    return {
+        "settings": used,
+        "versions": calibration.made_by(),
+        **about,
+        **state,
+        "worst_r_hat": 1.0,
+        "least_ess": 900.0,
+        "quantities": quantities,
+    }
 
 
 def write_sets(folder: Path, count: int, **settings: Any) -> None:
@@ -70,4 +81,44 @@ def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys: pytest.Cap
     write_sets(tmp_path, 2, speed_noise=0.05)
     assert calibration.main(["--out", str(tmp_path), "--sets", "2", "--drivers", "30"]) == 2
     error = capsys.readouterr().err
-    assert "set-000.json is of other settings" in error and "give another --out" in error
+    assert "set-000.json is of other settings" in error and "speed_noise 0.05 -> 0.0" in error
+
+
+def test_a_set_of_other_code_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    old = one_set(0)
+    for change in (lambda: old["versions"].update(calibration="before"), lambda: old.pop("versions")):
+        change()
+        (tmp_path / "set-000.json").write_text(json.dumps(old))
+        assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 2
+        assert "other settings or versions (versions.calibration" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}", None])
+def test_a_damaged_set_is_named(content: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if content is None:
+        content = json.dumps({name: value for name, value in one_set(0).items() if name != "quantities"})
+    (tmp_path / "set-000.json").write_text(content)
+    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 2
+    error = capsys.readouterr().err
+    assert "set-000.json" in error and "remove it, and it is made anew" in error and error.count("\n") == 1
+
+
+def test_a_set_whose_chains_did_not_move_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stuck = {**one_set(0), "converged": False, "worst_r_hat": None, "least_ess": None}
+    (tmp_path / "set-000.json").write_text(json.dumps(stuck))
+    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
+    assert "chains that do not move, not converged" in capsys.readouterr().out
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibration.main(["--out", "/dev/null/x", "--sets", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "cannot use /dev/null/x" in error and error.count("\n") == 1
+
+
+def test_without_the_extra_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "jax", None)
+    assert calibration.main(["--out", str(tmp_path / "out"), "--sets", "1"]) == 2
+    assert "calibration needs jax" in capsys.readouterr().err and not (tmp_path / "out").exists()

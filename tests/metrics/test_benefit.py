@@ -224,3 +224,9 @@ def test_a_missing_baseline_and_a_repeated_row_are_refused() -> None:
 @pytest.mark.parametrize(("difference", "p"), [([0, 0, 0], 0.0), ([-2, -2, -2], 0.0), ([-3, -3], 1.0), ([-3], 1.0)])
 def test_without_variance_the_mean_decides(difference: list[float], p: float) -> None:
     assert not_inferior_p_value(difference, 2.0) == p
+
+
+def test_nothing_to_compare_is_refused() -> None:
+    nothing = seeds_table([10], [900.0]).iloc[:0]
+    with pytest.raises(IzooError, match="there are no rows to compare"):
+        benefits(nothing, nothing)
