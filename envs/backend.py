@@ -23,6 +23,8 @@ from izoo.networks.net.build import build_net
 from izoo.networks.road import INSIDE, RoadNet, read_road
 from izoo.traffic.sampling import Traffic, sample_traffic, with_late_vehicle
 
+CLOSED = "this environment is closed; make another one."
+
 
 class Play(NamedTuple):
     """An episode to be played: its context, its seed, and its number in the schedule (-1: it has none)."""
@@ -44,6 +46,10 @@ class Backend(Protocol):
     @property
     def started(self) -> bool:
         """Whether every environment has begun an episode."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether all simulations were ended for good."""
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, play their warm-up, and write their first frames.

@@ -19,7 +19,7 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs import specs
-from izoo.envs.backend import Backend, Play
+from izoo.envs.backend import CLOSED, Backend, Play
 from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
 from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
 from izoo.envs.mdp.scene import Scene
@@ -163,9 +163,19 @@ class EcoDrivingBase(EnvBase):
                 self._truncate(index)
 
     def require_started(self, call: str = "step") -> None:
-        """Raise :class:`IzooError`, which names the call that came too early, unless the episodes are running."""
+        """Raise :class:`IzooError` unless the episodes are running: the environment is closed, or not yet reset.
+
+        Args:
+            call: the call that came too early.
+        """
+        self.require_open()
         if not self.backend.started:
             raise IzooError(f"{call}() came before reset(); call reset() first, it starts the episodes.")
+
+    def require_open(self) -> None:
+        """Raise :class:`IzooError` where the environment was closed for good."""
+        if self.backend.closed:
+            raise IzooError(CLOSED)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)

@@ -166,11 +166,13 @@ class FrameReader:
         self.observations.begin()
 
     def _write_defer(self, defer: np.ndarray | None) -> None:
+        # Whoever is interrupted here has not forgotten that flags may be set.
         if defer is not None:
+            self._deferring = True
             np.not_equal(defer, 0, out=self._defer)
         elif self._deferring:
             self._defer.fill(0)
-        self._deferring = defer is not None
+            self._deferring = False
 
     def prepare(self) -> None:
         """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""

@@ -18,7 +18,7 @@ from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
-from izoo.envs.twin.twin_backend import CLOSED, TwinBackend
+from izoo.envs.twin.twin_backend import TwinBackend
 from izoo.errors import IzooError, check_whole
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
@@ -72,6 +72,11 @@ class TwinEnv(EcoDrivingBase):
         self.num_envs = num_envs
         backend.played = self.reader.take
 
+    def _set_seed(self, seed: int | None) -> None:
+        super()._set_seed(seed)
+        # An episode that was prepared ahead has the number of another one now.
+        self.backend.forget_ahead()
+
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         frame = super()._reset(tensordict, **options)
         self._look_ahead()
@@ -82,15 +87,6 @@ class TwinEnv(EcoDrivingBase):
         schedule = self.schedule
         for index, number in enumerate(self._next_episode.tolist()):
             self.backend.expect(index, number, functools.partial(_planned, schedule, number))
-
-    def require_started(self, call: str = "step") -> None:
-        """Raise :class:`IzooError` unless the episodes are running: the environment is closed, or not yet reset."""
-        self._require_open()
-        super().require_started(call)
-
-    def _require_open(self) -> None:
-        if self.backend.closed:
-            raise IzooError(CLOSED)
 
     def advance(self, decisions: Sequence[int]) -> TensorDict:
         """Play on in each environment for so many decisions, every CV left to its driver; return the state to act on.
@@ -131,6 +127,8 @@ class TwinEnv(EcoDrivingBase):
     def load_state_dict(self, state: Mapping[str, Any], *_: Any, **__: Any) -> None:  # type: ignore[override]
         """Go on from what :meth:`state_dict` returned, on the same schedule; :meth:`present` is where it stood.
 
+        After ``set_seed`` the schedule is another one; :meth:`branch` keeps a state whatever the schedule has become.
+
         Raises:
             IzooError: another number of environments, another schedule or other settings saved it; the environments
                 stay as they are.
@@ -142,7 +140,9 @@ class TwinEnv(EcoDrivingBase):
             if self.backend.started:
                 self._look_ahead()
             raise
-        self._load(state, plays)
+        self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
+        self._next_episode[:] = state["next_episodes"]
+        self._look_ahead()
 
     def _plays_of(self, state: Mapping[str, Any]) -> dict[int, Play]:
         """Return the episodes of a state.
@@ -150,7 +150,7 @@ class TwinEnv(EcoDrivingBase):
         Raises:
             IzooError: it is no state, or not of these settings, this schedule and as many environments.
         """
-        self._require_open()
+        self.require_open()
         missing = [name for name in _ENTRIES if name not in state]
         if missing and set(missing) <= {"settings", "plays"}:
             raise IzooError(
@@ -165,11 +165,7 @@ class TwinEnv(EcoDrivingBase):
                 f"the saved state is that of {' or '.join(map(str, sorted(counts)))} environments, and this has "
                 f"{self.num_envs}; make one with as many."
             )
-        here, there = _settings(self.config), state["settings"]
-        other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
-        if other:
-            pairs = ", ".join(f"env.{name} {there.get(name)!r} (here {here.get(name)!r})" for name in other)
-            raise IzooError(f"the saved state is that of other settings: {pairs}; make an environment with the same.")
+        self._check_settings(state["settings"])
         plays = {index: Play(*self.schedule(number), number) for index, number in enumerate(state["episodes"])}
         for play, (digest, seed) in zip(plays.values(), state["plays"], strict=True):
             if (play.context.content_hash, play.seed) != (digest, seed):
@@ -180,10 +176,13 @@ class TwinEnv(EcoDrivingBase):
                 )
         return plays
 
-    def _load(self, state: Mapping[str, Any], plays: Mapping[int, Play]) -> None:
-        self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
-        self._next_episode[:] = state["next_episodes"]
-        self._look_ahead()
+    def _check_settings(self, there: Mapping[str, Any]) -> None:
+        """Raise :class:`IzooError` where a state is that of other settings."""
+        here = _settings(self.config)
+        other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
+        if other:
+            pairs = ", ".join(f"env.{name} {there.get(name)!r} (here {here.get(name)!r})" for name in other)
+            raise IzooError(f"the saved state is that of other settings: {pairs}; make an environment with the same.")
 
     def branch(self, n: int) -> TwinEnv:
         """Return ``n`` copies of every environment as they are now, ``[N * n]``: those of the first one come first.
@@ -209,18 +208,19 @@ class TwinEnv(EcoDrivingBase):
         Faster than new ones. Which episodes the copies play next does not change.
 
         Raises:
-            IzooError: another number of copies for each environment, another schedule or other settings.
+            IzooError: another number of copies for each environment, or other settings.
         """
+        self.require_started("branch_into")
+        copies.require_open()
         n, rest = divmod(copies.num_envs, self.num_envs)
         if rest:
             raise IzooError(
                 f"{copies.num_envs} environments are no copies of {self.num_envs}; take those that branch(n) returned."
             )
-        state = self.state_dict()
-        for name in ("plays", "episodes", "packed"):
-            state[name] = [value for value in state[name] for _ in range(n)]
-        state["next_episodes"] = copies._next_episode.tolist()
-        copies._load(state, copies._plays_of(state))
+        copies._check_settings(_settings(self.config))
+        plays = [play for play in self.backend.plays() for _ in range(n)]
+        copies.backend.unpack(dict(enumerate(plays)), [packed for packed in self.backend.pack() for _ in range(n)])
+        copies._look_ahead()
 
     def scene(self, index: int = 0) -> Scene:
         """Return the present state of an environment, whether or not it is emitted.
@@ -228,7 +228,7 @@ class TwinEnv(EcoDrivingBase):
         Raises:
             IzooError: no episode has begun, or there is no such environment.
         """
-        self._require_open()
+        self.require_open()
         return self.backend.scene(index)
 
     def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:

@@ -50,6 +50,11 @@ class SumoSimulator:
         return self._episode is not None
 
     @property
+    def closed(self) -> bool:
+        """Never: after :meth:`close`, the next episode starts SUMO again."""
+        return False
+
+    @property
     def episode(self) -> Episode:
         """The present episode."""
         if self._episode is None:

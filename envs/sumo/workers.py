@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import Play, scene_from_frame
+from izoo.envs.backend import CLOSED, Play, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
@@ -54,7 +54,12 @@ class SumoWorkers:
     @property
     def started(self) -> bool:
         """Whether every environment has begun an episode."""
-        return self._finalizer.alive and None not in self._plays
+        return not self.closed and None not in self._plays
+
+    @property
+    def closed(self) -> bool:
+        """Whether all workers were ended for good."""
+        return not self._finalizer.alive
 
     def _worker(self, index: int) -> Worker:
         worker = self._workers[index]
@@ -68,8 +73,8 @@ class SumoWorkers:
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes side by side; a worker that is lost meanwhile gets a second try."""
-        if not self._finalizer.alive:
-            raise IzooError("this environment is closed; make another one.")
+        if self.closed:
+            raise IzooError(CLOSED)
         for attempt in range(2):
             lost: dict[int, WorkerLost] = {}
             try:

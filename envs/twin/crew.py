@@ -38,20 +38,36 @@ class Crew:
             task: what each does.
             meanwhile: called by this thread when it is done, if there are others.
         """
-        # A queue of its own: who is interrupted while it waits leaves reports behind, which are not the next task's.
         reports: _Reports = SimpleQueue()
-        given = 0
         try:
             for orders in self._orders:
                 orders.put((task, reports))
-                given += 1
             task(0)
             if meanwhile is not None and self._orders:
                 meanwhile()
-        finally:
-            failures = [report for _ in range(given) if (report := reports.get()) is not None]
+            failures = [report for _ in self._orders if (report := reports.get()) is not None]
+        except BaseException:
+            self._settle()
+            raise
         if failures:
             raise failures[0]
+
+    def _settle(self) -> None:
+        """Wait until no helper is at work any more, however often that is interrupted.
+
+        Whoever hears of a failure may let go of the memory that the others work on.
+        """
+        while True:
+            try:
+                # Helpers take orders in turn, so whoever has answered this one has ended those before it.
+                reports: _Reports = SimpleQueue()
+                for orders in self._orders:
+                    orders.put((_do_nothing, reports))
+                for _ in self._orders:
+                    reports.get()
+                return
+            except BaseException:
+                continue
 
     def close(self) -> None:
         """Let the helpers end what they do, and wait for that."""
@@ -60,6 +76,10 @@ class Crew:
         for helper in self._helpers:
             if helper is not threading.current_thread():
                 helper.join()
+
+
+def _do_nothing(number: int) -> None:
+    """Be done."""
 
 
 def _help(number: int, orders: SimpleQueue[_Order | None], begin: Callable[[], None]) -> None:

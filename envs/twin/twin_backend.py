@@ -17,7 +17,7 @@ import torch
 from izoo.compiling import compiling_once
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import Play
+from izoo.envs.backend import CLOSED, Play
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
@@ -32,7 +32,6 @@ from izoo.errors import IzooError, check_choice, check_whole
 from izoo.gpu import check_gpu
 
 SURROGATES = ("torch", "cuda", "compiled")
-CLOSED = "this environment is closed; make another one."
 
 
 def check_settings(config: EnvConfig) -> None:
@@ -117,7 +116,7 @@ class TwinBackend:
         self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play(), self._preparers_desk))
 
     def forget_ahead(self) -> None:
-        """Prepare nothing ahead of what is expected so far: those episodes are prepared when their turn comes."""
+        """Forget the episodes that are prepared ahead or are to be: they are prepared when their turn comes."""
         waiting = [future for _, future in self._ahead.values() if not future.cancel()]
         self._ahead.clear()
         wait(waiting)
@@ -145,24 +144,25 @@ class TwinBackend:
         """Raise :class:`IzooError` where states do not fit the episodes; all environments stay as they are."""
         frames = map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1)
         desk = Desk()
+        self.forget_ahead()  # an episode of the same number need not be the same one
         try:
             for index, play in plays.items():
                 # Prepared ahead, each will be there when it is begun.
                 self.expect(index, play.number, functools.partial(_same, play))
                 prepared = self._ahead[index][1].result()
-                if prepared.play == play:
-                    TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
+                TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
         except IzooError:
             self.forget_ahead()
             raise
 
     def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
         """Go on from the states of all environments, which play ``plays``."""
-        self.begin(plays)
-        for index, state in enumerate(packed):
-            run = self._run(index)
-            run.unpack(state)
-            self._left[index] = self.config.control_steps - run.episode.steps
+        with self._whole():
+            self.begin(plays)
+            for index, state in enumerate(packed):
+                run = self._run(index)
+                run.unpack(state)
+                self._left[index] = self.config.control_steps - run.episode.steps
 
     def plays(self) -> list[Play]:
         """Return what every environment plays."""
@@ -178,15 +178,21 @@ class TwinBackend:
         return prepare(self.config, play, desk)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Simulate one decision of every environment."""
+        """Simulate one decision of every environment.
+
+        Raises:
+            IzooError: the environments are closed, no episode has begun, or one has ended.
+        """
+        self._run(0)
         if self.frames["done"].any():
             ended = int(np.flatnonzero(self.frames["done"])[0])
             steps = self._run(ended).episode.steps
             raise IzooError(f"the episode ended after {steps} steps; call reset() before the next step.")
-        # An episode that ends within a decision ends it.
-        self._play(np.minimum(self._left, self.config.hold_steps), meanwhile)
-        for index in np.flatnonzero(self._left == 0).tolist():
-            self._run(index).finish()
+        with self._whole():
+            # An episode that ends within a decision ends it.
+            self._play(np.minimum(self._left, self.config.hold_steps), meanwhile)
+            for index in np.flatnonzero(self._left == 0).tolist():
+                self._run(index).finish()
         return ()
 
     def advance(self, decisions: Sequence[int]) -> None:
@@ -211,10 +217,22 @@ class TwinBackend:
                 "environments a whole number of decisions, 0 or more and fewer than its episode has left."
             )
         self.frames["action"][:] = 0.0
-        self.frames["defer"][:] = 1
         self.frames["lane_change"][:] = KEEP_LANE
-        self._play(steps)
-        self.frames["defer"][:] = 0
+        try:
+            self.frames["defer"][:] = 1
+            with self._whole():
+                self._play(steps)
+        finally:
+            self.frames["defer"][:] = 0
+
+    @contextlib.contextmanager
+    def _whole(self) -> Iterator[None]:
+        """End all episodes where what is done with them is broken off: who drove and what was counted differ then."""
+        try:
+            yield
+        except BaseException:
+            self._runs[:] = [None] * self.num_envs
+            raise
 
     def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
         """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads."""
@@ -246,6 +264,8 @@ class TwinBackend:
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]
+        if self.closed:
+            raise IzooError(CLOSED)
         if run is None:
             raise IzooError("no episode has begun; call reset() first.")
         return run

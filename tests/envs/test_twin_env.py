@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -11,8 +12,9 @@ from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv, check_
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
-from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.twin import twin_backend
 from izoo.errors import IzooError
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
@@ -177,6 +179,55 @@ def test_environments_advance_by_themselves(make_twin: MakeTwin) -> None:
             env.advance(wrong)
 
 
+class _Interrupted(BaseException):
+    """What nobody expects, as Ctrl-C is."""
+
+
+def _interrupt(env: TwinEnv, call: Callable[[], object], monkeypatch: pytest.MonkeyPatch, surrogate: str) -> None:
+    """Let a call end in the midst of its simulation: on torch before, with compiled code after the step was counted."""
+    name = "conclude_all" if surrogate == "torch" else "play_all"
+    whole = getattr(twin_backend, name)
+
+    def broken(*arguments: object) -> None:
+        if name == "play_all":
+            whole(*arguments)
+        raise _Interrupted
+
+    with monkeypatch.context() as patch, pytest.raises(_Interrupted):
+        patch.setattr(twin_backend, name, broken)
+        call()
+
+
+@pytest.mark.parametrize("surrogate", ["torch", "compiled"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_is_interrupted_must_be_begun_anew(
+    make_twin: MakeTwin, monkeypatch: pytest.MonkeyPatch, surrogate: str, threads: int
+) -> None:
+    """Else the simulators would be ahead of the metrics, and episodes would go on past their horizon."""
+    env, fresh = (make_twin(3, surrogate=surrogate, threads=threads) for _ in range(2))
+    state = env.reset()
+    for _ in range(4):
+        _, state = env.step_and_maybe_reset(steer(state))
+    _interrupt(env, lambda: env.step_lean(steer(state)), monkeypatch, surrogate)
+    for call in (lambda: env.step(steer(state)), env.present, lambda: env.advance([1, 1, 1])):
+        with pytest.raises(IzooError, match=r"\(\) came before reset"):
+            call()
+    numbers = [0, 1, 2]
+    ours, theirs = (play(each, 20, start=each.reset(episode=numbers))["next"] for each in (env, fresh))
+    assert same(ours, theirs)
+
+
+@pytest.mark.parametrize("surrogate", ["torch", "compiled"])
+def test_commands_count_again_after_an_interrupted_advance(
+    make_twin: MakeTwin, monkeypatch: pytest.MonkeyPatch, surrogate: str
+) -> None:
+    env, fresh = (make_twin(2, surrogate=surrogate) for _ in range(2))
+    env.step_lean(steer(env.reset()))  # with a step that defers nobody, who defers is forgotten
+    _interrupt(env, lambda: env.advance([3, 3]), monkeypatch, surrogate)
+    ours, theirs = (play(each, 20, start=each.reset(episode=[0, 1]))["next"] for each in (env, fresh))
+    assert same(ours, theirs) and not ours["vehicles", "deferred"].all()
+
+
 # -- what is counted ---------------------------------------------------------------------------------------------------
 
 
@@ -264,6 +315,18 @@ def test_step_before_reset_and_after_the_end(make_twin: MakeTwin) -> None:
     env.close()
     with pytest.raises(IzooError, match="closed"):
         env.reset()
+
+
+def test_a_single_environment_says_that_it_is_closed() -> None:
+    """At once, not only when it has been reset as it first said."""
+    env = EcoDrivingEnv(crossing(), config=short(), simulator="twin", worker=0)
+    state = env.reset()
+    env.close()
+    for call in (lambda: env.step(steer(state)), env.reset, env.scene, env.render):
+        with pytest.raises(IzooError, match="this environment is closed; make another one"):
+            call()
+    with pytest.raises(IzooError, match="this environment is closed; make another one"):
+        env.backend.step()
 
 
 def test_too_few_approaches(make_twin: MakeTwin) -> None:

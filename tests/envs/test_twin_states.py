@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from izoo.contexts.source import reseed
 from izoo.envs import TwinEnv
 from izoo.envs.config import EMIT_GROUPS, RewardConfig
 from izoo.errors import IzooError
@@ -103,6 +104,25 @@ def test_branches_are_brought_back_to_their_environments(make_twin: MakeTwin) ->
         branches.close()
 
 
+def test_branches_need_no_schedule(make_twin: MakeTwin) -> None:
+    """After a new seed, what is played is in no schedule any more."""
+    env = make_twin(2, schedule())
+    play(env, 10)
+    env.set_seed(7)
+    branches = env.branch(2)
+    try:
+        assert all(same(branches.present()[copy], env.present()[copy // 2]) for copy in range(4))
+        play(env, 5, start=env.present())
+        env.branch_into(branches)
+        assert all(same(branches.present()[copy], env.present()[copy // 2]) for copy in range(4))
+        with pytest.raises(IzooError, match=r"other settings: env.sensor_range_m None \(here 50.0\);"):
+            env.branch_into(make_twin(4, schedule(), config=short(sensor_range_m=50.0)))
+    finally:
+        branches.close()
+    with pytest.raises(IzooError, match="this environment is closed"):
+        env.branch_into(branches)
+
+
 def test_nothing_to_branch_before_the_first_reset(make_twin: MakeTwin) -> None:
     with pytest.raises(IzooError, match=r"branch\(\) came before reset"):
         make_twin().branch(2)
@@ -172,6 +192,32 @@ def test_a_refused_state_leaves_the_environments_as_they_are(
     ours, theirs = (play(each, 100, start=each.present()) for each in (env, undisturbed))
     assert ours["next", "done"].any()
     assert torch.equal(ours["next", "agents", "observation"], theirs["next", "agents", "observation"])
+
+
+@pytest.mark.parametrize("reseeded", ["set_seed", "schedule"])
+def test_a_damaged_state_is_refused_whatever_was_prepared_under_another_seed(
+    make_twin: MakeTwin, reseeded: str
+) -> None:
+    """It has the number of the episode that the environment was to play next before it got another schedule."""
+    other = make_twin(1, reseed(schedule(), 7))
+    other.reset(episode=[1])
+    state = other.state_dict()
+    whole = list(state["packed"])
+    state["packed"] = [whole[0][:50]]
+    env = make_twin(1, schedule())
+    play(env, 10)
+    if reseeded == "set_seed":
+        env.set_seed(7)
+        assert not env.backend._ahead
+    else:
+        env.schedule = other.schedule
+    before = env.present()
+    with pytest.raises(IzooError, match="damaged"):
+        env.load_state_dict(state)
+    assert same(env.present(), before)
+    state["packed"] = whole
+    env.load_state_dict(state)
+    assert same(env.present(), other.present())
 
 
 def test_a_closed_environment_says_so(make_twin: MakeTwin, saved: dict[str, Any]) -> None:

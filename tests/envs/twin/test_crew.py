@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import threading
+import time
 from collections.abc import Iterator
-from queue import SimpleQueue
 
 import pytest
 
-from izoo.envs.twin import crew as crew_module
 from izoo.envs.twin.crew import Crew
 
 
@@ -67,30 +67,55 @@ def test_helpers_end_with_the_crew() -> None:
     assert len(helpers) == 2 and not any(helper.is_alive() for helper in helpers)
 
 
-def test_what_an_interrupt_leaves_behind_is_not_the_next_report() -> None:
-    """Somebody who stops waiting must not take the late report of the first task for that of the second."""
-    made, late = Crew(2, lambda: None), threading.Event()
-    gone: list[int] = []
+@pytest.fixture
+def interrupts() -> Iterator[None]:
+    """Interrupt this thread every 50 ms, as an impatient user does, until the test ends."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.05, 0.05)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_who_is_interrupted_waits_for_the_others_all_the_same(crew: Crew, interrupts: None, waits: bool) -> None:
+    """However often: the caller may let go of the memory that they work on. Their reports are not the next task's."""
+    ended: list[int] = []
 
     def slow(number: int) -> None:
         if number:
-            late.wait(10.0)
-            gone.append(1)
+            time.sleep(0.3)
+            ended.append(number)
+        while not (number or waits):
+            time.sleep(0.01)
 
-    class Interrupted(SimpleQueue):  # type: ignore[type-arg]
-        def get(self, *_: object, **__: object) -> None:
-            raise KeyboardInterrupt
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            crew.work(slow)
+        assert sorted(ended) == [1, 2]
+        ended.clear()
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    crew.work(ended.append)
+    assert sorted(ended) == [0, 1, 2]
 
-    def interrupt() -> None:
-        late.clear()
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            patch.setattr(crew_module, "SimpleQueue", Interrupted)
-            made.work(slow)
-        threading.Timer(0.2, late.set).start()
 
-    interrupt()
-    made.work(lambda number: gone.append(2) if number else None)
-    assert gone == [1, 2]
-    interrupt()
+def test_closing_waits_for_what_is_still_being_done() -> None:
+    made, ended = Crew(2, lambda: None), []
+
+    def slow(number: int) -> None:
+        if number:
+            time.sleep(0.2)
+        ended.append(number)
+
+    working = threading.Thread(target=made.work, args=(slow,))
+    working.start()
+    time.sleep(0.05)
     made.close()
-    assert gone == [1, 2, 1], "closing waits for what is still being done"
+    assert sorted(ended) == [0, 1]
+    working.join()
