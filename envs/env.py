@@ -217,7 +217,25 @@ class EcoDrivingBase(EnvBase):
         return self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
 
 
-def _warn_of_doubles(seed: int) -> None:
+def numbering(shard: int | None, num_shards: int, count: int, seed: int) -> tuple[int, int]:
+    """Return the number of the first episode, and the stride, of ``count`` environments that share with others.
+
+    Args:
+        shard: which of ``num_shards`` groups of ``count`` environments this is; ``None``: the only one.
+        seed: for the warning where there may be others.
+
+    Raises:
+        IzooError: there is no such group.
+    """
+    check_whole("num_shards", num_shards, 1, MAX_WORKERS)
+    if shard is None:
+        _warn_of_doubles("several environments at once", "shard=k and num_shards=N", "shard=0", seed)
+    else:
+        check_whole("shard", shard, 0, num_shards - 1)
+    return (shard or 0) * count, num_shards * count
+
+
+def _warn_of_doubles(what: str, remedy: str, meant: str, seed: int) -> None:
     """Say that environments which were not told their numbers may play the same episodes.
 
     An environment cannot know of the others beside it, but that it was made in a process of ``multiprocessing``, as
@@ -226,9 +244,9 @@ def _warn_of_doubles(seed: int) -> None:
     if multiprocessing.parent_process() is not None:
         # No warning of Python: TorchRL silences those in its workers.
         _log.warning(
-            "EcoDrivingEnv was made in a worker process without worker=; every worker with seed=%s plays the same "
-            "episodes. Give worker=k and num_workers=N, or worker=0 if that is meant.",
-            seed,
+            "%s, made in a worker process: every such process with seed=%s plays the same episodes. Give %s, or %s "
+            "if that is meant.",
+            *(what, seed, remedy, meant),
         )
 
 
@@ -284,7 +302,7 @@ class EcoDrivingEnv(EcoDrivingBase):
         check_choice("simulator", simulator, SIMULATORS)
         check_whole("num_workers", num_workers, 1, MAX_WORKERS)
         if worker is None:
-            _warn_of_doubles(seed)
+            _warn_of_doubles("EcoDrivingEnv without worker=", "worker=k and num_workers=N", "worker=0", seed)
         else:
             check_whole("worker", worker, 0, num_workers - 1)
         frames, backend = _BACKENDS[simulator](config)
@@ -344,6 +362,8 @@ class SumoParallelEnv(EcoDrivingBase):
     Args:
         num_workers: ``N``.
         contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` workers share the schedule.
+        shard, num_shards: where several such environments share the schedule, as in TorchRL's ``ParallelEnv``, which of
+            how many this is.
     """
 
     def __init__(
@@ -353,12 +373,15 @@ class SumoParallelEnv(EcoDrivingBase):
         *,
         config: EnvConfig | None = None,
         seed: int = 0,
+        shard: int | None = None,
+        num_shards: int = 1,
     ) -> None:
         config = checked_config(config)
         if config.gui:
             raise IzooError("env.gui works with one environment only; use EcoDrivingEnv (collector=single).")
+        numbers = numbering(shard, num_shards, num_workers, seed)
         workers = SumoWorkers(config, num_workers)
-        super().__init__(contexts, config, seed, [num_workers], workers.frames, workers, 0, num_workers)
+        super().__init__(contexts, config, seed, [num_workers], workers.frames, workers, *numbers)
         self.num_workers = num_workers
 
     @property

@@ -15,7 +15,7 @@ from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
-from izoo.envs.env import Contexts, EcoDrivingBase
+from izoo.envs.env import Contexts, EcoDrivingBase, numbering
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.picture import draw
 from izoo.envs.twin.twin_backend import TwinBackend
@@ -52,6 +52,7 @@ class TwinEnv(EcoDrivingBase):
         threads: how many threads share the environments out among them; by default one per core that is usable.
         surrogate: what computes CO2: ``torch``, the module :class:`~izoo.emissions.moves.MovesSurrogate` in one call
             for all vehicles; ``cuda``, the same on a GPU; or ``compiled``, the same function without torch.
+        shard, num_shards: as for :class:`~izoo.envs.SumoParallelEnv`.
     """
 
     backend: TwinBackend
@@ -65,10 +66,13 @@ class TwinEnv(EcoDrivingBase):
         seed: int = 0,
         threads: int | None = None,
         surrogate: str = "torch",
+        shard: int | None = None,
+        num_shards: int = 1,
     ) -> None:
         config = checked_config(config)
+        numbers = numbering(shard, num_shards, num_envs, seed)
         backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
-        super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, 0, num_envs)
+        super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, *numbers)
         self.num_envs = num_envs
         backend.played = self.reader.take
 
@@ -197,6 +201,7 @@ class TwinEnv(EcoDrivingBase):
             config=self.config,
             threads=self.backend.wanted_threads,
             surrogate=self.backend.surrogate,
+            shard=0,
         )
         copies._next_episode[:] = self._next_episode.max() + np.arange(copies.num_envs)
         self.branch_into(copies)
