@@ -24,10 +24,13 @@ class EnvConfig:
     """Everything about an environment that is not the context.
 
     Attributes:
-        step_s: length of a simulation step, in whole milliseconds.
+        step_s: length of a simulation step, in whole milliseconds. Human drivers react once per step: at 1 s they run
+            into each other now and then, in SUMO as on the twin (which does not count it); at 0.5 s none was seen to.
         hold_s: how long a decision of the policy lasts, a whole multiple of ``step_s``; ``None``: one step. Its action
             is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
-            (until then its own driver drives). The last decision of an episode may be shorter.
+            (until then its own driver drives). The last decision of an episode may be shorter. A commanded lane change
+            is repeated in every step, so one decision may cross several lanes; rows of vehicles, unlike agents' slots,
+            may be handed on within a decision, which ``vehicle_number`` tells.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.

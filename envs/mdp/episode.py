@@ -32,7 +32,6 @@ from izoo.envs.mdp.step import give_orders, make_frame
 from izoo.envs.mdp.tally import book_unfinished
 from izoo.envs.mdp.world import (
     MEMBERS,
-    PHASE,
     SUSPECTS,
     Frame,
     demand_arrays,
@@ -125,7 +124,7 @@ class Episode:
         self.tables = empty_tables(config, len(road.lane_ids), capacity)
         self._work = work_space(config, len(road.lane_ids))
         self._bind()
-        self.tables.cursor[PHASE] = read_clock(0.0, self.clock)
+        read_clock(0.0, self.clock)
 
     def _bind(self) -> None:
         """Hand the present tables to compiled code."""

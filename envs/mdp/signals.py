@@ -35,22 +35,40 @@ def clock_arrays(clock: SignalClock) -> ClockArrays:
     return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
 
 
-@compiled(borrows=True)
-def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
-    """Evaluate a :class:`ClockArrays` at ``time_s`` for all movements ``[P, Q]``; return the phase.
+_TICK_S = 0.001
+"""Simulators keep time in milliseconds."""
 
-    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``,
-    at most ``NEVER_S``.
+
+@compiled(borrows=True)
+def phase_driven(time_s, clock):  # type: ignore[no-untyped-def]
+    """Return the phase that vehicles drove by in the step that ended at ``time_s``.
+
+    Simulators begin a step with every switch that falls in it, so that is the one in force at its last millisecond.
     """
+    return _phase_at(time_s - _TICK_S, clock)[0]
+
+
+@compiled(borrows=True)
+def _phase_at(time_s, clock):  # type: ignore[no-untyped-def]
+    """Return the phase that is in force from ``time_s`` on, and the time since it began."""
     in_cycle = (time_s - clock.offset_s) % clock.cycle_s
     if clock.cycle_s - in_cycle < 1e-6:  # the end of a cycle is the beginning of the next
         in_cycle = 0.0
     phase = np.searchsorted(clock.phase_begin_s, in_cycle + 1e-6, side="right") - 1
-    elapsed = in_cycle - clock.phase_begin_s[phase]
+    return phase, in_cycle - clock.phase_begin_s[phase]
+
+
+@compiled(borrows=True)
+def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
+    """Evaluate a :class:`ClockArrays` at ``time_s`` for all movements ``[P, Q]``.
+
+    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``,
+    at most ``NEVER_S``.
+    """
+    phase, elapsed = _phase_at(time_s, clock)
     for p in range(clock.now.shape[0]):
         for q in range(clock.now.shape[1]):
             clock.now[p, q] = clock.colour[p, q, phase]
             clock.time_left_s[p, q] = min(max(clock.change_s[p, q, phase] - elapsed, 0.0), NEVER_S)
             clock.until_second_s[p, q] = min(max(clock.second_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
             clock.until_third_s[p, q] = min(max(clock.third_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
-    return phase

@@ -15,11 +15,11 @@ from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.orders import plan_commands
 from izoo.envs.mdp.pay import NUM_TERMS, pay, reward_terms, team_pay
 from izoo.envs.mdp.share import count_outside, share_out
-from izoo.envs.mdp.signals import read_clock
+from izoo.envs.mdp.signals import phase_driven, read_clock
 from izoo.envs.mdp.slots import release
 from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
 from izoo.envs.mdp.tally import account, sum_episode
-from izoo.envs.mdp.world import FREE, HELD, MEMBERS, PHASE, SUSPECTS
+from izoo.envs.mdp.world import FREE, HELD, MEMBERS, SUSPECTS
 
 _STEPS = EPISODE_METRIC["steps"]
 
@@ -122,10 +122,10 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     rows = tables.members[: tables.cursor[MEMBERS]]
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     if measured:
-        phase = tables.cursor[PHASE]
-        before, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
-        account(rows, floats, ints, flags, before, legal, rules.step_s, tables.sums)
-    tables.cursor[PHASE] = read_clock(time_s, clock)
+        phase = phase_driven(time_s, clock)
+        colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
+        account(rows, floats, ints, flags, colour, legal, rules.step_s, tables.sums)
+    read_clock(time_s, clock)
     begins = tables.cursor[HELD] == 0
     fleet, shared, paid, own = work.fleet, work.shared, work.paid, work.own
     reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.least)

@@ -69,10 +69,10 @@ _GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
 @compiled(borrows=True)
-def account(rows, floats, ints, flags, colour_before, legal_before, step_s, sums):  # type: ignore[no-untyped-def]
+def account(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
     """Add the step to every vehicle's sums; book a vehicle's sums to its approach when it crosses the stop line.
 
-    ``colour_before`` and ``legal_before`` ``[P, Q]`` are the signal in force during the step.
+    ``colour`` and ``legal`` ``[P, Q]`` are the signal that vehicles drove by in the step.
     """
     for j in range(rows.shape[0]):
         r = rows[j]
@@ -92,7 +92,7 @@ def account(rows, floats, ints, flags, colour_before, legal_before, step_s, sums
         if ints[r, LOCATION] == APPROACHING:
             continue
         flags[r, CROSSED] = 1
-        on_red = colour_before[p, ints[r, EXIT]] == RED and not legal_before[p, ints[r, EXIT]]
+        on_red = colour[p, ints[r, EXIT]] == RED and not legal[p, ints[r, EXIT]]
         if counted:
             _book_crossing(r, p, floats, flags, step_s, on_red, sums)
 

@@ -28,9 +28,9 @@ from izoo.traffic.sampling import Traffic
 MIN_CAPACITY = 256
 _DATA_WORD = 3
 """Word of numba's block of managed memory (``MemInfo``) that holds the address of the data."""
-(MEMBERS, LEAVERS, SUSPECTS, PHASE, HELD, DUE) = range(6)
-"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, the phase of the signal, how
-many steps of the present decision have been played, and how many vehicles were due so far."""
+(MEMBERS, LEAVERS, SUSPECTS, HELD, DUE) = range(5)
+"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, how many steps of the present
+decision have been played, and how many vehicles were due so far."""
 FREE, FREED = -1, -2
 """Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
 decision and cannot until the next."""
@@ -52,7 +52,7 @@ class Tables(NamedTuple):
         order, lane_start: ``[C]`` and ``[L + 1]``, the members sorted by lane and position.
         command, target_mps, release: ``[A]`` orders for the coming step: rows with their speeds, and rows that are no
             longer commanded.
-        cursor: ``[6]`` how far the lists above are filled, the signal's phase, and how far decision and demand are.
+        cursor: ``[5]`` how far the lists above are filled, and how far decision and demand are.
     """
 
     floats: np.ndarray
@@ -98,7 +98,7 @@ def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables
         command=np.zeros(a, np.int64),
         target_mps=np.zeros(a),
         release=np.zeros(a, np.int64),
-        cursor=np.zeros(6, np.int64),
+        cursor=np.zeros(5, np.int64),
     )
 
 

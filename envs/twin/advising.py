@@ -48,10 +48,8 @@ from izoo.envs.twin.lane_flags import (
     WANTED_RIGHTWARD,
     WANTS_CHANGE,
 )
-from izoo.envs.twin.nearby import HALTING_MPS
+from izoo.envs.twin.margins import EPS, POSITION_EPS, STANDING_MPS
 
-EPS = 0.001
-_POSITION_EPS_M = 0.1
 OVERTAKING_MPS = 10.0 / 3.6
 """Speed difference with which somebody who lets others in expects to be overtaken."""
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
@@ -111,7 +109,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
     best, advised = wish, False
     blocker = state.floats[v, BLOCKER_LENGTH]
     if blocker != 0.0:
-        space = state.floats[v, LEFT_SPACE] - blocker - _POSITION_EPS_M
+        space = state.floats[v, LEFT_SPACE] - blocker - POSITION_EPS
         if space > 0.0:
             # Leave room for the one who must cross over.
             limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
@@ -153,12 +151,12 @@ def slow_for_blocked(net, traffic, state, v, blocked, flags, step_s):  # type: i
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     gap = state.floats[blocked, POSITION] - traffic.floats[blocked, LENGTH] - state.floats[v, POSITION]
     gap -= driver[MIN_GAP]
-    if gap <= _POSITION_EPS_M or speed >= driver[DECEL]:
+    if gap <= POSITION_EPS or speed >= driver[DECEL]:
         return flags
     other = state.floats[blocked, SPEED]
     limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
-    add_advice(state, v, follow_speed(driver, gap - _POSITION_EPS_M, speed, other, limit, step_s))
-    return flags | (BLOCKS_BEHIND_STANDING if other < HALTING_MPS else BLOCKS_BEHIND)
+    add_advice(state, v, follow_speed(driver, gap - POSITION_EPS, speed, other, limit, step_s))
+    return flags | (BLOCKS_BEHIND_STANDING if other < STANDING_MPS else BLOCKS_BEHIND)
 
 
 @compiled
@@ -265,7 +263,7 @@ def inform_follower(  # type: ignore[no-untyped-def]
     secure = secure_gap(helper, braked_1s, planned)
     if opened > 0.0 and opened >= secure:
         add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
-    elif faster > 0.0 and faster * remaining_s > secure - opened + _POSITION_EPS_M:
+    elif faster > 0.0 and faster * remaining_s > secure - opened + POSITION_EPS:
         add_advice(state, follower, braked)
     elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))

@@ -93,8 +93,6 @@ class TwinNet(NamedTuple):
             ``[X]`` int64; best_length: ``[X, L]`` float64; best_offset, best_link: ``[X, L]`` int32; best_open:
             ``[X, L]`` uint8; best_road: ``[X, L]`` int32: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
         incoming_start: ``[L + 1]`` int32, each lane's range of incoming_links (int32), the links that lead to it.
-        shape_start: ``[L + 1]`` int32, rows of ``shape_points`` of each lane. shape_points: ``[n, 3]`` float64, m.
-        lane_width: ``[L]`` float64, m.
         conflict_first and the rest: see :class:`~izoo.envs.twin.conflicts.Conflicts`.
     """
 
@@ -130,9 +128,6 @@ class TwinNet(NamedTuple):
     best_road: Int2
     incoming_start: Int1
     incoming_links: Int1
-    shape_start: Int1
-    shape_points: Annotated[np.ndarray, "float64", 2, 3]
-    lane_width: Float1
     conflict_first: Int1
     conflict_count: Int1
     conflict_ints: Int2
@@ -205,27 +200,20 @@ lane changing's memories. The first eight are a line of the processor's cache.""
     CHANGE_UNTIL_MS,
     SIGNALS,
     CHANGE_TARGET,
-    CHANGED_MS,
-    CHANGES_STRATEGIC,
-    CHANGES_COOPERATIVE,
-    CHANGES_SPEED,
-    CHANGES_RIGHT,
-    CHANGES_COMMANDED,
     JUNCTION_MS,
     CONFLICT_MS,
     WILL_PASS,
     STOOD_FOR,
     ENTERED_MS,
-) = range(28)
+) = range(22)
 """Columns of :attr:`TwinState.ints`: status; lane; next vehicle downstream and upstream on its lane; row of the best
 lanes' tables, set when it enters an edge; lanes behind its own that its tail is on; its items in ``item_*``; how long
 it has stood (ms); 1 where something keeps it from going on; speeds advised; lane changing: commanded change of this
 step (-1 right, 0 none, 1 left), lane change mode, SUMO-like state bits, until when it is commanded to a lane; SUMO's
-signals; index of the lane that it is commanded to; time of the last change, changes by reason; since when it has
-its turn in the junction that it is in, and is in that junction's conflicts (NEVER_MS before, and when it has lost its
-turn, which it has again past its waiting point), 1 where it asked to pass the link at the end of
-its lane in the last plan, the link with ``s`` that it stood before; when it entered the junction, whatever became
-of its turn. The first sixteen are a line of the cache."""
+signals; index of the lane that it is commanded to; since when it has its turn in the junction that it is in, and is in
+that junction's conflicts (NEVER_MS before, and when it has lost its turn, which it has again past its waiting point),
+1 where it asked to pass the link at the end of its lane in the last plan, the link with ``s`` that it stood before;
+when it entered the junction, whatever became of its turn. The first sixteen are a line of the cache."""
 
 LANE_FRONT, LANE_BACK, LANE_COUNT, LANE_TAILS = range(4)
 """Columns of :attr:`TwinState.lanes`: the vehicle furthest downstream and upstream with its front on the lane; how many
@@ -253,9 +241,10 @@ ITEM_LINK, ITEM_VEHICLE, ITEM_ARRIVAL_MS, ITEM_LEAVE_MS, ITEM_REQUEST, ITEM_NEXT
 """Columns of :attr:`TwinState.item_ints`: link; vehicle; time of arrival at the link and of leaving the junction;
 1 where the vehicle asks to pass; next item that approaches the same link."""
 
-NOW_MS, STEP_COUNT, NEXT_DEPARTURE, ITEM_TOTAL, ON_ROAD, DROPS, ACTIVE_FIRST, ACTIVE_LAST = range(8)
+NOW_MS, STEP_COUNT, NEXT_DEPARTURE, ITEM_TOTAL, ON_ROAD, LOST_TAILS, ACTIVE_FIRST, ACTIVE_LAST = range(8)
 """Entries of :attr:`TwinState.clock`: time at which the coming step begins (ms); steps done; first vehicle that was not
-due yet; items in use; vehicles on the road; vehicles dropped; first and last lane in the order of busy lanes."""
+due yet; items in use; vehicles on the road; how often a tail found no room (:data:`MAX_TAIL_LANES`); first and last
+lane in the order of busy lanes."""
 
 MAX_ITEMS_PER_VEHICLE = 8
 
@@ -273,11 +262,9 @@ MAX_LANES_SEEN = 8
 
 (
     CHANGER_NEXT,
-    CHANGER_LEADER,
-    CHANGER_HOPPED,
     CHANGER_FIRST_BLOCKED,
     CHANGER_LAST_BLOCKED,
-) = range(5)
+) = range(3)
 """Columns of :attr:`TwinState.changer`, the working memory of lane changing on an edge."""
 
 ACTIVE_NEXT, ACTIVE_PREVIOUS, ACTIVE_SERVED = range(3)
@@ -299,7 +286,7 @@ class TwinState(NamedTuple):
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
         waiting_first, waiting_last: ``[L]`` int32, per lane who waits to enter on it. waiting_next: ``[N]`` int32.
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
-        program_phase: ``[T]`` int64, row of the present phase. program_switch_ms: ``[T]`` int64, when it ends.
+        program_switch_ms: ``[T]`` int64, when the present phase ends.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
         room_seen: ``[N, MAX_LANES_SEEN]`` float64, road (m) taken behind the junction, for each lane inside it.
         active: ``[L, 4]`` int32, the order in which lanes are served.
@@ -324,7 +311,6 @@ class TwinState(NamedTuple):
     waiting_last: Int1
     waiting_next: Int1
     link_letter: Byte1
-    program_phase: Long1
     program_switch_ms: Long1
     advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
     room_seen: Annotated[np.ndarray, "float64", 2, MAX_LANES_SEEN]

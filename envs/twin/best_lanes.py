@@ -8,6 +8,7 @@ So a route has *variants*: its tables for each pattern of priorities that the si
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,10 +32,11 @@ from izoo.envs.twin.arrays import (
     PROGRAM_PHASES,
 )
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.lights import LOWER_CASE, UPPER_CASE, is_major
+from izoo.errors import IzooError
 
 MAX_CHECKED_LINKS = 12
 _MAX_VARIANTS = 64
-_UPPER = range(ord("A"), ord("Z") + 1)
 
 
 class BestTables(NamedTuple):
@@ -92,7 +94,11 @@ class NetTables(NamedTuple):
 
 
 def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
-    """Tabulate all variants of all routes ``route_edges`` ``[R, E]`` (-1: none)."""
+    """Tabulate all variants of all routes ``route_edges`` ``[R, E]`` (-1: none).
+
+    Raises:
+        IzooError: a route has more variants than the tables hold.
+    """
     count, lane_count = len(route_edges), len(net.lane_ints)
     first, number = np.zeros(count, np.int32), np.zeros(count, np.int32)
     links = np.full((count, MAX_CHECKED_LINKS), -1, np.int32)
@@ -127,15 +133,15 @@ def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int
         seen = dict.fromkeys(_normal(bits) for bits in _shown(net, links))
         if len(seen) < 2 and not any(any(pattern) for pattern in seen):
             continue
-        if len(checked) + len(links) > MAX_CHECKED_LINKS or len(seen) * _count(choices) > _MAX_VARIANTS:
-            continue
         checked += [(link, number) for link in links]
         choices.append(list(seen))
+    variants = math.prod(len(choice) for choice in choices)
+    if len(checked) > MAX_CHECKED_LINKS or variants > _MAX_VARIANTS:
+        raise IzooError(
+            f"a route passes {len(checked)} links whose priorities differ, in {variants} patterns, and the twin holds "
+            f"{MAX_CHECKED_LINKS} and {_MAX_VARIANTS}; use SUMO."
+        )
     return checked, [tuple(itertools.chain(*parts)) for parts in itertools.product(*choices)]
-
-
-def _count(choices: list[list[tuple[bool, ...]]]) -> int:
-    return int(np.prod([len(choice) for choice in choices])) if choices else 1
 
 
 def _normal(bits: Sequence[bool]) -> tuple[bool, ...]:
@@ -160,7 +166,7 @@ def _has_priority(net: NetTables, link: int, program: int, phase: int) -> bool:
     letter = int(net.link_ints[link, LINK_STATE])
     if net.link_ints[link, LINK_PROGRAM] == program:
         letter = int(net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]])
-    return letter in _UPPER
+    return UPPER_CASE <= letter < LOWER_CASE
 
 
 def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool]) -> tuple[np.ndarray, ...]:
@@ -256,7 +262,7 @@ def find_variant(net, state, route):  # type: ignore[no-untyped-def]
     while k < links.shape[0] and links[k] >= 0:
         end, part = k, 0
         while end < links.shape[0] and links[end] >= 0 and groups[end] == groups[k]:
-            if state.link_letter[links[end]] < 97:  # upper case
+            if is_major(state.link_letter[links[end]]):
                 part |= 1 << end
             end += 1
         if part != (1 << end) - (1 << k):

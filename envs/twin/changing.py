@@ -14,15 +14,9 @@ from izoo.envs.twin.arrays import (
     CHANGE_STATE,
     CHANGE_TARGET,
     CHANGE_UNTIL_MS,
-    CHANGED_MS,
     CHANGER_FIRST_BLOCKED,
     CHANGER_LAST_BLOCKED,
     CHANGER_NEXT,
-    CHANGES_COMMANDED,
-    CHANGES_COOPERATIVE,
-    CHANGES_RIGHT,
-    CHANGES_SPEED,
-    CHANGES_STRATEGIC,
     EDGE_CHANGES,
     EDGE_FIRST_LANE,
     EDGE_LANES,
@@ -47,18 +41,13 @@ from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import secure_gap
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
-    COMMANDED,
-    COOPERATIVE,
     LEFT_FOLLOWER_BLOCKS,
     LEFT_LEADER_BLOCKS,
     LEFTWARD,
     OVERLAPS,
     RIGHT_FOLLOWER_BLOCKS,
-    RIGHT_KEEPING,
     RIGHT_LEADER_BLOCKS,
     RIGHTWARD,
-    SPEED_GAINING,
-    STRATEGIC,
     URGENT,
 )
 from izoo.envs.twin.nearby import follower_beside, leader_beside, leader_beyond
@@ -78,12 +67,6 @@ def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
     if target >= 0:
         state.ints[v, CHANGE_TARGET] = target
         state.ints[v, CHANGE_UNTIL_MS] = state.clock[NOW_MS] + step_ms
-
-
-@compiled
-def prepare_change(state, v):  # type: ignore[no-untyped-def]
-    """Make ``v`` ready for lane changing, after it moved."""
-    forget_advice(state, v)
 
 
 @compiled
@@ -157,7 +140,7 @@ def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-de
     if net.lane_ints[lane, LANE_RIGHT] >= 0:
         rightward = _check(net, traffic, state, v, lane - 1, leader, gap, step_s)
         if rightward & RIGHTWARD and not rightward & BLOCKED:
-            _change(net, traffic, state, v, lane - 1, rightward)
+            _change(net, traffic, state, v, lane - 1)
             return lane - 1
         if rightward & RIGHTWARD and rightward & URGENT:
             _note_blocked(state, v, lane - 1)
@@ -165,7 +148,7 @@ def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-de
         advices = state.ints[v, ADVICES]
         leftward = _check(net, traffic, state, v, lane + 1, leader, gap, step_s)
         if leftward & LEFTWARD and not leftward & BLOCKED:
-            _change(net, traffic, state, v, lane + 1, leftward)
+            _change(net, traffic, state, v, lane + 1)
             return lane + 1
         if leftward & LEFTWARD and leftward & URGENT:
             _note_blocked(state, v, lane + 1)
@@ -217,7 +200,7 @@ def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[n
 
 
 @compiled
-def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def]
+def _change(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Move ``v`` to ``lane``, beside its own, with its tail, and clear its memories."""
     ints = state.ints
     room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
@@ -230,17 +213,6 @@ def _change(net, traffic, state, v, lane, flags):  # type: ignore[no-untyped-def
     look_behind_junction(net, state, state.lane_room, v, lane)
     if tails > 0:
         _lay_tail_behind(net, traffic, state, v, lane, tails)
-    if flags & COMMANDED:
-        ints[v, CHANGES_COMMANDED] += 1
-    elif flags & STRATEGIC:
-        ints[v, CHANGES_STRATEGIC] += 1
-    elif flags & COOPERATIVE:
-        ints[v, CHANGES_COOPERATIVE] += 1
-    elif flags & SPEED_GAINING:
-        ints[v, CHANGES_SPEED] += 1
-    elif flags & RIGHT_KEEPING:
-        ints[v, CHANGES_RIGHT] += 1
-    ints[v, CHANGED_MS] = state.clock[NOW_MS]
     forget_advice(state, v)
     clear_memories(state, v)
 

@@ -32,10 +32,8 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.following import brake_gap
+from izoo.envs.twin.margins import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.order import last_on
-from izoo.envs.twin.planning import POSITION_EPS
-
-STANDING_MPS = 0.1
 
 
 @compiled

@@ -45,7 +45,6 @@ Int1 = Annotated[np.ndarray, "int32", 1]
 Int2 = Annotated[np.ndarray, "int32", 2]
 Int3 = Annotated[np.ndarray, "int32", 3]
 Long1 = Annotated[np.ndarray, "int64", 1]
-Long2 = Annotated[np.ndarray, "int64", 2]
 Byte1 = Annotated[np.ndarray, "uint8", 1]
 Byte2 = Annotated[np.ndarray, "uint8", 2]
 """Fields of a directory: type of the elements, and dimensions. A fourth entry is the number of columns, if it is a

@@ -44,19 +44,14 @@ from izoo.envs.twin.arrays import (
     WILL_PASS,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.lights import YELLOW, is_major
+from izoo.envs.twin.lights import RED, STOP, YELLOW, is_major
+from izoo.envs.twin.margins import STANDING_MPS, VISIBILITY_M
 
-RED, STOP = ord("r"), ord("s")
-STANDING_MPS = 0.1
-STOP_NEAR_M = 4.5
-"""A vehicle that has stood this close to a link counts as having stopped for it."""
 MARGIN_MS = 1000
 """Time that lies between the passages of two vehicles in conflict."""
 IMPATIENT_AFTER_MS = 180_000.0
 NEVER_LATER_S = 30.0
 """Delay of a vehicle that would stop instead of passing."""
-POSITION_EPS = 0.1
-VISIBILITY_M = 4.5
 
 
 @compiled

@@ -12,9 +12,8 @@ import numpy as np
 
 from izoo.envs.twin.arrays import DECEL, EMERGENCY_DECEL, MAX_ACCEL, MIN_GAP, TAU, TWO_ROOT_AB
 from izoo.envs.twin.compiled import compiled, fused
+from izoo.envs.twin.margins import EPS
 
-EPS = 0.001
-"""Smallest gap (m) and speed (m/s) that the formulas tell from 0."""
 SUB_STEP_S = 0.25
 FREE_GAP_M = 1e6
 COMFORT_DECEL_MPS2 = 1.5

@@ -10,7 +10,6 @@ from izoo.envs.twin.arrays import (
     DEPART_SPEED,
     DRIVING,
     DROPPED,
-    DROPS,
     LANE_BACK,
     LANE_EDGE,
     LANE_FRONT,
@@ -44,14 +43,13 @@ from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, free_speed, secure_gap, stop_speed
-from izoo.envs.twin.lights import is_major
+from izoo.envs.twin.lights import ALLWAY_STOP, EQUAL, MINOR, PRIORITY_GREEN, STOP, is_major
+from izoo.envs.twin.margins import POSITION_EPS
 from izoo.envs.twin.order import back_on, last_on, place, tail_on
-from izoo.envs.twin.planning import POSITION_EPS
 
 ENTER, WAIT, DROP = range(3)
 ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
 """What SUMO keeps free at the end of a lane for vehicles that must change by two lanes or more."""
-MINOR, EQUAL, STOP, ALLWAY_STOP, MAJOR_GREEN = ord("m"), ord("="), ord("s"), ord("w"), ord("G")
 
 
 @compiled
@@ -85,7 +83,6 @@ def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-de
             if verdict == DROP:
                 # As in SUMO nobody else enters on this lane in this step.
                 ints[v, STATUS] = DROPPED
-                clock[DROPS] += 1
                 break
             enter(net, traffic, state, v, lane)
             v = state.waiting_first[lane]
@@ -193,7 +190,7 @@ def _never_major(net, link, letter):  # type: ignore[no-untyped-def]
         return False
     first = net.program_ints[program, PROGRAM_FIRST_PHASE]
     for phase in range(first, first + net.program_ints[program, PROGRAM_PHASES]):
-        if net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]] == MAJOR_GREEN:
+        if net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]] == PRIORITY_GREEN:
             return False
     return True
 

@@ -48,9 +48,9 @@ from izoo.envs.twin.conflicts import (
     NOWHERE,
     PARTING,
 )
-from izoo.envs.twin.crossing import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.following import brake_gap, follow_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
+from izoo.envs.twin.margins import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.order import back_on
 
 BLOCKED_AFTER_MS = 5000

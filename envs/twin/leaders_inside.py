@@ -34,10 +34,10 @@ from izoo.envs.twin.conflicts import (
     NOWHERE,
     PARTING,
 )
-from izoo.envs.twin.crossing import POSITION_EPS
 from izoo.envs.twin.following import follow_speed, stop_speed
 from izoo.envs.twin.inside import gap_before, is_before_wait
 from izoo.envs.twin.lights import RED
+from izoo.envs.twin.margins import POSITION_EPS
 from izoo.envs.twin.order import back_on
 
 

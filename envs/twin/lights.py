@@ -18,8 +18,11 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.compiled import compiled
 
-RED, YELLOW, OFF_YELLOW, LOWER_CASE = ord("r"), ord("y"), ord("Y"), ord("a")
+RED, YELLOW, OFF_YELLOW = ord("r"), ord("y"), ord("Y")
 GREEN, PRIORITY_GREEN = ord("g"), ord("G")
+MINOR, EQUAL, STOP, ALLWAY_STOP = ord("m"), ord("="), ord("s"), ord("w")
+"""Letters of links, which their signal shows or which are their own where there is none."""
+UPPER_CASE, LOWER_CASE = ord("A"), ord("a")
 
 
 @compiled
@@ -38,7 +41,6 @@ def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
                 end_ms = net.phase_ints[k, PHASE_BEGIN_MS]
                 break
             phase = k
-        state.program_phase[program] = phase
         state.program_switch_ms[program] = now_ms + end_ms - time_ms
         letters = net.phase_ints[phase, PHASE_STATE]
         for k in range(net.program_first_link[program], net.program_first_link[program + 1]):
@@ -68,4 +70,4 @@ def is_green(letter):  # type: ignore[no-untyped-def]
 @compiled
 def is_major(letter):  # type: ignore[no-untyped-def]
     """Whether a link that shows ``letter`` has priority."""
-    return letter < LOWER_CASE
+    return UPPER_CASE <= letter < LOWER_CASE

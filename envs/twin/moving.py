@@ -44,13 +44,12 @@ from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.blinkers import blinkers
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import lose_turn, may_pass, note_request, pass_link, slows_before
-from izoo.envs.twin.following import EPS, brake_gap, least_speed, most_speed, stop_speed
+from izoo.envs.twin.following import brake_gap, least_speed, most_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW
+from izoo.envs.twin.margins import EPS, POSITION_EPS, STANDING_MPS, VISIBILITY_M
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
 from izoo.envs.twin.outlook import look_behind_junction
-from izoo.envs.twin.planning import POSITION_EPS, SPEED_EPS, VISIBILITY_M
-
-STANDING_MPS = 0.1
+from izoo.envs.twin.planning import SPEED_EPS
 
 
 @compiled

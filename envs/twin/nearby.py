@@ -44,10 +44,10 @@ from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import CONFLICT_BEHIND, CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
 from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap
 from izoo.envs.twin.leaders_inside import leader_in_conflict
-from izoo.envs.twin.lights import LOWER_CASE
+from izoo.envs.twin.lights import is_major
+from izoo.envs.twin.margins import STANDING_MPS
 from izoo.envs.twin.order import back_on, last_on, tail_on
 
-HALTING_MPS = 0.1
 _MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32
 
@@ -241,7 +241,7 @@ def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no
         return -1, 0.0, False
     gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
     clear_of_it = back + way >= net.lane_floats[lane, LANE_LENGTH]
-    if clear_of_it and state.link_letter[link] >= LOWER_CASE and state.floats[first, SPEED] < HALTING_MPS:
+    if clear_of_it and not is_major(state.link_letter[link]) and state.floats[first, SPEED] < STANDING_MPS:
         # Who stands on a minor road does not block, unless the rear is still beside that road.
         gap = max(gap, 0.0)
     return first, gap, True

@@ -12,6 +12,7 @@ from izoo.envs.twin.arrays import (
     LANE_LENGTH,
     LANE_TAILS,
     LENGTH,
+    LOST_TAILS,
     MAX_TAIL_LANES,
     POSITION,
     TAIL_LANES,
@@ -75,7 +76,10 @@ def drop_tail(state, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
-    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes in its ``tail_lane`` as it reaches."""
+    """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes in its ``tail_lane`` as it reaches.
+
+    Where the tables have no room for it, that is counted: see :func:`izoo.envs.twin.twin_run.TwinRun.finish`.
+    """
     rest = traffic.floats[v, LENGTH] - state.floats[v, POSITION]
     kept = 0
     while kept < count and rest > 0.0:
@@ -87,6 +91,8 @@ def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
         state.lanes[lane, LANE_TAILS] = tails + 1
         rest -= net.lane_floats[lane, LANE_LENGTH]
         kept += 1
+    if rest > 0.0 and (kept < count or kept == MAX_TAIL_LANES):
+        state.clock[LOST_TAILS] += 1
     state.ints[v, TAIL_LANES] = kept
 
 

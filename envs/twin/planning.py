@@ -52,7 +52,6 @@ from izoo.envs.twin.arrays import (
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import slows_before
 from izoo.envs.twin.following import (
-    EPS,
     arrival_time_s,
     brake_gap,
     braked_speed,
@@ -68,12 +67,11 @@ from izoo.envs.twin.following import (
 )
 from izoo.envs.twin.inside import limit_by_foes
 from izoo.envs.twin.lights import is_major, stops_all
+from izoo.envs.twin.margins import EPS, POSITION_EPS, VISIBILITY_M
 from izoo.envs.twin.order import back_on, last_on, tail_on
 
-POSITION_EPS = 0.1
 STOP_LINE_GAP_M = 1.0
 YELLOW_DECEL_MPS2 = 3.0
-VISIBILITY_M = 4.5
 LOOK_BEYOND_LENGTHS = 5.0
 """A driver sees so many lengths of his vehicle of road behind junctions, and room for one more than there is inside."""
 SPEED_EPS = 1e-4

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from izoo.contexts.context import Context
-from izoo.envs.twin.planning import VISIBILITY_M
+from izoo.envs.twin.margins import VISIBILITY_M
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import parse_net

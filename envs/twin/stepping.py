@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.envs.twin.active import activate_busy, forget_empty
+from izoo.envs.twin.advising import forget_advice
 from izoo.envs.twin.arrays import (
     ACTIVE_FIRST,
     ACTIVE_LAST,
@@ -43,7 +44,7 @@ from izoo.envs.twin.arrays import (
     open_state,
     open_traffic,
 )
-from izoo.envs.twin.changing import change_lanes, prepare_change, take_commands
+from izoo.envs.twin.changing import change_lanes, take_commands
 from izoo.envs.twin.clearance import keep_clear
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.desk import Desk, Shapes, zeros
@@ -71,7 +72,6 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "waiting_first": lanes,
         "waiting_last": lanes,
         "link_letter": links,
-        "program_phase": programs,
         "program_switch_ms": programs,
         "active": (lanes, 4),
         # From here on rows are vehicles.
@@ -97,7 +97,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
     state = TwinState(**zeros(STATE, lengths), **(desk or Desk()).spread(STATE, working))
     for name in ("tail_lane", "tails", "waiting_first", "waiting_last", "waiting_next", "active"):
         getattr(state, name)[:] = -1
-    state.program_phase[:] = state.program_switch_ms[:] = -1
+    state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
     state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [ENTERED_MS, JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
@@ -154,7 +154,7 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         while v >= 0:
-            prepare_change(state, v)
+            forget_advice(state, v)
             v = state.ints[v, BEHIND]
         lane = state.active[lane, ACTIVE_NEXT]
     change_lanes(net, traffic, state, step_ms)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import zlib
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -24,6 +25,8 @@ from izoo.envs.twin.arrays import (
     EDGE_LANES,
     LANE_BACK,
     LANE_REGION,
+    LOST_TAILS,
+    MAX_TAIL_LANES,
     NEXT_DEPARTURE,
     NOW_MS,
     STATUS,
@@ -42,6 +45,8 @@ from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
 from izoo.traffic.sampling import Traffic
+
+_log = logging.getLogger("izoo")
 
 
 class Prepared(NamedTuple):
@@ -140,8 +145,16 @@ class TwinRun:
         return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
 
     def finish(self) -> None:
-        """Complete the metrics and the frame of the last step."""
+        """Complete the metrics and the frame of the last step; say so where vehicles were not driven as in SUMO."""
         state = self.driving.state
+        if state.clock[LOST_TAILS]:
+            _log.warning(
+                "context %s: the rear of a vehicle lay on more than %d lanes, or with more than as many others on one, "
+                "%d times; there the twin forgot it. Use simulator=sumo.",
+                self.play.context.name,
+                MAX_TAIL_LANES,
+                state.clock[LOST_TAILS],
+            )
         status = state.ints[:, STATUS]
         outside = (status == DRIVING) & (self._guests.row_of < 0)
         masks = (status == DROPPED, status == WAITING, outside, self._early)

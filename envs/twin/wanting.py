@@ -66,10 +66,9 @@ from izoo.envs.twin.lane_flags import (
     WANTED_RIGHTWARD,
     WANTS_CHANGE_OR_STAY,
 )
-from izoo.envs.twin.nearby import HALTING_MPS
+from izoo.envs.twin.margins import EPS, STANDING_MPS
 from izoo.envs.twin.outlook import room_taken
 
-EPS = 0.001
 _FORGETTING = 0.1
 _LOOK_AHEAD_S = 10.0
 _LOOK_AHEAD_LEFT = 2.0
@@ -190,7 +189,7 @@ def want(  # type: ignore[no-untyped-def]
             follower_gap, blocked, flags, step_s,
         )  # fmt: skip
         return flags
-    if right and offset == 0 and limit > _MOTORWAY_MPS and ahead_speed > HALTING_MPS:
+    if right and offset == 0 and limit > _MOTORWAY_MPS and ahead_speed > STANDING_MPS:
         return flags | STAY | STRATEGIC
     return _want_freely(
         net,

@@ -54,6 +54,7 @@ from izoo.envs.twin.conflicts import Ways, find_conflicts
 from izoo.envs.twin.nearby import incoming_lanes, mark_changing
 from izoo.envs.twin.playable import check_playable
 from izoo.envs.twin.routes import find_routes
+from izoo.errors import IzooError
 from izoo.networks.road import RoadNet, lane_shape, parse_net
 from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
@@ -114,8 +115,10 @@ class _Reader:
         self.lanes = [lane for edge in self.edges for lane in edge.findall("lane")]
         self.lane_rows = {lane.get("id"): row for row, lane in enumerate(self.lanes)}
         self.junctions = root.findall("junction")
-        self.programs = root.findall("tlLogic")
-        self.program_rows = {logic.get("id"): row for row, logic in enumerate(self.programs)}
+        # Of several programs of a signal SUMO plays the last.
+        programs = {logic.get("id"): logic for logic in root.findall("tlLogic")}
+        self.programs = list(programs.values())
+        self.program_rows = {name: row for row, name in enumerate(programs)}
 
     def read(self) -> TwinWorld:
         check_playable(self.root, self.path)
@@ -130,7 +133,10 @@ class _Reader:
         shown_order = np.argsort(shown, kind="stable")
         routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
         tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints, programs, phases, letters)
-        best = tabulate_best_lanes(tables, routes.route_edges)
+        try:
+            best = tabulate_best_lanes(tables, routes.route_edges)
+        except IzooError as error:
+            raise IzooError(f"{self.path}: {error}") from error
         mark_changing(edge_ints, lane_floats, lane_ints, link_ints)
         incoming = incoming_lanes(link_ints, len(self.lanes))
         shapes = [lane_shape(lane) for lane in self.lanes]
@@ -153,9 +159,6 @@ class _Reader:
             **best._replace(best_open=best.best_open.astype(np.uint8))._asdict(),
             incoming_start=incoming[0],
             incoming_links=incoming[1],
-            shape_start=np.cumsum([0, *map(len, shapes)]).astype(np.int32),
-            shape_points=np.concatenate(shapes),
-            lane_width=width_m,
             **self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes),
         )
         return TwinWorld(net, tuple(self.lane_rows), tuple(self.edge_rows), tuple(self.program_rows))

@@ -49,7 +49,7 @@ class SignalClock:
 
 
 def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) -> SignalClock:
-    """Build the tables from the net's ``<tlLogic id="TL">``.
+    """Build the tables from the net's ``<tlLogic id="TL">``; of several programs the last, which SUMO plays.
 
     Args:
         root: the ``<net>`` element.
@@ -57,9 +57,9 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
         path: name of the file, for messages.
     """
     logics = [logic for logic in root.findall("tlLogic") if logic.get("id") == "TL"]
-    if not logics or not logics[0].findall("phase"):
+    if not logics or not logics[-1].findall("phase"):
         raise IzooError(f"{path} has no signal program TL; only intersections with a fixed-time signal can be used.")
-    phases = logics[0].findall("phase")
+    phases = logics[-1].findall("phase")
     duration = np.array([float(phase.get("duration")) for phase in phases])
     if not (duration > 0).all():
         raise IzooError(f"{path}: the signal program TL has a phase without a positive duration; repair the net.")
@@ -75,7 +75,7 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
             colour[p, q, k] = min(_COLOUR.get(state[link], RED) for link in indices)
             permissive[p, q, k] = {state[link] for link in indices} & {"g", "G"} == {"g"}
             legal[p, q, k] = any(state[link] == "s" for link in indices)
-    return make_clock(duration, colour, permissive, legal, float(logics[0].get("offset", 0.0)))
+    return make_clock(duration, colour, permissive, legal, float(logics[-1].get("offset", 0.0)))
 
 
 def make_clock(

@@ -6,13 +6,18 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
+from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.road import RoadNet
 from tests.envs.worlds import Driver, at_random, crossing, defer, play, set_action
+from tests.networks.test_clock import signal_links
 
 
 def totals(env: EcoDrivingEnv, context: Context, seed: int, act: Driver) -> Counter[str]:
@@ -61,6 +66,56 @@ def test_red_crossings_are_noticed() -> None:
         assert sums["collisions_cv"].sum() > 0 and frame["next", "metrics", "episode", "collisions"].item() > 0
     finally:
         env.close()
+
+
+def rush(tensordict: TensorDictBase) -> TensorDictBase:
+    """Drive on at a moderate speed, so that many arrive at the stop line as the signal switches."""
+    speed = 15.0 * tensordict["agents", "observation"][..., :1]
+    return set_action(tensordict, (6.0 - speed).clamp(-4.5, 2.6))
+
+
+def letters_of(road: RoadNet, state: str) -> np.ndarray:
+    """Return the colour ``[P, Q]`` that SUMO's signal shows to each movement."""
+    colour = np.full(road.movement_turn.shape, RED)
+    for (p, q), links in signal_links(road).items():
+        colour[p, q] = min({"G": GREEN, "g": GREEN, "y": YELLOW}.get(state[link], RED) for link in links)
+    return colour
+
+
+def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
+    """With greens that end between two steps, what SUMO shows after a step is what it and the twin drove by."""
+    import libsumo
+
+    context = crossing(adoption=1.0, inflow_vph_per_lane=500.0, green_s=20.3, offset_s=2.1)
+    config = EnvConfig(horizon_s=400.0, warmup_s=5.0, step_s=1.0)
+    shown: list[np.ndarray] = []
+    invented = 0
+    for simulator in ("sumo", "twin"):
+        env = EcoDrivingEnv(context, config=config, simulator=simulator, worker=0)
+        try:
+            state = env.reset()
+            road, vehicles = env.road, state["vehicles"]
+            early = set(vehicles["vehicle_number"][vehicles["present"]].tolist())
+            on_red, before = 0, np.full(road.movement_turn.shape, GREEN)
+            for step in range(config.control_steps - 1):
+                frame, state = env.step_and_maybe_reset(rush(state))
+                if simulator == "sumo":
+                    shown.append(letters_of(road, libsumo.trafficlight.getRedYellowGreenState("TL")))
+                here, there = frame["vehicles"], frame["next", "vehicles"]
+                same = here["present"] & there["present"] & (here["vehicle_number"] == there["vehicle_number"])
+                crossing_now = same & (here["location"] == 0) & (there["location"] > 0)
+                for row in crossing_now.nonzero().flatten().tolist():
+                    movement = int(here["approach"][row]), int(here["exit"][row])
+                    counted = int(here["vehicle_number"][row]) not in early
+                    on_red += counted and shown[step][movement] == RED
+                    invented += counted and shown[step][movement] != RED and before[movement] == RED
+                before = shown[step]
+            sums = frame["next", "metrics", "approach"]
+            assert sums["crossed"].sum() > 100
+            assert sums["red_crossings_cv"].sum() == on_red
+        finally:
+            env.close()
+    assert invented > 0, "nobody crossed in a step in which red ended"
 
 
 def test_measured_intersections(env: EcoDrivingEnv, dataset: ContextList) -> None:

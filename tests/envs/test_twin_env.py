@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,10 +16,15 @@ from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.twin import twin_backend
+from izoo.envs.twin.arrays import ARRIVED, LOST_TAILS
+from izoo.envs.twin.twin_episode import TwinEpisode
+from izoo.envs.twin.whole_net import twin_traffic
 from izoo.errors import IzooError
+from izoo.networks.road import read_road
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.test_env import VARIANTS
+from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.worlds import Driver, at_random, crossing, defer, play, same, short, steer, steer_and_change
 
 # -- the same MDP as behind SUMO ---------------------------------------------------------------------------------------
@@ -244,6 +250,26 @@ def test_the_demand_closes(make_twin: MakeTwin, changes: dict[str, Any]) -> None
     reached = sum(last[name] for name in ("dropped", "waiting", "outside", "early", "entered"))
     assert torch.equal(last["due"], reached) and (last["due"] > 5).any()
     assert torch.equal(last["entered"], last["crossed"] + last["unfinished"])
+
+
+@pytest.mark.parametrize(("way", "lost"), [("AC", False), ("AB", True)])
+def test_tails_on_more_lanes_than_the_tables_hold_are_counted(tmp_path: Path, way: str, lost: bool) -> None:
+    """To the left a way has two lanes inside the junction."""
+    net = build_crossroads(tmp_path, [(100.0, "G" * 12)], length_m=25.0)
+    case = meeting(net, [{"depart": 0.0, "way": way, "length_m": 45.0}])
+    episode = TwinEpisode(case.world.net, twin_traffic(case.traffic, read_road(net), case.world.net))
+    for _ in range(60):
+        episode.step()
+    assert (episode.status == ARRIVED).all() and (episode.state.clock[LOST_TAILS] > 0) == lost
+
+
+def test_tails_that_were_lost_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureFixture) -> None:
+    env = make_twin(2)
+    state = env.reset()
+    env.backend._runs[1].driving.state.clock[LOST_TAILS] = 3
+    for _ in range(env.config.control_steps):
+        _, state = env.step_and_maybe_reset(steer(state))
+    assert [record.getMessage().count("3 times; there the twin forgot it") for record in caplog.records] == [1]
 
 
 def test_lane_changes_are_commanded(make_twin: MakeTwin) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
-from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.signals import clock_arrays, phase_driven, read_clock
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
+from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
 
@@ -23,8 +27,14 @@ def plan(duration_s: np.ndarray, colour: np.ndarray, offset_s: float = 0.0) -> S
 def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
     """Return the phase and ``[4, P, Q]``: colour, time left, second and third green."""
     arrays = clock_arrays(clock)
-    phase = read_clock(time_s, arrays)
-    return int(phase), np.stack([arrays.now, arrays.time_left_s, arrays.until_second_s, arrays.until_third_s])
+    read_clock(time_s, arrays)
+    state = np.stack([arrays.now, arrays.time_left_s, arrays.until_second_s, arrays.until_third_s])
+    return driven(clock, time_s + 0.001), state
+
+
+def driven(clock: SignalClock, time_s: float) -> int:
+    """Return the phase that vehicles drove by in the step that ended at ``time_s``."""
+    return int(phase_driven(time_s, clock_arrays(clock)))
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +120,8 @@ def test_against_brute_force() -> None:
                 assert state[2:, 0, 0].tolist() == [min(time_s, NEVER_S) for time_s in greens[1:3]]
 
 
-def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> None:
-    """Compare the clock with the state that SUMO's signal has in every step."""
+def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> int:
+    """Compare the clock with the state that SUMO's signal has in every step; return in how many it switches."""
     from izoo.envs.sumo.session import SumoSession, sumo_arguments
 
     routes = folder / "none.rou.xml"
@@ -122,17 +132,23 @@ def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> None:
 
     try:
         links = signal_links(road)
+        switches = 0
         letters = {"G": GREEN, "g": GREEN, "y": YELLOW, "r": RED, "s": RED}
         while session.time_s < duration_s:
             before = session.time_s
             session.advance()
             # What SUMO reports after a step is the state that was in force during it.
             state = libsumo.trafficlight.getRedYellowGreenState("TL")
-            _, ours = evaluate(road.clock, before)
+            phase, ours = evaluate(road.clock, before)
+            last = driven(road.clock, session.time_s)
+            switches += last != phase
             for (p, q), indices in links.items():
-                assert ours[0, p, q] == min(letters[state[link]] for link in indices), (before, p, q)
+                shown = min(letters[state[link]] for link in indices)
+                assert road.clock.colour[p, q, last] == shown, (before, p, q)
+                assert ours[0, p, q] == shown or last != phase, (before, p, q)
     finally:
         session.close()
+    return switches
 
 
 def signal_links(road: RoadNet) -> dict[tuple[int, int], list[int]]:
@@ -144,6 +160,36 @@ def signal_links(road: RoadNet) -> dict[tuple[int, int], list[int]]:
             key = road.approaches.index(connection.get("from")[0]), road.exits.index(connection.get("to")[3])
             links.setdefault(key, []).append(int(connection.get("linkIndex")))
     return links
+
+
+def built(folder: Path, change: Callable[[str], str]) -> RoadNet:
+    """Return a procedural intersection whose main program ``change`` has changed."""
+    text = build_net(procedural_context().intersection).read_text()
+    program = re.search(r' *<tlLogic id="TL".*?</tlLogic>', text, re.DOTALL)
+    assert program is not None
+    path = folder / "net.net.xml"
+    path.write_text(text.replace(program.group(0), change(program.group(0))))
+    return read_road(path)
+
+
+def test_vehicles_drive_by_every_switch_that_falls_in_a_step(tmp_path: Path) -> None:
+    """What they drive by is what SUMO shows after the step, also where a phase begins between two steps."""
+    road = built(tmp_path, lambda program: program.replace('duration="26', 'duration="26.27'))
+    assert road.clock.cycle_s % 0.5 > 0.01
+    assert follow_sumo(road, tmp_path, 300.0) >= 10
+
+
+def test_of_several_programs_the_last_is_played(tmp_path: Path) -> None:
+    """As in SUMO; the twin's is compared with SUMO's in ``tests/envs/twin``."""
+
+    def twice(program: str) -> str:
+        other = program.replace('programID="0"', 'programID="other"').replace('offset="0', 'offset="5')
+        other = other.replace('duration="26', 'duration="36')
+        return f"{program}\n{other}"
+
+    road = built(tmp_path, twice)
+    assert road.clock.cycle_s == read_road(build_net(procedural_context().intersection)).clock.cycle_s + 20.0
+    follow_sumo(road, tmp_path, 200.0)
 
 
 def test_against_sumo_on_published_nets(dataset: ContextList, tmp_path: Path) -> None:

@@ -176,9 +176,9 @@ class _NetSpecReader:
         return math.degrees(math.atan2(end[0] - float(centre.get("x")), end[1] - float(centre.get("y")))) % 360.0
 
     def signal_plan(self) -> SignalPlan:
-        """The plan of ``TL`` by movement; of the links of one movement the greenest counts."""
+        """The plan of ``TL`` by movement; of the links of one movement the greenest counts, of programs the last."""
         programs = [logic for logic in self.root.findall("tlLogic") if logic.get("id") == "TL"]
-        phases = programs[0].findall("phase") if programs else []
+        phases = programs[-1].findall("phase") if programs else []
         if not phases:
             raise IzooError(f"{self.path} has no signal program (tlLogic) TL with phases; fetch the file again.")
         links: dict[tuple[str, str], list[int]] = {}
@@ -191,7 +191,7 @@ class _NetSpecReader:
         if any(index >= shortest for indices in links.values() for index in indices):
             raise IzooError(f"{self.path}: the signal program TL has fewer states than links; fetch the file again.")
         return SignalPlan(
-            phases=tuple(_phase(phase, links) for phase in phases), offset_s=float(programs[0].get("offset") or 0.0)
+            phases=tuple(_phase(phase, links) for phase in phases), offset_s=float(programs[-1].get("offset") or 0.0)
         )
 
 

@@ -11,6 +11,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import import_libsumo, sumo_arguments
 from izoo.envs.twin.arrays import LANE_INSIDE, LINK_NEXT, TwinNet
+from izoo.envs.twin.lights import is_major
 from izoo.envs.twin.whole_net import read_twin_world, twin_traffic
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
@@ -75,3 +76,8 @@ def test_best_lanes_are_sumos_on_measured_intersections(dataset: ContextList, tm
     contexts = {context.intersection.name.rsplit("/", 1)[-1]: context for context in dataset}
     for number in ("110", "106"):
         assert assert_best_lanes_equal(contexts[number].replace(approach=None), tmp_path) > 100
+
+
+def test_only_capital_letters_have_priority() -> None:
+    """``=``, between equal roads, has none, though it comes before them."""
+    assert [letter for letter in "GMYgmyrsw=-" if is_major(ord(letter))] == ["G", "M", "Y"]

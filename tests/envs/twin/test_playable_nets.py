@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.catalogue import Scenario, build
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList
+from izoo.envs.twin.arrays import PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS
 from izoo.envs.twin.whole_net import read_twin_world
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
+from izoo.traffic.sampling import sample_traffic
+from tests.envs.twin.crossroads import build_crossroads
 from tests.envs.worlds import crossing
 
 LANE = '<lane id="A2TL_0"'
@@ -45,6 +49,46 @@ def test_what_the_twin_does_not_know_is_refused(tmp_path: Path, name: str) -> No
     assert count == 1
     with pytest.raises(IzooError, match=rf"net\.net\.xml: .*{message}.*\. Use simulator=sumo\.$"):
         read(_written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("lanes", "phases", "message"),
+    [
+        (
+            13,
+            2,
+            "a route passes 13 links whose priorities differ, in 2 patterns, and the twin holds 12 and 64; use",
+        ),
+        (7, 300, r"a route passes 7 links whose priorities differ, in \d+ patterns, and the twin holds 12 and 64"),
+    ],
+)
+def test_signals_with_more_patterns_than_the_tables_hold_are_refused(
+    tmp_path: Path, lanes: int, phases: int, message: str
+) -> None:
+    """Not played as if they showed the first one for ever."""
+    rng = np.random.default_rng(0)
+    path = build_crossroads(tmp_path, [(5.0, "".join(rng.choice(["G", "g"], 300))) for _ in range(phases)], lanes)
+    with pytest.raises(IzooError, match=rf"net\.net\.xml: {message}"):
+        read(path)
+
+
+def test_of_several_programs_of_a_signal_the_last_is_played(tmp_path: Path) -> None:
+    """As SUMO does, and the MDP's clock."""
+    context = crossing(lane_count=1, phase_count=1, approach="A")
+    text = build_net(context.intersection).read_text()
+    program = re.search(r' *<tlLogic id="TL".*?</tlLogic>', text, re.DOTALL).group(0)  # type: ignore[union-attr]
+    other = program.replace('programID="0"', 'programID="other"').replace('offset="', 'offset="1')
+    other = other.replace('duration="2', 'duration="3')
+    path = _written(tmp_path, text.replace(program, f"{program}\n{other}"))
+    road = read_road(path)
+    world = read_twin_world(road, path)
+    assert len(world.program_ids) == len(world.net.program_ints) == len(set(world.program_ids))
+    main = world.net.program_ints[world.program_ids.index("TL")]
+    assert main[PROGRAM_CYCLE_MS] == 1000 * road.clock.cycle_s
+    assert main[PROGRAM_OFFSET_MS] == 1000 * road.clock.offset_s
+    case = Case(world, path, sample_traffic(context, road, 3, 120.0), 3)
+    sumo = play_sumo(case, 300)
+    assert (sumo.lane >= 0).sum() > 500 and first_departure(case, sumo, play_twin(case, 300)) is None
 
 
 def test_what_restricts_no_car_is_played(tmp_path: Path) -> None:
