@@ -284,7 +284,8 @@ class _OnTransitions:
         plain = super().forward  # type: ignore[misc]
         mask = tensordict.get(self.tensor_keys.mask, None)
         if _is_of_nobody(tensordict, mask):
-            tensordict.set(self.tensor_keys.priority, torch.zeros(tensordict.shape if mask is None else mask.shape))
+            reward = tensordict.get(("next", *path_of(self.tensor_keys.reward)))
+            tensordict.set(self.tensor_keys.priority, torch.zeros_like(reward[..., 0]))
             return _nothing(self)
         if mask is None:
             return plain(tensordict)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
-from izoo.files import check_folder
+from izoo.files import check_folder, expanded
 
 REMEDY = "choose another file with out=FILE"
 
@@ -16,7 +15,7 @@ def check_out(config: Any) -> None:
     """Raise :class:`IzooError` where the file that the option ``out`` names, if any, cannot be written."""
     if config.out is None:
         return
-    path = Path(config.out)
+    path = expanded(config.out)
     check_folder(path.parent, REMEDY)
     if path.is_dir():
         raise IzooError(f"out={path} is a folder; {REMEDY}.")

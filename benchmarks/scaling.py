@@ -14,7 +14,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,7 +21,7 @@ import numpy as np
 from izoo.benchmarks.stopwatch import seconds_per_step
 from izoo.commands.option_command import OptionCommand
 from izoo.errors import check_range
-from izoo.files import write_json
+from izoo.files import expanded, write_json
 
 if TYPE_CHECKING:
     from izoo.envs import EnvConfig
@@ -190,7 +189,7 @@ def run_twin(config: ScalingConfig) -> None:
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
     if config.out is not None:
         content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
-        write_json(Path(config.out), {**content, **options})
+        write_json(expanded(config.out), {**content, **options})
 
 
 def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
@@ -229,7 +228,7 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     Console().print(table)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
     if config.out is not None:
-        write_json(Path(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
+        write_json(expanded(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
 
 
 COMMAND = OptionCommand(

@@ -24,14 +24,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from izoo.benchmarks.stopwatch import CHUNK
 from izoo.commands.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.errors import IzooError, check_range
-from izoo.files import write_json
+from izoo.files import expanded, write_json
 
 if TYPE_CHECKING:
     from izoo.benchmarks.throughput_plan import Sample
@@ -179,7 +178,7 @@ def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[R
     parts = profile(config) if twins else []
     if config.out is not None:
         content = {"workers": config.workers, "rows": [asdict(row) for row in rows], "twin_parts": parts}
-        write_json(Path(config.out), content)
+        write_json(expanded(config.out), content)
     return rows
 
 

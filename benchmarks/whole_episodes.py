@@ -45,7 +45,12 @@ def played(plays: Sequence[Play], env: EnvConfig, threads: int | None, make: Cal
         make: makes what drives, once the episodes have begun; a policy acts without exploring.
     """
     world = TwinEnv(
-        len(plays), lambda number: plays[number % len(plays)], config=env, threads=threads, surrogate="compiled"
+        len(plays),
+        lambda number: plays[number % len(plays)],
+        config=env,
+        threads=threads,
+        surrogate="compiled",
+        shard=0,
     )
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         state = world.reset()

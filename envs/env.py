@@ -221,15 +221,17 @@ def numbering(shard: int | None, num_shards: int, count: int, seed: int) -> tupl
     """Return the number of the first episode, and the stride, of ``count`` environments that share with others.
 
     Args:
-        shard: which of ``num_shards`` groups of ``count`` environments this is; ``None``: the only one.
+        shard: which of ``num_shards`` groups of ``count`` environments this is; ``None`` where it is the only one.
         seed: for the warning where there may be others.
 
     Raises:
-        IzooError: there is no such group.
+        IzooError: there is no such group, or it is not said which this is.
     """
     check_whole("num_shards", num_shards, 1, MAX_WORKERS)
     if shard is None:
-        _warn_of_doubles("several environments at once", "shard=k and num_shards=N", "shard=0", seed)
+        if num_shards > 1:
+            raise IzooError(f"num_shards is {num_shards}, and it is not said which of them this is; give shard=k, too.")
+        _warn_of_doubles("TwinEnv or SumoParallelEnv without shard=", "shard=k and num_shards=N", "shard=0", seed)
     else:
         check_whole("shard", shard, 0, num_shards - 1)
     return (shard or 0) * count, num_shards * count

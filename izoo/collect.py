@@ -12,6 +12,7 @@ from izoo.commands.entries import COLLECT as COMMAND
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
+    from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
 main = COMMAND.main
@@ -44,6 +45,16 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     from izoo.training.offline import replay_buffer as open_buffer
 
     return open_buffer(folder, **options)
+
+
+def trajectories(folder: Path | str) -> Tensor:
+    """Return numbers of the episodes that the steps of :func:`replay_buffer` are of, ``[frames]``.
+
+    ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)`` draws slices of episodes.
+    """
+    from izoo.training.offline import trajectories as read_trajectories
+
+    return read_trajectories(folder)
 
 
 if __name__ == "__main__":

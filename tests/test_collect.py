@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
 from izoo.training import offline
+from izoo.training.shards import ShardStorage
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -92,7 +94,17 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
     assert torch.equal(torch.cat([batch[key] for batch in ordered]), whole[key])
 
 
-def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path) -> None:
+def counting_slices(get: Callable[..., Any], counted: list[slice]) -> Callable[..., Any]:
+    """Return a storage's ``get`` that notes when it is asked for a slice."""
+
+    def noting(storage: ShardStorage, index: Any) -> Any:
+        counted.extend([index] if isinstance(index, slice) else [])
+        return get(storage, index)
+
+    return noting
+
+
+def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = [
         *TOY,
         "simulator=twin",
@@ -101,9 +113,12 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path) -> None:
         f"out={tmp_path / 'd'}",
     ]
     assert collect.main([*words, "frames=500", "shard_frames=200", "env.emit=[context,signal]"]) == 0
-    sampler = SliceSampler(slice_len=10, traj_key=("collector", "traj_ids"))
+    sampler = SliceSampler(slice_len=10, trajectories=collect.trajectories(tmp_path / "d"), cache_values=True)
     buffer = collect.replay_buffer(tmp_path / "d", batch_size=400, sampler=sampler)
+    whole_reads = []
+    monkeypatch.setattr(ShardStorage, "get", counting_slices(ShardStorage.get, whole_reads))
     slices = buffer.sample().reshape(-1, 10)
+    assert not whole_reads, "a sample read everything"
     assert (slices["agents", "action"][slices["agents", "mask"]] == 0.5).all(), "one's own policy was asked"
     for one in slices:
         assert one["context", "seed"].unique().numel() == 1

@@ -148,9 +148,9 @@ def to_content(estimates: Mapping[str, Estimate], config: SamplerConfig, source:
     }
 
 
-def finite(value: float, digits: int) -> float | None:
+def finite(value: float, digits: int) -> float | int | None:
     """Return a number with so many decimals; ``None``, as JSON has it, where chains that do not move give none."""
-    return round(value, digits) if math.isfinite(value) else None
+    return round(value, digits or None) if math.isfinite(value) else None
 
 
 def _provenance(result: Estimate, config: SamplerConfig) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def evaluate_policy(
 
     Args:
         policy: a scripted driver's name, ``module:function``, a TensorDict module, or a callable of TensorDicts. Each
-            episode is played by a fresh copy of it, a module in evaluation mode.
+            episode (``together``: each block of 64) is played by a fresh copy of it, a module in evaluation mode.
         contexts: the contexts; repeated ones are played once.
         seeds: episode seeds, the same in all contexts or each intersection's own; three or more for the tested gate to
             mean something.

@@ -54,11 +54,19 @@ def play_together(
             "simulator=twin, or executor=processes."
         )
     for key, group in itertools.groupby(sorted(tasks, key=lambda task: task.policy), lambda task: task.policy):
-        policy, own = cloudpickle.loads(policies[key]), list(group)
+        own = list(group)
         for first in range(0, len(own), MOST):
+            policy = cloudpickle.loads(policies[key])
             block = own[first : first + MOST]
             plays = [(task.context, task.seed) for task in block]
-            env = TwinEnv(len(block), _Plays(plays), config=config, threads=max(num_workers, 1), surrogate="compiled")
+            env = TwinEnv(
+                len(block),
+                _Plays(plays),
+                config=config,
+                threads=max(num_workers, 1),
+                surrogate="compiled",
+                shard=0,
+            )
             try:
                 yield from zip(block, run_together(env, policy, block[0].name, plays), strict=True)
             except IzooError:

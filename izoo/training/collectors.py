@@ -277,7 +277,8 @@ def _parallel(
     pasts: Sequence[EpisodePast],
     frames: int,
 ) -> Collector:
-    env = TrainingParallelEnv(config.num_workers, contexts=schedule, config=config.env, seed=config.seed, pasts=pasts)
+    options = {"contexts": schedule, "config": config.env, "seed": config.seed, "shard": 0}
+    env = TrainingParallelEnv(config.num_workers, pasts=pasts, **options)
     return _collector(env, policy, frames)
 
 
@@ -288,6 +289,7 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], 
         contexts=schedule,
         config=config.env,
         seed=config.seed,
+        shard=0,
         threads=config.twin.threads,
         surrogate=config.twin.surrogate,
         state=state,

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import nn
+from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
@@ -123,7 +123,7 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 
 def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
     if config.simulator == "sumo":
-        return SumoParallelEnv(_environments(config), contexts=schedule, config=config.env, seed=config.seed)
+        return SumoParallelEnv(_environments(config), contexts=schedule, config=config.env, seed=config.seed, shard=0)
     twin = config.twin
     if twin.surrogate == "cuda":
         check_gpu("twin.surrogate", "torch")
@@ -132,6 +132,7 @@ def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase
         schedule,
         config=config.env,
         seed=config.seed,
+        shard=0,
         threads=twin.threads,
         surrogate=twin.surrogate,
     )
@@ -191,8 +192,7 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
 
     It holds the steps of one environment after those of another, each in the order of time, so that TorchRL's
-    ``SliceSampler(traj_key=("collector", "traj_ids"), ...)`` draws slices of episodes. (It reads the whole data set
-    once, to find where they begin.)
+    ``SliceSampler`` draws slices of episodes, once it is told which step is of which (:func:`trajectories`).
 
     Args:
         folder: what ``out=`` named.
@@ -206,8 +206,21 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
         raise IzooError(
             f"replay_buffer() takes no {', '.join(ours)}: a data set is read only, in a storage of its own."
         )
-    storage = ShardStorage(load_shards(folder), _read_manifest(folder)["environments"])
-    return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options)
+    fixed = {"storage": _storage(folder), "writer": ImmutableDatasetWriter(), "collate_fn": as_they_are}
+    return TensorDictReplayBuffer(**fixed, **options)
+
+
+def trajectories(folder: Path | str) -> Tensor:
+    """Return numbers of the episodes that the steps of :func:`replay_buffer` are of, ``[frames]``.
+
+    For ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)``: with the name of a key
+    instead, it reads the whole data set for every batch.
+    """
+    return _storage(folder).leaf(("collector", "traj_ids"))
+
+
+def _storage(folder: Path | str) -> ShardStorage:
+    return ShardStorage(load_shards(folder), _read_manifest(folder)["environments"])
 
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:

@@ -141,8 +141,14 @@ class Baseline:
         if self._env is None or self._ready != block:
             self.close()
             schedule, twin = _Strided(self.schedule, block * self.block * self.stride, self.stride), self.config.twin
-            threads = {} if twin.threads is None else {"threads": twin.threads}
-            self._env = TwinEnv(self.block, schedule, config=self._env_config, surrogate=twin.surrogate, **threads)
+            self._env = TwinEnv(
+                self.block,
+                schedule,
+                config=self._env_config,
+                threads=twin.threads,
+                surrogate=twin.surrogate,
+                shard=0,
+            )
         self._ready = block + 1
         env, driver, paid = self._env, UncommandedDriver(self._env_config.lane_change), []
         state = env.reset()

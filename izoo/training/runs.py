@@ -65,9 +65,9 @@ def created(config: TrainConfig) -> Iterator[Path]:
     existed = run_dir.exists()
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
-        write_config(run_dir, config)
-        keep_drivers(run_dir, config)
         try:
+            keep_drivers(run_dir, config)
+            write_config(run_dir, config)
             yield run_dir
         except BaseException:
             if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
@@ -65,6 +66,10 @@ class ShardStorage(Storage):
             places.append(place)
         rows = parts[0] if len(parts) == 1 else torch.cat(parts)[torch.cat(places).argsort()]
         return rows[0] if wanted.ndim == 0 else rows.reshape(wanted.shape)
+
+    def leaf(self, key: NestedKey) -> Tensor:
+        """Return one leaf of all steps ``[frames, ...]``; the others are not read."""
+        return torch.cat([shard.get(key) for shard in self.shards])[self._stored(torch.arange(len(self)))]
 
     def _stored(self, steps: Tensor) -> Tensor:
         """Return where steps ``[n]`` of this sequence are stored; the first environments may have a step more."""

@@ -36,8 +36,11 @@ def test_shards_share_the_episodes(simulator: str) -> None:
     assert sorted(parts[0] + parts[1]) == sorted(whole)
 
 
+WRONG = ({"shard": 2, "num_shards": 2}, {"shard": -1}, {"num_shards": 0}, {"num_shards": 2}, {"shard": 1.5})
+
+
 @pytest.mark.parametrize("simulator", MAKERS)
-@pytest.mark.parametrize("wrong", [{"shard": 2, "num_shards": 2}, {"shard": -1}, {"num_shards": 0}, {"shard": 1.5}])
+@pytest.mark.parametrize("wrong", WRONG)
 def test_a_shard_that_is_not_there_is_refused(simulator: str, wrong: dict[str, int]) -> None:
     with pytest.raises(IzooError, match=next(iter(wrong)) if len(wrong) == 1 else "shard"):
         MAKERS[simulator](2, **wrong)

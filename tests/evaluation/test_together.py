@@ -16,6 +16,7 @@ from izoo.evaluation import together
 from izoo.evaluation.processes import EpisodeFailed
 from izoo.evaluation.runner import evaluate_policy
 from izoo.evaluation.selection import EpisodeSeeds
+from tests.evaluation.odd_policies import Tiring
 
 SHORT = EnvConfig(hold_s=2.0, horizon_s=90.0, warmup_s=20.0)
 CONTEXTS = [
@@ -49,6 +50,13 @@ def test_side_by_side_or_one_after_the_other_is_the_same(tmp_path: Path, monkeyp
     assert set(beside["policy"]) == {"human", "uncommanded", "driver"} and len(beside) == 3 * 2 * (1 + 4 + 1)
     means = beside.groupby("policy")["emission_g"].sum()
     assert means.nunique() == 3
+
+
+def test_nothing_passes_from_one_block_to_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(together, "MOST", 1)
+    tables = [evaluated(executor, tmp_path, Tiring()) for executor in ("processes", "together")]
+    order = ["policy", "context_hash", "seed", "approach"]
+    pd.testing.assert_frame_equal(*(table.sort_values(order, ignore_index=True) for table in tables))
 
 
 def test_what_it_cannot_play_is_refused_and_what_fails_is_named(tmp_path: Path) -> None:

@@ -68,23 +68,27 @@ def test_helpers_end_with_the_crew() -> None:
 
 
 @pytest.fixture
-def interrupts() -> Iterator[None]:
-    """Interrupt this thread every 50 ms, as an impatient user does, until the test ends."""
+def interrupts() -> Iterator[threading.Event]:
+    """Interrupt this thread every 50 ms, as an impatient user does, while this is set."""
+    armed = threading.Event()
 
     def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+        if armed.is_set():
+            raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.setitimer(signal.ITIMER_REAL, 0.05, 0.05)
     try:
-        yield
+        yield armed
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_who_is_interrupted_waits_for_the_others_all_the_same(crew: Crew, interrupts: None, waits: bool) -> None:
+def test_who_is_interrupted_waits_for_the_others_all_the_same(
+    crew: Crew, interrupts: threading.Event, waits: bool
+) -> None:
     """However often: the caller may let go of the memory that they work on. Their reports are not the next task's."""
     ended: list[int] = []
 
@@ -97,10 +101,13 @@ def test_who_is_interrupted_waits_for_the_others_all_the_same(crew: Crew, interr
 
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
-            crew.work(slow)
+            try:
+                interrupts.set()
+                crew.work(slow)
+            finally:
+                interrupts.clear()
         assert sorted(ended) == [1, 2]
         ended.clear()
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
     crew.work(ended.append)
     assert sorted(ended) == [0, 1, 2]
 
