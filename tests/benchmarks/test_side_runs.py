@@ -49,6 +49,7 @@ def test_the_cores_are_shared_out() -> None:
     assert len(many) == 3 * len(mine) and all(len(part) == 1 for part in many) and set().union(*many) == mine
 
 
+@pytest.mark.slow
 def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path) -> None:
     with SideRuns(2) as beside:
         for seed in (0, 1):

@@ -27,7 +27,7 @@ def episodes(env: EcoDrivingBase, resets: int) -> list[tuple[int, int]]:
     ]
 
 
-@pytest.mark.parametrize("simulator", MAKERS)
+@pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
 def test_shards_share_the_episodes(simulator: str) -> None:
     make: Callable[..., EcoDrivingBase] = MAKERS[simulator]
     whole = episodes(make(4), resets=2)

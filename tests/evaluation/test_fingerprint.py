@@ -91,6 +91,7 @@ def test_a_callable_may_hold_itself_or_nothing_yet() -> None:
     assert fingerprint(held) and fingerprint(unfilled)
 
 
+@pytest.mark.slow
 def test_fingerprints_are_the_same_in_every_process() -> None:
     code = (
         "import numpy as np, torch; from izoo import zoo; from izoo.evaluation.fingerprint import fingerprint;"

@@ -71,6 +71,7 @@ def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
         collector.shutdown()
 
 
+@pytest.mark.slow
 def test_environments_that_do_not_begin_say_why_in_one_sentence(policy: TensorDictModuleBase) -> None:
     """The error is the one of the process, which has ended; without TorchRL's traceback after it."""
     config = dataclasses.replace(CONFIG, env=dataclasses.replace(CONFIG.env, num_approaches=1))

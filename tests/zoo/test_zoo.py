@@ -232,6 +232,7 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     assert everybody == zoo.read(exported).env
 
 
+@pytest.mark.slow
 def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) -> None:
     """And so does a checkpoint, whose file ends like it."""
     words = ["contexts=pcg_easy", "frames=20", "env.horizon_s=75", "num_workers=1"]
