@@ -217,27 +217,28 @@ class EcoDrivingBase(EnvBase):
         return self._reset(TensorDict._new_unsafe({"_reset": ended}, batch_size=self.batch_size))
 
 
-def numbering(shard: int | None, num_shards: int, count: int, seed: int) -> tuple[int, int]:
+def numbering(number: int | None, of: int, count: int, seed: int, *, name: str = "shard") -> tuple[int, int]:
     """Return the number of the first episode, and the stride, of ``count`` environments that share with others.
 
     Args:
-        shard: which of ``num_shards`` groups of ``count`` environments this is; ``None`` where it is the only one.
+        number: which of ``of`` groups of ``count`` environments this is; ``None`` where it is the only one.
         seed: for the warning where there may be others.
+        name: what the option is called that says ``number``.
 
     Raises:
         IzooError: there is no such group, or it is not said which this is.
     """
-    check_whole("num_shards", num_shards, 1, MAX_WORKERS)
-    if shard is None:
-        if num_shards > 1:
-            raise IzooError(f"num_shards is {num_shards}, and it is not said which of them this is; give shard=k, too.")
-        _warn_of_doubles("TwinEnv or SumoParallelEnv without shard=", "shard=k and num_shards=N", "shard=0", seed)
+    check_whole(f"num_{name}s", of, 1, MAX_WORKERS)
+    if number is None:
+        if of > 1:
+            raise IzooError(f"num_{name}s is {of}, and it is not said which of them this is; give {name}=k, too.")
+        _warn_of_doubles(name, seed)
     else:
-        check_whole("shard", shard, 0, num_shards - 1)
-    return (shard or 0) * count, num_shards * count
+        check_whole(name, number, 0, of - 1)
+    return (number or 0) * count, of * count
 
 
-def _warn_of_doubles(what: str, remedy: str, meant: str, seed: int) -> None:
+def _warn_of_doubles(name: str, seed: int) -> None:
     """Say that environments which were not told their numbers may play the same episodes.
 
     An environment cannot know of the others beside it, but that it was made in a process of ``multiprocessing``, as
@@ -246,9 +247,9 @@ def _warn_of_doubles(what: str, remedy: str, meant: str, seed: int) -> None:
     if multiprocessing.parent_process() is not None:
         # No warning of Python: TorchRL silences those in its workers.
         _log.warning(
-            "%s, made in a worker process: every such process with seed=%s plays the same episodes. Give %s, or %s "
-            "if that is meant.",
-            *(what, seed, remedy, meant),
+            "an environment was made in a worker process without %s=: every such process with seed=%s plays the same "
+            "episodes. Give %s=k and num_%ss=N, or %s=0 if that is meant.",
+            *(name, seed, name, name, name),
         )
 
 
@@ -302,13 +303,9 @@ class EcoDrivingEnv(EcoDrivingBase):
     ) -> None:
         config = checked_config(config)
         check_choice("simulator", simulator, SIMULATORS)
-        check_whole("num_workers", num_workers, 1, MAX_WORKERS)
-        if worker is None:
-            _warn_of_doubles("EcoDrivingEnv without worker=", "worker=k and num_workers=N", "worker=0", seed)
-        else:
-            check_whole("worker", worker, 0, num_workers - 1)
+        numbers = numbering(worker, num_workers, 1, seed, name="worker")
         frames, backend = _BACKENDS[simulator](config)
-        super().__init__(contexts, config, seed, [], frames, backend, worker or 0, num_workers)
+        super().__init__(contexts, config, seed, [], frames, backend, *numbers)
 
     def _reset(
         self,

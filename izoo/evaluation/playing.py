@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -87,8 +86,10 @@ def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase) -> Non
     The policy finds ``is_init``, true in the first step alone, and what it has written before: at the root, or under
     ``"next"``, as TorchRL's recurrent modules do.
     """
-    for first in itertools.chain([True], itertools.repeat(False)):
-        tensordict.set(INIT, torch.full((*env.batch_size, 1), first))
+    begins = torch.ones(*env.batch_size, 1, dtype=torch.bool)
+    goes_on = ~begins
+    tensordict.set(INIT, begins)
+    while True:
         result = policy(tensordict)
         if result is None or ("agents", "action") not in result.keys(include_nested=True):
             raise IzooError("the policy wrote no ('agents', 'action'); it must return the TensorDict with that key.")
@@ -98,6 +99,7 @@ def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase) -> Non
             return
         if kept is not None:
             following.update(kept.exclude(*following.keys(True, True)))
+        following.set(INIT, goes_on)
         tensordict = step_mdp(result, exclude_action=True)
 
 

@@ -277,8 +277,9 @@ def _parallel(
     pasts: Sequence[EpisodePast],
     frames: int,
 ) -> Collector:
-    options = {"contexts": schedule, "config": config.env, "seed": config.seed, "shard": 0}
-    env = TrainingParallelEnv(config.num_workers, pasts=pasts, **options)
+    env = TrainingParallelEnv(
+        config.num_workers, contexts=schedule, config=config.env, seed=config.seed, shard=0, pasts=pasts
+    )
     return _collector(env, policy, frames)
 
 

@@ -206,8 +206,9 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
         raise IzooError(
             f"replay_buffer() takes no {', '.join(ours)}: a data set is read only, in a storage of its own."
         )
-    fixed = {"storage": _storage(folder), "writer": ImmutableDatasetWriter(), "collate_fn": as_they_are}
-    return TensorDictReplayBuffer(**fixed, **options)
+    return TensorDictReplayBuffer(
+        storage=_storage(folder), writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options
+    )
 
 
 def trajectories(folder: Path | str) -> Tensor:
@@ -220,13 +221,13 @@ def trajectories(folder: Path | str) -> Tensor:
 
 
 def _storage(folder: Path | str) -> ShardStorage:
-    return ShardStorage(load_shards(folder), _read_manifest(folder)["environments"])
+    return ShardStorage(load_shards(folder), environments=_read_manifest(folder)[0])
 
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:
     """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
     folder = expanded(folder)
-    shards = [(folder / name, frames) for name, frames in _read_manifest(folder)["shards"]]
+    shards = [(folder / name, frames) for name, frames in _read_manifest(folder)[1]]
     missing = [shard.name for shard, _ in shards if not shard.is_dir()]
     if missing or not shards:
         raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
@@ -240,8 +241,8 @@ def load_shards(folder: Path | str) -> list[TensorDictBase]:
     return [steps if len(steps) == frames else steps[:frames] for steps, frames in opened]
 
 
-def _read_manifest(folder: Path | str) -> dict[str, Any]:
-    """Return ``environments``, how many stepped together, and ``shards``, name and frames of each."""
+def _read_manifest(folder: Path | str) -> tuple[int, list[tuple[str, int]]]:
+    """Return how many environments stepped together, and name and frames of every shard."""
     path = expanded(folder) / MANIFEST
     if not path.is_file():
         raise IzooError(f"{path.parent} has no {MANIFEST}; give a folder that python -m izoo.collect has written.")
@@ -255,7 +256,7 @@ def _read_manifest(folder: Path | str) -> dict[str, Any]:
         raise IzooError(f"{path} is damaged; collect the data again.") from error
     if form != FORMAT:
         raise IzooError(f"{path} is of format {form!r}; this version of izoo reads {FORMAT}.")
-    return {"environments": environments, "shards": shards}
+    return environments, shards
 
 
 class ShardWriter:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from izoo.envs import SumoParallelEnv, TwinEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
@@ -34,6 +34,11 @@ def test_shards_share_the_episodes(simulator: str) -> None:
     parts = [episodes(make(2, shard=shard, num_shards=2), resets=2) for shard in range(2)]
     assert [episode for episode, _ in parts[1]] == [2, 3, 6, 7]
     assert sorted(parts[0] + parts[1]) == sorted(whole)
+
+
+def test_a_single_environment_says_which_it_is_as_well() -> None:
+    with pytest.raises(IzooError, match=r"num_workers is 4, and .*; give worker=k, too"):
+        EcoDrivingEnv(crossing(), config=short(), num_workers=4)
 
 
 WRONG = ({"shard": 2, "num_shards": 2}, {"shard": -1}, {"num_shards": 0}, {"num_shards": 2}, {"shard": 1.5})
