@@ -228,7 +228,7 @@ def test_environments_whose_episodes_are_of_different_age_arrive_together() -> N
 def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
     """Of a single environment, or of one worker among several."""
     config = EnvConfig(horizon_s=60.0, num_agents=16, emit=("context",))
-    env = TrainingEnv(DENSE, config=config, num_workers=num_workers, pasts=[EpisodePast(4)])
+    env = TrainingEnv(DENSE, config=config, worker=0, num_workers=num_workers, pasts=[EpisodePast(4)])
     try:
         state = env.reset()
         assert state["context", "episode"].item() == 4
