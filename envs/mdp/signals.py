@@ -9,6 +9,9 @@ import numpy as np
 from izoo.compiling import compiled
 from izoo.networks.clock import NEVER_S, SignalClock
 
+_TICK_S = 0.001
+"""Simulators keep time in milliseconds."""
+
 
 class ClockArrays(NamedTuple):
     """Tables of :class:`~izoo.networks.clock.SignalClock`, and the clock's present state ``[P, Q]``."""
@@ -33,10 +36,6 @@ def clock_arrays(clock: SignalClock) -> ClockArrays:
     tables: dict[str, Any] = {name: getattr(clock, name) for name in ClockArrays._fields[:8]}
     state: dict[str, Any] = {name: np.zeros(shape) for name in ClockArrays._fields[9:]}
     return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
-
-
-_TICK_S = 0.001
-"""Simulators keep time in milliseconds."""
 
 
 @compiled(borrows=True)

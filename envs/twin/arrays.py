@@ -82,13 +82,10 @@ class TwinNet(NamedTuple):
         program_first_link: ``[T + 1]`` int32, range of each program in ``program_links``. program_links: int32, the
             links that show a program.
         route_edges: ``[R, MAX_ROUTE_EDGES]`` int32, source edge to exit edge, then -1; inside edges are left out.
-        route_approach, route_source, route_exit: ``[R]`` int32, as in :class:`~izoo.traffic.sampling.Traffic`.
         route_exit_edge: ``[R]`` int32, row of the last edge. source_lanes: int32, rows of the lanes to enter on.
         route_of: ``[P, 2, Q]`` int32, the route by approach, source kind, exit.
         route_link: ``[R, L]`` int32, the link by which a vehicle of the route leaves the lane; -1 where the lane does
             not lead on (or the route ends).
-        route_lane_step: ``[R, L]`` int32, position in ``route_edges`` of the lane's edge (inside lanes: of the edge
-            before); -1 off the route.
         variant_first, variant_count: ``[R]`` int32; variant_links, variant_group: ``[R, 12]`` int32; variant_bits:
             ``[X]`` int64; best_length: ``[X, L]`` float64; best_offset, best_link: ``[X, L]`` int32; best_open:
             ``[X, L]`` uint8; best_road: ``[X, L]`` int32: see :class:`~izoo.envs.twin.best_lanes.BestTables`.
@@ -108,14 +105,10 @@ class TwinNet(NamedTuple):
     program_first_link: Int1
     program_links: Int1
     route_edges: Int2
-    route_approach: Int1
-    route_source: Int1
-    route_exit: Int1
     route_exit_edge: Int1
     source_lanes: Int1
     route_of: Int3
     route_link: Int2
-    route_lane_step: Int2
     variant_first: Int1
     variant_count: Int1
     variant_links: Annotated[np.ndarray, "int32", 2, 12]

@@ -27,12 +27,8 @@ class RouteTables(NamedTuple):
     """The fields of :class:`~izoo.envs.twin.arrays.TwinNet` of the same names."""
 
     route_edges: np.ndarray
-    route_approach: np.ndarray
-    route_source: np.ndarray
-    route_exit: np.ndarray
     route_of: np.ndarray
     route_link: np.ndarray
-    route_lane_step: np.ndarray
 
 
 class _Lanes:
@@ -80,28 +76,22 @@ def find_routes(
     count, lane_count = len(found), len(lane_ints)
     tables = RouteTables(
         route_edges=np.full((count, MAX_ROUTE_EDGES), -1, np.int32),
-        route_approach=np.array([p for p, *_ in found], np.int32),
-        route_source=np.array([s for _, s, *_ in found], np.int32),
-        route_exit=np.array([q for _, _, q, _ in found], np.int32),
         route_of=np.full((len(road.approaches), len(SOURCE_KINDS), len(road.exits)), -1, np.int32),
         route_link=np.full((count, lane_count), -1, np.int32),
-        route_lane_step=np.full((count, lane_count), -1, np.int32),
     )
     for row, (p, source, q, edges) in enumerate(found):
         tables.route_edges[row, : len(edges)] = edges
         tables.route_of[p, source, q] = row
-        _follow(lanes, edges, tables.route_link[row], tables.route_lane_step[row])
+        _follow(lanes, edges, tables.route_link[row])
     return tables
 
 
-def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray, lane_step: np.ndarray) -> None:
-    """Fill one route's rows, from its end to its beginning."""
+def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray) -> None:
+    """Fill one route's row, from its end to its beginning."""
     length, offset = np.zeros(len(lanes.length)), np.zeros(len(lanes.length), np.int32)
-    for step, edge in enumerate(edges):
-        lane_step[list(lanes.of_edge(edge))] = step
     last = list(lanes.of_edge(edges[-1]))
     length[last] = lanes.length[last]
-    for step, (edge, after) in reversed(list(enumerate(itertools.pairwise(edges)))):
+    for edge, after in reversed(list(itertools.pairwise(edges))):
         onward = set(lanes.of_edge(after))
         for lane in lanes.of_edge(edge):
             length[lane] = lanes.length[lane]
@@ -116,16 +106,16 @@ def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray, lane_step: 
             offset[lane] = offset[target]
             route_link[lane] = chosen
             for way in ways:
-                _follow_inside(lanes, way, step, route_link, lane_step)
+                _follow_inside(lanes, way, route_link)
         _point_to_best(np.array(lanes.of_edge(edge)), length, offset)
 
 
-def _follow_inside(lanes: _Lanes, link: int, step: int, route_link: np.ndarray, lane_step: np.ndarray) -> None:
+def _follow_inside(lanes: _Lanes, link: int, route_link: np.ndarray) -> None:
     """Enter the inside lanes behind ``link``: each leads on by its only link."""
     lane = int(lanes.links[link, LINK_NEXT])
     while lanes.ints[lane, LANE_INSIDE]:
         onward = lanes.links_of(lane)[0]
-        route_link[lane], lane_step[lane] = onward, step
+        route_link[lane] = onward
         lane = int(lanes.links[onward, LINK_NEXT])
 
 

@@ -27,9 +27,9 @@ from izoo.envs.twin.desk import Desk
 from izoo.envs.twin.emitting import GROUP, Emitter
 from izoo.envs.twin.fetching import PARTS_BYTES, no_ranges
 from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
-from izoo.envs.twin.whole_net import to_ms
 from izoo.errors import IzooError, check_choice, check_whole
 from izoo.gpu import check_gpu
+from izoo.networks.clock import to_ms
 
 SURROGATES = ("torch", "cuda", "compiled")
 

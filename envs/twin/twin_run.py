@@ -40,8 +40,9 @@ from izoo.envs.twin.fetching import NET_AT, PARTS_BYTES, STATE_AT, no_ranges
 from izoo.envs.twin.guests import GUESTS, READING, Guests
 from izoo.envs.twin.handles import address_of, parts_at
 from izoo.envs.twin.twin_episode import TwinEpisode
-from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, to_ms, twin_traffic
+from izoo.envs.twin.whole_net import TwinWorld, read_twin_world, twin_traffic
 from izoo.errors import IzooError
+from izoo.networks.clock import to_ms
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
 from izoo.traffic.sampling import Traffic

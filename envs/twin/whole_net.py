@@ -55,6 +55,7 @@ from izoo.envs.twin.nearby import incoming_lanes, mark_changing
 from izoo.envs.twin.playable import check_playable
 from izoo.envs.twin.routes import find_routes
 from izoo.errors import IzooError
+from izoo.networks.clock import to_ms
 from izoo.networks.road import RoadNet, lane_shape, parse_net
 from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
@@ -290,11 +291,6 @@ class _Reader:
             programs[row, PROGRAM_CYCLE_MS] = begin_ms
             programs[row, PROGRAM_OFFSET_MS] = to_ms(float(logic.get("offset", 0.0)))
         return programs, np.array(phases, np.int64).reshape(-1, 2), np.frombuffer(bytes(letters), np.uint8)
-
-
-def to_ms(time_s: float) -> int:
-    """Return SUMO's integer time."""
-    return round(time_s * 1000.0)
 
 
 def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:

@@ -6,6 +6,7 @@ clock at time ``t`` is a table entry minus the time already spent in the phase.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,11 @@ GREEN, YELLOW, RED = 0, 1, 2
 NEVER_S = 300.0
 """The longest time reported: for a change or a green that never comes (a movement without green, or always green)."""
 _COLOUR = {"G": GREEN, "g": GREEN, "O": GREEN, "o": GREEN, "y": YELLOW, "Y": YELLOW}
+
+
+def to_ms(time_s: float) -> int:
+    """Return SUMO's integer time: whole milliseconds, halves rounded up."""
+    return math.floor(time_s * 1000.0 + 0.5)
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,8 @@ class SignalClock:
 def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) -> SignalClock:
     """Build the tables from the net's ``<tlLogic id="TL">``; of several programs the last, which SUMO plays.
 
+    Times are those of SUMO, in whole milliseconds: a finer duration would let the clock drift, cycle by cycle.
+
     Args:
         root: the ``<net>`` element.
         links: link indices of each movement ``(p, q)`` at the signal.
@@ -60,9 +68,10 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
     if not logics or not logics[-1].findall("phase"):
         raise IzooError(f"{path} has no signal program TL; only intersections with a fixed-time signal can be used.")
     phases = logics[-1].findall("phase")
-    duration = np.array([float(phase.get("duration")) for phase in phases])
-    if not (duration > 0).all():
+    given = [float(phase.get("duration")) for phase in phases]
+    if not all(0.0 < duration_s < math.inf and to_ms(duration_s) for duration_s in given):
         raise IzooError(f"{path}: the signal program TL has a phase without a positive duration; repair the net.")
+    duration = np.array([to_ms(duration_s) / 1000.0 for duration_s in given])
     states = [phase.get("state") for phase in phases]
     width = min(len(state) for state in states)
     if any(link >= width for indices in links.values() for link in indices):
@@ -75,7 +84,7 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
             colour[p, q, k] = min(_COLOUR.get(state[link], RED) for link in indices)
             permissive[p, q, k] = {state[link] for link in indices} & {"g", "G"} == {"g"}
             legal[p, q, k] = any(state[link] == "s" for link in indices)
-    return make_clock(duration, colour, permissive, legal, float(logics[-1].get("offset", 0.0)))
+    return make_clock(duration, colour, permissive, legal, to_ms(float(logics[-1].get("offset", 0.0))) / 1000.0)
 
 
 def make_clock(

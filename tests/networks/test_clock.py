@@ -12,6 +12,7 @@ import pytest
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.envs.mdp.signals import clock_arrays, phase_driven, read_clock
+from izoo.errors import IzooError
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
@@ -177,6 +178,19 @@ def test_vehicles_drive_by_every_switch_that_falls_in_a_step(tmp_path: Path) -> 
     road = built(tmp_path, lambda program: program.replace('duration="26', 'duration="26.27'))
     assert road.clock.cycle_s % 0.5 > 0.01
     assert follow_sumo(road, tmp_path, 300.0) >= 10
+
+
+def test_times_are_those_of_sumo_in_whole_milliseconds(tmp_path: Path) -> None:
+    """By durations as they are written the clock would run ahead of SUMO, and change a step too early."""
+    road = built(tmp_path, lambda program: program.replace('duration="26"', 'duration="25.99951"'))
+    follow_sumo(road, tmp_path, 300.0)
+    assert road.clock.cycle_s == 58.0
+
+
+@pytest.mark.parametrize("duration", ["0.0004", "-3", "nan", "inf"])
+def test_phases_without_a_duration_are_refused(duration: str, tmp_path: Path) -> None:
+    with pytest.raises(IzooError, match="the signal program TL has a phase without a positive duration"):
+        built(tmp_path, lambda program: program.replace('duration="26"', f'duration="{duration}"'))
 
 
 def test_of_several_programs_the_last_is_played(tmp_path: Path) -> None:
