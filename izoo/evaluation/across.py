@@ -7,6 +7,7 @@ other intersections and, from four training seeds on, over other training seeds 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -103,19 +104,32 @@ def aggregate(rows: pd.DataFrame) -> dict[str, Any]:
     tasks = rows.drop_duplicates(TASK)
     parts = [(int(seed), part[part["left_out"] == ""]) for seed, part in rows.groupby(RUN)]
     per_seed: list[dict[str, Any]] = [
-        {"seed": seed, **plain_figures(part), "n": len(part)} for seed, part in parts if len(part)
+        {"seed": seed, **_without_nan(plain_figures(part)), "n": len(part)} for seed, part in parts if len(part)
     ]
-    best = max(per_seed, key=lambda run: run["exact"]["ratio_of_sums"], default=None)
+    rated = [run for run in per_seed if run["exact"]["ratio_of_sums"] is not None]
+    best = max(rated, key=lambda run: run["exact"]["ratio_of_sums"], default=None)
     n = {
         "train_seeds": len(parts),
         "approaches": int((tasks["left_out"] == "").sum()),
         "saturated": len(compared["saturated"]),
         "left_out": len(compared["left_out"]),
-        "intersections": int(tasks["intersection"].nunique()),
+        "intersections": counted_intersections(rows),
         "eval_seeds": int(rows["seeds"].min()),
     }
     label = PAPER_FORM.format(n=len(parts))
     return {"n": n, **compared, "per_seed": per_seed, "best_seed": best and {"label": label, **best}}
+
+
+def _without_nan(figures: dict[str, dict[str, float]]) -> dict[str, dict[str, float | None]]:
+    return {
+        part: {name: None if math.isnan(value) else value for name, value in named.items()}
+        for part, named in figures.items()
+    }
+
+
+def counted_intersections(rows: pd.DataFrame) -> int:
+    """Return on how many intersections figures of :func:`policy_rows` rest: without approaches that are left out."""
+    return int(rows.loc[rows["left_out"] == "", "intersection"].nunique())
 
 
 def improvement(x: pd.DataFrame, y: pd.DataFrame) -> statistics.Estimate | None:

@@ -81,9 +81,16 @@ def as_candidate(policy: str | Policy, config: EnvConfig, name: str | None = Non
 def import_policy(reference: str) -> Policy:
     """Import ``module:function``; a class is called without arguments."""
     module_name, _, attribute = reference.partition(":")
+    if not all(part.isidentifier() for part in (*module_name.split("."), *attribute.split("."))):
+        raise IzooError(
+            f"{reference!r} is no policy: it is written module:function, such as mine:drive for the function drive of "
+            "mine.py, whose folder is on PYTHONPATH."
+        )
     try:
         found: Any = functools.reduce(getattr, attribute.split("."), importlib.import_module(module_name))
     except (ImportError, AttributeError) as error:
         raise IzooError(f"cannot import the policy {reference!r}: {error}. It is written module:function.") from error
     policy: Any = found() if inspect.isclass(found) else found
+    if not callable(policy):
+        raise IzooError(f"the policy {reference!r} is a {type(policy).__name__}; name a function, a module or a class.")
     return policy

@@ -75,10 +75,9 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
     for name, scores in summary["scores"].items():
         if scores["nan_share"]:
             console.print(nan_in_words(plain(name), scores["nan_share"]), highlight=False, markup=False)
+    words = intervals_in_words(intersections_of(summary))
     console.print(
-        f"{places_in_words(n)}, {n['seeds']} paired seeds, "
-        f"{n['episodes']} episodes. {intervals_in_words([n['intersections']])}",
-        highlight=False,
+        f"{places_in_words(n)}, {n['seeds']} paired seeds, {n['episodes']} episodes. {words}", highlight=False
     )
     if n["seeds"] < MIN_EVAL_SEEDS:
         console.print(f"Only {counted(n['seeds'], 'seed')} per context: three or more are needed to judge throughput.")
@@ -103,6 +102,11 @@ def benefit_table(
     if nan_share:
         mark += f"; {100.0 * nan_share:.3g} % of the commands NaN, driven by SUMO"
     return _rich(f"{name} against {baseline} on {SIMULATOR_NAMES[simulator]}{mark}", *comparison_rows(comparison))
+
+
+def intersections_of(summary: dict[str, Any]) -> list[int]:
+    """Return on how many intersections the figures of each policy rest."""
+    return [policy["intersections"] for policy in summary["policies"].values()]
 
 
 def places_in_words(n: dict[str, int]) -> str:

@@ -50,7 +50,9 @@ def add_sources(folder: Path, contexts: Iterable[Context], policy: str, source: 
     except IzooError:
         old = Sources()
     is_file = isinstance(source, Path) or (source is not None and Path(source).suffix == WEIGHTS)
-    text = os.path.relpath(expanded(source or ""), folder) if is_file else source
+    path = expanded(source or "")
+    # A link as the last part stays: it may come to mean another file, and then it is that one that is asked for.
+    text = os.path.relpath(path.parent.resolve() / path.name, folder.resolve()) if is_file else source
     everything = {**old.contexts, **{context.content_hash: context for context in contexts}}
     content = {
         "format": FORMAT,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError, check_choice
-from izoo.evaluation.across import compare, headline_baseline, played_all, policy_rows
+from izoo.evaluation.across import compare, counted_intersections, headline_baseline, played_all, policy_rows
 from izoo.evaluation.aggregates import TASK
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.metrics import statistics
@@ -64,9 +64,9 @@ def summarise(table: pd.DataFrame, simulator: str = "sumo") -> dict[str, Any]:
     Returns:
         ``simulator``, ``n`` (contexts, intersections, seeds, episodes), ``scores`` per policy (every vehicle weighs
         the same), and under ``policies``, per policy, ``headline`` (the baseline of its main figure: human driving, or
-        with electric CVs the uncommanded CV) and ``against``, per baseline, what
-        :func:`izoo.evaluation.across.compare` returns. Uncommanded CVs are a baseline where they played all of a
-        policy's episodes.
+        with electric CVs the uncommanded CV), ``intersections`` (on how many its figures rest, without approaches that
+        are left out) and ``against``, per baseline, what :func:`izoo.evaluation.across.compare` returns. Uncommanded
+        CVs are a baseline where they played all of a policy's episodes.
 
     Raises:
         IzooError: no rows of human driving, or unpaired rows.
@@ -79,8 +79,12 @@ def summarise(table: pd.DataFrame, simulator: str = "sumo") -> dict[str, Any]:
         if name == HUMAN:
             continue
         baselines = [b for b in BASELINES if b != name and (b == HUMAN or played_all(table, b, name))]
-        against = {b: compare(policy_rows(table, name, b)) for b in baselines}
-        summary["policies"][name] = {"headline": headline_baseline(table, name), "against": against}
+        rows = {b: policy_rows(table, name, b) for b in baselines}
+        summary["policies"][name] = {
+            "headline": headline_baseline(table, name),
+            "intersections": counted_intersections(rows[HUMAN]),
+            "against": {b: compare(found) for b, found in rows.items()},
+        }
     return summary
 
 

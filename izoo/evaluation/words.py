@@ -19,10 +19,9 @@ def in_words(summary: dict[str, Any], unseen: bool = False) -> str:
         unseen: whether the policy has been trained on none of these intersections.
     """
     (policy,) = (name for name in summary["policies"] if name not in AGAINST)
-    against = summary["policies"][policy]["against"]
+    count, against = (summary["policies"][policy][key] for key in ("intersections", "against"))
     found = {name: against[name]["all"] for name in AGAINST if name in against}
     savings = {name: blocks["ungated"]["mean"] for name, blocks in found.items()}
-    count = summary["n"]["intersections"]
     if not savings or any(saving["value"] is None for saving in savings.values()):
         return "Nothing can be said of CO2: no vehicle crossed a stop line."
     parts = [f"{_amount(saving)} than {AGAINST[name]}" for name, saving in savings.items()]

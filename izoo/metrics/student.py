@@ -19,7 +19,7 @@ def student_t_below(t: float, degrees: int) -> float:
         total += term
         term *= cos2 * ((2 * k + 2) / (2 * k + 3) if odd else (2 * k + 1) / (2 * k + 2))
     inside = 2.0 / math.pi * (theta + math.sin(theta) * math.cos(theta) * total) if odd else math.sin(theta) * total
-    return 0.5 * (1.0 + inside)
+    return min(max(0.5 * (1.0 + inside), 0.0), 1.0)  # sums may round beyond
 
 
 @functools.cache

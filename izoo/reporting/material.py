@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.table import CSV_FILE, JOURNAL_FILE, MANIFEST_FILE, read_csv
 from izoo.files import check_folder, read_text
 from izoo.reporting.results import RESULTS_FILE, EntryRecord, read_results
+from izoo.training.records import MetricsTable
 from izoo.training.runs import CONFIG_FILE, METRICS_FILE
 from izoo.training.validation import VALIDATION_FILE
 
@@ -28,6 +30,7 @@ TRADEOFF_COLUMNS = (
     *("throughput_kept", "on_front"),
 )
 """What the report needs of ``tradeoffs.csv``."""
+TRADEOFF_FLAGS = ("throughput_kept", "on_front")
 
 
 @dataclass(frozen=True)
@@ -250,29 +253,27 @@ def read_curve(run: Path, name: str) -> Curve | None:
 
 
 def _frames_table(path: Path) -> pd.DataFrame:
-    table = _read_table(path)
-    if "frames" not in table:
-        raise IzooError(f"{path} has no column frames; it is not a table of a training run.")
-    return table
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)
-    except pd.errors.EmptyDataError:
-        return pd.DataFrame({"frames": []})
-    except (OSError, ValueError) as error:
-        raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}.") from error
+    table = MetricsTable.read(path)
+    columns = {name: [float(row[name] or math.nan) for row in table.rows] for name in table.columns or ["frames"]}
+    return pd.DataFrame(columns).astype({"frames": int})
 
 
 def _with_tradeoffs(material: Material, folder: Path) -> Material:
     path = folder / TRADEOFFS_FILE
     if not path.is_file():
         return material
-    table = _read_table(path)
+    remedy = "run izoo.benchmarks.tradeoffs again"
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; {remedy}.") from error
     missing = [name for name in TRADEOFF_COLUMNS if name not in table]
     if missing:
-        raise IzooError(f"{path} lacks the column(s) {', '.join(missing)}; run izoo.benchmarks.tradeoffs again.")
+        raise IzooError(f"{path} lacks the column(s) {', '.join(missing)}; {remedy}.")
+    for name in TRADEOFF_COLUMNS[2:]:
+        check = pd.api.types.is_bool_dtype if name in TRADEOFF_FLAGS else pd.api.types.is_numeric_dtype
+        if len(table) and not check(table[name]):
+            raise IzooError(f"{path} is damaged in the column {name}; {remedy}.")
     return dataclasses.replace(material, tradeoffs=table)
 
 

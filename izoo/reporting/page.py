@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import gzip
 import json
 import math
@@ -19,10 +20,12 @@ from plotly.offline import get_plotlyjs
 from izoo import __version__
 from izoo.console import counted
 from izoo.errors import IzooError
+from izoo.evaluation.across import counted_intersections
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import intervals_in_words, nan_in_words, percent, score_rows
 from izoo.evaluation.summary import seeds_per_context, summarise
 from izoo.files import os_reason, write_text
+from izoo.metrics.benefit import PAIR
 from izoo.reporting import drawing, figures, histograms
 from izoo.reporting.material import Material, collect
 from izoo.reporting.published import PUBLISHED
@@ -147,6 +150,7 @@ def render(material: Material, *, replay: bool = True, imports: bool = False, no
         summary_columns=[label for label, _, _ in SUMMARY_COLUMNS],
         scores=_scores(scored),
         improvement=_improvement(scored),
+        electric=any(s.electric for s in scored),
         saturated=_named(scored, "saturated"),
         left_out=_named(scored, "left_out"),
         figures=drawn,
@@ -186,7 +190,7 @@ def _replays(scored: Sequence[Scored], imports: bool, note: Note) -> tuple[list[
                     lost.append((s.name, f"the {scene.which} approach would make the page too large."))
                     continue
                 described = dataclasses.asdict(dataclasses.replace(scene, run=None))  # type: ignore[arg-type]
-                described |= {"name": s.name, "seed": str(scene.seed), "runs": len(s.tables)}
+                described |= {"name": s.name, "baseline": HUMAN, "seed": str(scene.seed), "runs": len(s.tables)}
                 played.append((described, packed))
     return played, lost
 
@@ -197,9 +201,10 @@ def _intro(material: Material, scored: Sequence[Scored]) -> str:
     tables = [run.table for s in scored for run in s.entry.runs]
     pairs = pd.concat([t[["context_hash", "approach", "intersection", "seed", "policy"]] for t in tables])
     approaches = len(pairs[["context_hash", "approach"]].drop_duplicates())
-    seeds = seeds_per_context(tables[0])
-    text = f"{approaches} approaches on {pairs['intersection'].nunique()} intersections, {seeds} paired seeds each. "
-    places = [int(s.rows["intersection"].nunique()) for s in scored]
+    seeds = sorted({seeds_per_context(table) for table in tables})
+    paired = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
+    text = f"{approaches} approaches on {pairs['intersection'].nunique()} intersections, {paired} paired seeds each. "
+    places = [counted_intersections(s.rows) for s in scored]
     return text + intervals_in_words(places, [len(s.tables) for s in scored if s.trained])
 
 
@@ -236,31 +241,37 @@ def _cell(estimate: dict[str, Any]) -> dict[str, str]:
     return {"value": value, "interval": f"[{interval}" if interval else ""}
 
 
-def _scores(scored: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
-    """Every measured quantity per policy; of several training seeds the mean over them."""
-    parts: list[pd.DataFrame] = []
-    humans: dict[str, pd.DataFrame] = {}
+def _scores(scored: Sequence[Scored]) -> list[tuple[list[str], list[list[str]]]]:
+    """Per test, header and lines of every measured quantity; of several training seeds the mean over them.
+
+    Policies of a test stand beside each other over the episodes that all of them have; those that share none with
+    others, each in a table of its own.
+    """
+    tests: dict[str, list[Scored]] = {}
     for s in scored:
-        humans.setdefault(s.entry.test, s.entry.runs[0].table)
-        table = pd.concat([run.table[run.table["policy"] == s.entry.policy] for run in s.entry.runs])
-        parts.append(table.assign(policy=s.name))
-    if not parts:
-        return [], []
-    human = []
-    for test, played in humans.items():
-        name = HUMAN if len(humans) == 1 else f"{HUMAN} on {test}"
-        human.append(played[played["policy"] == HUMAN].assign(policy=name))
-    header, lines = score_rows({"scores": _pooled([*human, *parts])})
-    return header, lines
+        tests.setdefault(s.entry.test, []).append(s)
+    tables = []
+    for test, group in tests.items():
+        together = _paired(group)
+        for found in [together] if together else [_paired([s]) for s in group]:
+            header, lines = score_rows({"scores": {name: _pooled(part) for name, part in found.items()}})
+            tables.append(([test if len(tests) > 1 else "", *header[1:]], lines))
+    return tables
 
 
-def _pooled(parts: Sequence[pd.DataFrame]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for part in parts:
-        name = str(part["policy"].iloc[0])
-        human = part.assign(policy=HUMAN)
-        found[name] = summarise(human)["scores"][HUMAN]
-    return found
+def _paired(group: Sequence[Scored]) -> dict[str, pd.DataFrame]:
+    """Rows of human driving and of policies of one test, over the episodes that all of them have; empty without any."""
+    parts = {HUMAN: [group[0].entry.runs[0].table]} | {s.name: [run.table for run in s.entry.runs] for s in group}
+    policies = {HUMAN: HUMAN} | {s.name: s.entry.policy for s in group}
+    rows = {name: [t[t["policy"] == policies[name]].set_index(list(PAIR)) for t in parts[name]] for name in parts}
+    shared = functools.reduce(pd.Index.intersection, [part.index for tables in rows.values() for part in tables])
+    if shared.empty:
+        return {}
+    return {name: pd.concat([part.loc[shared].reset_index() for part in tables]) for name, tables in rows.items()}
+
+
+def _pooled(rows: pd.DataFrame) -> dict[str, Any]:
+    return summarise(rows.assign(policy=HUMAN))["scores"][HUMAN]
 
 
 def _improvement(scored: Sequence[Scored]) -> list[dict[str, Any]]:

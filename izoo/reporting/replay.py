@@ -45,7 +45,7 @@ class Scene:
     """An approach to replay.
 
     Attributes:
-        policy, baseline: names in the table.
+        policy: its name in the table.
         which: ``best`` or ``worst``.
         context, approach: the names.
         context_hash, seed: the episode.
@@ -54,7 +54,6 @@ class Scene:
     """
 
     policy: str
-    baseline: str
     which: str
     context: str
     approach: str
@@ -79,19 +78,19 @@ def scenes(scored: Scored) -> list[Scene]:
     found = []
     picked = [("best", counted.iloc[-1])] + ([("worst", counted.iloc[0])] if len(counted) > 1 else [])
     for which, row in picked:
-        seed = _typical_seed(run.table, scored.entry.policy, scored.baseline, row)
-        names = (scored.entry.policy, scored.baseline, which, row["context"], row["approach"], row["context_hash"])
+        seed = _typical_seed(run.table, scored.entry.policy, row)
+        names = (scored.entry.policy, which, row["context"], row["approach"], row["context_hash"])
         found.append(Scene(*names, seed, float(row["benefit_ungated"]), run))
     return found
 
 
-def _typical_seed(table: pd.DataFrame, policy: str, baseline: str, row: Any) -> int:
+def _typical_seed(table: pd.DataFrame, policy: str, row: Any) -> int:
     mine = table[(table[TASK[0]] == row[TASK[0]]) & (table[TASK[1]] == row[TASK[1]])]
     grams = {
         name: (rows["emission_g"] / rows["crossed"].where(rows["crossed"] > 0)).set_axis(rows["seed"])
         for name, rows in mine.groupby("policy")
     }
-    distance = (1.0 - grams[policy] / grams[baseline] - row["benefit_ungated"]).abs().dropna()
+    distance = (1.0 - grams[policy] / grams[HUMAN] - row["benefit_ungated"]).abs().dropna()
     return int(distance.idxmin() if len(distance) else mine["seed"].iloc[0])
 
 
@@ -147,8 +146,10 @@ class Player:
         candidate = self._candidate(scene, sources.policies.get(scene.policy), config, fingerprint)
         content: dict[str, Any] = {"frame_s": config.decision_s, "warmup_s": config.warmup_s}
         self._provide(config, manifest["settings"].get("simulator", "sumo"))
-        for side, driver in (("baseline", as_candidate(scene.baseline, config)), ("policy", candidate)):
-            played = baseline_context(context) if driver.name == HUMAN else context
+        for side, driver, played in (
+            ("baseline", as_candidate(HUMAN, config), baseline_context(context)),
+            ("policy", candidate, context),
+        ):
             content[side] = self._play(driver, played, context, scene)
         assert self._env is not None
         content["net"] = geometry(self._env.road)
@@ -198,7 +199,7 @@ class Player:
     def _possible(self, scene: Scene, source: str | None, config: EnvConfig) -> Iterator[Candidate]:
         """Yield what the policy may be: the recorded source, and the run's checkpoints."""
         folder, name = scene.run.folder, scene.policy
-        places = [folder / source] if source and source.endswith(".pt") else []
+        places = [folder.resolve() / source] if source and source.endswith(".pt") else []
         if scene.run.run is not None:
             places += checkpoint.listed(scene.run.run)[::-1]
             places += [path for path in sorted(checkpoint.folder_of(scene.run.run).glob("*.pt")) if path not in places]
@@ -228,4 +229,4 @@ def _loaded(path: Path) -> tuple[Any, str]:
 
 
 def _key(scene: Scene) -> list[Any]:
-    return [scene.policy, scene.baseline, scene.context_hash, scene.seed]
+    return [scene.policy, scene.context_hash, scene.seed]

@@ -26,7 +26,6 @@ class Scored:
 
     Attributes:
         entry: what it is.
-        baseline: what its benefit is over: human driving, or with electric CVs the uncommanded CV.
         tables: per training seed, :func:`izoo.evaluation.summary.approach_table` plus features of the approaches.
         summary: as :func:`izoo.evaluation.across.compare` gives, over all training seeds.
         best: which of ``tables`` has the highest ratio of sums, as the paper chooses, of several that were trained.
@@ -34,7 +33,6 @@ class Scored:
     """
 
     entry: Entry
-    baseline: str
     tables: tuple[pd.DataFrame, ...]
     summary: dict[str, Any]
     best: int = 0
@@ -55,6 +53,12 @@ class Scored:
         return len(self.tables) > 1 and not self.trained
 
     @property
+    def electric(self) -> bool:
+        """Whether it drives electric CVs, whose engine saves most of what they save over human driving."""
+        table = self.entry.runs[0].table
+        return bool((table.loc[table["policy"] == self.entry.policy, "engine"] == "electric").any())
+
+    @property
     def nan_share(self) -> float:
         """Share of its commands that were NaN, over all runs: SUMO drove those vehicles."""
         return nan_share_of(run.table[run.table["policy"] == self.entry.policy] for run in self.entry.runs)
@@ -71,20 +75,19 @@ class Scored:
 
 
 def score(entry: Entry) -> Scored:
-    """Compare a policy with its baseline, in every run.
+    """Compare a policy with human driving, and with uncommanded CVs where they were played, in every run.
 
     Raises:
         IzooError: rows without a partner.
     """
-    baseline = across.headline_baseline(entry.runs[0].table, entry.policy)
     tables = []
     for run in entry.runs:
-        result = approach_table(run.table, entry.policy, baseline)
+        result = approach_table(run.table, entry.policy)
         described = run.table[run.table["policy"] == entry.policy].drop_duplicates(TASK)
         extra = [name for name in FEATURES if name not in result]
         tables.append(result.merge(described[[*TASK, *extra]], on=TASK))
     summary = across.compare(_numbered(tables))
-    scored = Scored(entry, baseline, tuple(tables), summary)
+    scored = Scored(entry, tuple(tables), summary)
     if len(tables) == 1 or scored.untrained:
         return scored
     best = int(np.argmax([ratio_of_sums(emission_pairs(table[table["left_out"] == ""], "exact")) for table in tables]))

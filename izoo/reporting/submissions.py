@@ -35,6 +35,8 @@ FORMAT, MERGED_FORMAT = "izoo-leaderboard-2", "izoo-leaderboard-merged-2"
 SCHEMA_FILE = "leaderboard_schema.json"
 COMPARABLE = ("protocol", "title", "train", "test", "form", "weather", "test_set", "horizon_s", "test_count")
 """Options of the protocol that submissions of one group share."""
+LARGEST = 1e15
+"""No number of a row is larger, so that its powers are finite."""
 FULL_TRAIN_SEEDS, FULL_EVAL_SEEDS = MIN_TRAIN_SEEDS, MIN_EVAL_SEEDS
 """Seeds that the protocols ask for: the fewest over which there are intervals."""
 
@@ -117,6 +119,10 @@ def read_submission(path: Path) -> dict[str, Any]:
         where = "/".join(str(part) for part in problems[0].absolute_path) or "the file"
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise IzooError(f"{path} is no leaderboard submission: {where}: {problems[0].message[:200]}{more}.")
+    for k, row in enumerate(content["rows"]):
+        for name, value in row.items():
+            if isinstance(value, int | float) and abs(value) > LARGEST:
+                raise IzooError(f"{path} is no leaderboard submission: rows/{k}/{name}: {value} is beyond {LARGEST:g}.")
     return content
 
 

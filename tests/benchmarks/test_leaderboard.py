@@ -215,6 +215,23 @@ def test_the_form_is_checked(tmp_path: Path) -> None:
             read_submission(tmp_path / "bad.json")
 
 
+def test_numbers_beyond_anything_measured_are_refused(tmp_path: Path) -> None:
+    content = submission()
+    content["rows"][2]["benefit_ungated"] = -1e308
+    (tmp_path / "bad.json").write_text(json.dumps(content))
+    with pytest.raises(IzooError, match=r"rows/2/benefit_ungated: -1e\+308 is beyond 1e\+15"):
+        read_submission(tmp_path / "bad.json")
+
+
+@pytest.mark.parametrize("column", ["benefit_exact", "benefit_region_exact", "throughput_benefit", "served_policy"])
+def test_a_figure_that_rows_lack_is_lacking_in_the_sums(column: str, tmp_path: Path) -> None:
+    content = submission()
+    content["rows"][0][column] = None
+    checked = check(sealed(content), "file", VERSIONS)
+    assert "the aggregates do not follow from the rows" in checked.marks
+    json.dumps(merge([checked]), allow_nan=False)
+
+
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = submission()
     here = versions()

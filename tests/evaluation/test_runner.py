@@ -276,6 +276,10 @@ def test_a_failing_episode_names_its_context(
     [
         ("glied", None, "Did you mean 'glide'"),
         ("no_such_module:f", None, "module:function"),
+        ("./mine.py:drive", None, "is no policy: it is written module:function, such as mine:drive"),
+        (":drive", None, "module:function"),
+        ("os:", None, "module:function"),
+        ("os:sep", None, "is a str; name a function"),
         ("tests.evaluation.odd_policies:nobody", None, "nobody"),
         (drivers.gentle, "human", "another name"),
         (3, None, "int is no policy"),

@@ -34,6 +34,13 @@ def test_contexts_and_policies_add_up(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == [SOURCES_FILE]
 
 
+def test_a_policy_is_found_from_the_folder_that_a_link_leads_to(tmp_path: Path) -> None:
+    (tmp_path / "disk" / "results").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "results")
+    add_sources(tmp_path / "link", [], "mine", tmp_path / "mine.pt")
+    assert read_sources(tmp_path / "link").policies == {"mine": "../../mine.pt"}
+
+
 def test_an_evaluation_writes_them(contexts, tmp_path: Path, cache: Path) -> None:
     evaluate_policy("tests.evaluation.odd_policies:gentle", contexts, [1], SHORT, 0, tmp_path, False, cache=cache)
     sources = read_sources(tmp_path)

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from izoo.errors import IzooError
 from izoo.evaluation import approach_table, print_summary, summarise
+from izoo.evaluation.across import aggregate, run_rows
 from tests.metrics.tables import episode_row
 
 CONTEXTS = 12
@@ -61,6 +62,19 @@ def test_both_baselines_are_shown_and_the_headline_follows_the_engine() -> None:
     electric = summarise(make_table("electric"))
     assert electric["policies"]["ppo"]["headline"] == "uncommanded"
     assert electric["policies"]["uncommanded"]["headline"] == "human"
+
+
+def test_only_intersections_with_a_figure_are_counted_where_intervals_are_explained() -> None:
+    """The last of six intersections is empty: five are too few for intervals, and the sentence says so."""
+    table = make_table()
+    table.loc[table["intersection"] == table["intersection"].iloc[-1], ["crossed", "crossed_hdv", "emission_g"]] = 0
+    summary = summarise(table)
+    assert summary["n"]["intersections"] == 6 and summary["policies"]["ppo"]["intersections"] == 5
+    assert aggregate(run_rows(table, "ppo", 0))["n"]["intersections"] == 5
+    text = io.StringIO()
+    print_summary(summary, Console(file=text, width=200))
+    assert "No intervals with fewer than 6 intersections" in text.getvalue()
+    assert "Brackets" not in text.getvalue()
 
 
 def test_the_same_rows_give_the_same_numbers_in_any_order() -> None:

@@ -16,7 +16,7 @@ def summary(human: Any, uncommanded: Any, throughput: float = 0.01, count: int =
         return {"all": {"ungated": {"mean": saving}, "throughput": {"mean": estimate(throughput)}}}
 
     against = {"human": compared(human), "uncommanded": compared(uncommanded)}
-    return {"n": {"intersections": count}, "policies": {"policy": {"against": against}, "uncommanded": {}}}
+    return {"policies": {"policy": {"intersections": count, "against": against}, "uncommanded": {}}}
 
 
 def test_savings_with_their_intervals() -> None:

@@ -164,6 +164,12 @@ def test_student_t_agrees_with_the_printed_table(degrees: int, t: float, below: 
     assert student_t_quantile(below, degrees) == pytest.approx(t, abs=2e-3)
 
 
+@pytest.mark.parametrize("degrees", range(1, 41))
+def test_student_t_stays_a_probability(degrees: int) -> None:
+    for t in (8.0, 25.0, 35.0, 1e3, 1e6):
+        assert 0.0 <= student_t_below(-t, degrees) < 0.05 and 0.95 < student_t_below(t, degrees) <= 1.0
+
+
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(IzooError, match=r"\[seeds, approaches\]"):
         estimate(X[0], mean, PLACES_OF_X)

@@ -17,10 +17,11 @@ import pytest
 from izoo.conf.compose import compose_config
 from izoo.conf.report_options import ReportConfig
 from izoo.report import COMMAND, main
-from izoo.reporting.material import collect
+from izoo.reporting.material import Entry, Evaluated, Material, collect
 from izoo.reporting.page import render
 from izoo.reporting.results import EntryRecord, RunRecord, read_results, write_results
 from izoo.reporting.scored import improvement, score
+from tests.evaluation.test_summary import make_table
 from tests.reporting.made_results import METRICS, benchmark, rename_policy
 
 VOID = {"meta", "link", "input"}
@@ -183,6 +184,78 @@ def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_p
     assert improvement(scored["glide on other"], scored["glide on training contexts"]) is None
 
 
+def made(table: pd.DataFrame) -> Material:
+    """Return what a report is made of, from an evaluation's table."""
+    names = [name for name in dict.fromkeys(table["policy"]) if name != "human"]
+    entries = []
+    for name in names:
+        rows = table[table["policy"].isin(["human", "uncommanded", name])]
+        entries.append(Entry(name, name, "test", (Evaluated(0, Path("nowhere"), rows),)))
+    return Material("title", "evaluation", tuple(entries))
+
+
+def test_measured_quantities_are_those_of_the_episodes_that_all_policies_have() -> None:
+    """Human driving too: elsewhere it burns twice as much, and the policy, which was not there, would seem to save."""
+    table = make_table()
+    elsewhere = table["context"].str.startswith("town/5")
+    table.loc[elsewhere, "emission_g"] *= 2.0
+    table = table[~elsewhere | (table["policy"] != "ppo")]
+    there = table[(table["policy"] == "human") & ~elsewhere]
+    shared, every = (
+        f"{t['emission_g'].sum() / t['crossed'].sum():.4g}" for t in (there, table.query("policy == 'human'"))
+    )
+    text = render(made(table), replay=False)
+    assert f"<td>{shared}</td>" in text and f"<td>{every}</td>" not in text
+
+
+def test_policies_without_a_common_episode_stand_in_tables_of_their_own() -> None:
+    table = make_table()
+    first = table["context"].str.startswith("town/0")
+    table = table[(table["policy"] != "ppo") | first]
+    table = table[(table["policy"] != "uncommanded") | ~first]
+    text = render(made(table), replay=False)
+    part = text[text.index("Everything that was measured") :]
+    part = part[: part.index("</details>")]
+    assert part.count("<table>") == 2 and part.count(">human<") == 2
+
+
+def test_benefits_of_electric_vehicles_are_over_human_driving_as_well() -> None:
+    material = made(make_table("electric"))
+    ppo = score(material.entries[0]).summary["all"]
+    assert ppo["ungated"]["mean"]["value"] == pytest.approx(0.1)
+    assert ppo["over_uncommanded"]["mean"]["value"] == pytest.approx(1.0 - 0.9 / 0.97)
+    words = "Controlled vehicles are electric"
+    assert words in render(material, replay=False)
+    assert words not in render(made(make_table()), replay=False)
+
+
+def test_paired_seeds_are_those_of_all_evaluations(evaluation: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(evaluation, run / "evaluations" / "other")
+    (run / "config.yaml").write_text("seed: 0\n")
+    shutil.copytree(evaluation, run, dirs_exist_ok=True)
+    table = pd.read_csv(run / "evaluation.csv", dtype={"seed": str})
+    table[table["seed"] == table["seed"].iloc[0]].to_csv(run / "evaluation.csv", index=False)
+    assert "1 to 2 paired seeds each" in render(collect(run), replay=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("train/ppo/seed0/metrics.csv", "-30.5", "many"),
+        ("train/ppo/seed0/metrics.csv", "1000,10", "soon,10"),
+        ("train/ppo/seed0/validation.csv", "0.05", "good"),
+    ],
+)
+def test_tables_of_runs_with_other_things_than_numbers_are_refused(
+    evaluation: Path, tmp_path: Path, capsys, name: str, old: str, new: str
+) -> None:
+    path = benchmark(evaluation, tmp_path / "results") / name
+    path.write_text(path.read_text().replace(old, new))
+    assert main([str(tmp_path / "results"), "replay=false"]) == 2
+    assert f"cannot read {path}" in capsys.readouterr().err
+
+
 def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
     header = "point,train_seed,kind,emission_g_per_vehicle,travel_time_s_per_vehicle,throughput_kept"
     (tmp_path / "tradeoffs.csv").write_text(f"{header}\nhuman,,human,100,40,True\n")
@@ -191,6 +264,14 @@ def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
     (tmp_path / "tradeoffs.csv").write_text(f"{header},on_front\nhuman,,human,100,40,True,True\n")
     assert main([str(tmp_path)]) == 0
     assert 'data-figure="pareto"' in (tmp_path / "report.html").read_text()
+    for row, column in (
+        ("human,,human,much,40,True,True", "emission_g_per_vehicle"),
+        ("human,,human,1,4,True,", "on_front"),
+    ):
+        (tmp_path / "bad").mkdir(exist_ok=True)
+        (tmp_path / "bad" / "tradeoffs.csv").write_text(f"{header},on_front\n{row}\n")
+        assert main([str(tmp_path / "bad")]) == 2
+        assert f"is damaged in the column {column}" in capsys.readouterr().err
     assert "pareto" in content_of(tmp_path / "report.html")["figures"]
 
 
