@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -175,6 +176,67 @@ def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -
     path.write_text(json.dumps({**manifest, "format": "other"}))
     with pytest.raises(IzooError, match="other"):
         collect.load(tmp_path)
+
+
+def _shorten(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+@pytest.mark.parametrize("break_it", [_shorten, Path.unlink])
+def test_a_data_set_with_a_file_cut_short_is_refused_and_left_alone(
+    data: Path, tmp_path: Path, break_it: Callable[[Path], None]
+) -> None:
+    """Torch would extend the file with zeros, on disk."""
+    shutil.copytree(data, tmp_path / "data")
+    path = next((tmp_path / "data").glob("shard-*/agents/observation.memmap"))
+    break_it(path)
+    before = path.stat().st_size if path.exists() else None
+    with pytest.raises(IzooError, match=r"cannot be read: .*observation\.memmap has [\d,]+ bytes, and should have"):
+        collect.load(tmp_path / "data")
+    assert (path.stat().st_size if path.exists() else None) == before
+
+
+@pytest.mark.parametrize("frames", [0, -5, 10**6])
+def test_a_manifest_that_names_other_frames_than_there_are_is_refused(data: Path, tmp_path: Path, frames: int) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    path = tmp_path / "data" / offline.MANIFEST
+    content = json.loads(path.read_text())
+    content["shards"][0]["frames"] = frames
+    path.write_text(json.dumps(content))
+    with pytest.raises(IzooError, match=r"not as manifest\.json says"):
+        collect.load(tmp_path / "data")
+    path.write_text(100_000 * "[")
+    with pytest.raises(IzooError, match="damaged"):
+        collect.load(tmp_path / "data")
+
+
+def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    (tmp_path / "secret.memmap").write_bytes(bytes(4))
+    path = next((tmp_path / "data").glob("shard-*")) / "meta.json"
+    entry = {"device": "cpu", "shape": [1], "dtype": "torch.float32", "is_nested": False}
+    path.write_text(json.dumps({**json.loads(path.read_text()), "../../secret": entry}))
+    with pytest.raises(IzooError, match="is no name of a file"):
+        collect.load(tmp_path / "data")
+
+
+def test_a_full_disk_is_said_and_leaves_what_was_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Room is asked for before a mapping is written to, which the system would answer with a signal."""
+    taken = []
+
+    def fill(descriptor: int, offset: int, size: int) -> None:
+        taken.append(size)
+        if sum(taken) > 400_000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", fill, raising=False)
+    out = tmp_path / "data"
+    words = ["policy=random", "frames=1000", "shard_frames=100", "env.num_agents=16", "env.horizon_s=60", f"out={out}"]
+    assert collect.main(words) == 1
+    assert "Make room, then collect the rest into another folder" in capsys.readouterr().err
+    assert len(collect.load(out)) % 100 == 0 and not list(out.glob(".shard*"))
 
 
 def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -> None:

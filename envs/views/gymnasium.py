@@ -151,7 +151,9 @@ class EcoDrivingEgo(_View[np.ndarray]):
     Args:
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
             one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
-            ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. ``None``: SUMO drives them.
+            ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. It acts by its mode, finds
+            ``is_init`` ``[1]``, true in the first step of a simulation, and what it wrote in the step before, at the
+            root or under ``"next"``. ``None``: SUMO drives them.
         contexts, config, render_mode, in_process, simulator: as for :class:`EcoDrivingJoint`.
     """
 
@@ -172,6 +174,12 @@ class EcoDrivingEgo(_View[np.ndarray]):
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.observation_names),), np.float32)
         self.action_space: Any = action_space(self.config, None)
         self._slot, self._vehicle = -1, -1
+        self._kept: TensorDictBase | None = None
+
+    def _begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin a simulation, of whose past ``others`` know nothing."""
+        self.host.begin(seed, options)
+        self._kept = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -185,10 +193,10 @@ class EcoDrivingEgo(_View[np.ndarray]):
         host = self.host
         self._slot = -1
         if seed is not None or options or host.over:
-            host.begin(seed, options)
+            self._begin(seed, options)
         for attempt in range(EPISODES_TRIED):
             if attempt:
-                host.begin()
+                self._begin()
             while not host.over:
                 before = host.numbers
                 host.step(self._commands())
@@ -231,17 +239,26 @@ class EcoDrivingEgo(_View[np.ndarray]):
             return commands
         import torch
         from tensordict import TensorDict
+        from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-        frame = self.host.frame
+        frame, begins = self.host.frame, self._kept is None
         agents = {
             "observation": torch.from_numpy(frame["observation"].copy()),
             "mask": torch.from_numpy(self.host.mask),
         }
-        with torch.no_grad():
-            result = self.others(TensorDict({"agents": TensorDict(agents, [count])}, []))
-        wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
-        if wanted["action"] is None:
+        seen = TensorDict({"agents": TensorDict(agents, [count]), "is_init": torch.tensor([begins])}, [])
+        if self._kept is not None:
+            seen.update(self._kept)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            result = self.others(seen)
+        if result is None or ("agents", "action") not in result.keys(include_nested=True):
             raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, 1] accelerations.")
+        wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
+        passing = [("agents", name) for name in (*agents, *Commands._fields)]
+        self._kept = result.exclude("next", "is_init", *passing)
+        following = result.get("next", None)
+        if following is not None:
+            self._kept.update(following)
         commands.defer[:] = False
         for name, values in commands._asdict().items():
             if wanted[name] is not None:

@@ -18,7 +18,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.host import OPTIONS, Host, render_modes
-from izoo.errors import IzooError, check_range, unknown_choice
+from izoo.errors import IzooError, check_whole, unknown_choice
 
 try:
     from pettingzoo import ParallelEnv
@@ -90,7 +90,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         in_process: bool,
         simulator: str,
     ) -> None:
-        check_range("max_vehicles", max_vehicles, 1, 10**6)
+        check_whole("max_vehicles", max_vehicles, 1, 10**6)
         self.host = Host(contexts, config, seed, render_mode, in_process, simulator)
         self.config, self.render_mode = self.host.config, render_mode
         self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": self.host.fps}
@@ -187,7 +187,13 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
     def metrics(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.host.Host.metrics`."""
+        """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.host.Host.metrics`.
+
+        Raises:
+            IzooError: no episode has ended.
+        """
+        if self.host.context is None or not self.host.over:
+            raise IzooError("metrics() are those of an episode that has ended; step until `agents` is empty.")
         return self.host.metrics()
 
     def render(self) -> np.ndarray | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import torch
 from tensordict import TensorDictBase
@@ -11,9 +12,9 @@ from tensordict import TensorDictBase
 from izoo.emissions.classes import CLASSES
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
-from izoo.files import replacing
+from izoo.files import expanded, replacing
 
-FUELS = {1: "gasoline", 2: "diesel"}
+FUELS, ELECTRIC = {1: "gasoline", 2: "diesel"}, "electric"
 
 
 def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFrame:
@@ -25,7 +26,8 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
 
     Returns:
         One row per vehicle and step, sorted by step: ``step``, ``time_s`` since the end of warm-up, the columns of
-        ``("vehicles", ...)`` with their units, and the vehicle's ``model_year``, MOVES ``source_type`` and ``fuel``.
+        ``("vehicles", ...)`` with their units, and the vehicle's ``model_year``, MOVES ``source_type`` and ``fuel``
+        (gasoline, diesel or electric).
 
     Raises:
         IzooError: the rollout holds no vehicles, or more than one environment.
@@ -45,13 +47,20 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
     classes = [CLASSES[c] for c in table["moves_class"]]
     table["model_year"] = [year for year, _, _ in classes]
     table["source_type"] = [source for _, source, _ in classes]
-    table["fuel"] = [FUELS[fuel] for _, _, fuel in classes]
+    fuels = [FUELS[fuel] for _, _, fuel in classes]
+    table["fuel"] = np.where(table.pop("electric"), ELECTRIC, fuels)
     return table
 
 
 def write_trajectories(rollout: TensorDictBase, path: str | Path, step_s: float = 0.5) -> Path:
-    """Write :func:`trajectory_table` as CSV; the file appears whole or not at all."""
-    path = Path(path)
+    """Write :func:`trajectory_table` as CSV; the file appears whole or not at all.
+
+    Raises:
+        IzooError: as :func:`trajectory_table`, or there is no such folder.
+    """
+    path = expanded(path)
+    if not path.parent.is_dir():
+        raise IzooError(f"{path.parent} is no folder; make it first, or write to another place.")
     with replacing(path) as partial:
         trajectory_table(rollout, step_s).to_csv(partial, index=False)
     return path

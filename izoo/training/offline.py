@@ -32,7 +32,7 @@ from izoo.evaluation.policies import import_policy
 from izoo.files import NO_ROOM, ensure_empty, expanded, write_json
 from izoo.gpu import check_gpu
 from izoo.training import runs
-from izoo.training.shards import ShardStorage, as_they_are
+from izoo.training.shards import ShardStorage, as_they_are, check_files, reserve
 
 MANIFEST = "manifest.json"
 FORMAT = "izoo-steps-2"
@@ -232,9 +232,14 @@ def load_shards(folder: Path | str) -> list[TensorDictBase]:
     if missing or not shards:
         raise IzooError(f"{folder} lacks {', '.join(missing) or 'any shard'}; copy it whole, or collect again.")
     try:
+        leaves = [check_files(shard) for shard, _ in shards]
+        if any(found != leaves[0] for found in leaves):
+            raise ValueError("its shards hold different things")
         # Pickled values would run what a foreign data set holds.
         opened = [(TensorDict.load_memmap(shard, allow_pickle=False), frames) for shard, frames in shards]
-    except (RuntimeError, OSError, ValueError, KeyError) as error:
+        if any(not 1 <= frames <= len(steps) for steps, frames in opened):
+            raise ValueError(f"its shards have {[len(steps) for steps, _ in opened]} frames, not as {MANIFEST} says")
+    except (RuntimeError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise IzooError(f"{folder} cannot be read: {text}; copy it whole, or collect again.") from error
     # A collection that Ctrl-C ended leaves room at the end of its last shard.
@@ -252,7 +257,7 @@ def _read_manifest(folder: Path | str) -> tuple[int, list[tuple[str, int]]]:
         shards = [(Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
         environments = int(manifest["environments"]) if form == FORMAT else 1
         check_range("environments", environments, 1, MAX_ENVS)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; collect the data again.") from error
     if form != FORMAT:
         raise IzooError(f"{path} is of format {form!r}; this version of izoo reads {FORMAT}.")
@@ -281,6 +286,7 @@ class ShardWriter:
             if self._open is None:
                 length = min(self.config.shard_frames, self.config.frames - self.frames)
                 self._open = steps[0].expand(length).memmap_like(str(self._partial))
+                reserve(self._partial)
                 self._filled = 0
             part = steps[: len(self._open) - self._filled]
             self._open[self._filled : self._filled + len(part)] = part

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
+import math
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,11 +17,53 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
 from izoo.errors import IzooError
+from izoo.files import read_text
 
 
 def as_they_are(rows: TensorDictBase) -> TensorDictBase:
     """Collate rows that a :class:`ShardStorage` has put together already."""
     return rows
+
+
+def check_files(folder: Path) -> set[str]:
+    """Return the leaves of a memory-mapped TensorDict, whose files are all there, and whole.
+
+    Torch itself extends a file that is too short, with zeros, when it maps it.
+
+    Raises:
+        ValueError: a file is missing or of another size, or its name leads out of the folder.
+    """
+    leaves: set[str] = set()
+    for name, entry in json.loads(read_text(folder / "meta.json")).items():
+        if not isinstance(entry, dict):
+            continue
+        if name != Path(name).name:
+            raise ValueError(f"{name!r} is no name of a file")
+        if "dtype" not in entry:
+            leaves |= {f"{name}/{leaf}" for leaf in check_files(folder / name)}
+            continue
+        path = folder / f"{name}.memmap"
+        size = math.prod(entry["shape"]) * getattr(torch, entry["dtype"].removeprefix("torch.")).itemsize
+        there = path.stat().st_size if path.is_file() and not path.is_symlink() else 0
+        if there != size:
+            raise ValueError(f"{path} has {there:,} bytes, and should have {size:,}")
+        leaves.add(name)
+    return leaves
+
+
+def reserve(folder: Path) -> None:
+    """Take the room that the files of a memory-mapped TensorDict need: a full disk would else end the process.
+
+    Raises:
+        OSError: there is not enough.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    for path in folder.rglob("*.memmap"):
+        size = path.stat().st_size
+        if size:
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
 
 
 class ShardStorage(Storage):

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 import izoo.envs
 from izoo.errors import IzooError
@@ -105,6 +107,29 @@ def test_ego_is_one_vehicle_after_another(ego: gymnasium.Env[Any, Any]) -> None:
         ends.add("left" if terminated else "horizon")
         observation, info = ego.reset()
     assert len(egos) >= 2 and ends == {"left", "horizon"} and info["episode"] == 1
+
+
+def test_others_act_by_their_mode_and_remember_a_simulation(ego: gymnasium.Env[Any, Any]) -> None:
+    env = ego.unwrapped
+    seen: list[tuple[bool, int]] = []
+
+    def remembers(tensordict: TensorDict) -> TensorDict:
+        assert exploration_type() == ExplorationType.DETERMINISTIC
+        count = tensordict.get("count", torch.zeros(1, dtype=torch.int64))
+        seen.append((bool(tensordict["is_init"]), int(count)))
+        tensordict["next", "count"] = count + 1
+        return tensordict.set(("agents", "action"), torch.zeros(tensordict["agents", "mask"].shape[0], 1))
+
+    env.others = remembers
+    try:
+        for _ in range(2):
+            seen.clear()
+            env.reset(seed=1)
+            env.step(np.zeros(1, np.float32))
+            assert [begins for begins, _ in seen] == [True] + [False] * (len(seen) - 1) and len(seen) >= 2
+            assert [count for _, count in seen] == list(range(len(seen)))
+    finally:
+        env.others = None
 
 
 @pytest.mark.parametrize("policy", ["brake", None])

@@ -161,10 +161,19 @@ def test_step_before_reset_is_refused() -> None:
     for call in (lambda: env.step({}), env.state):
         with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):
             call()
+    with pytest.raises(IzooError, match="of an episode that has ended"):
+        env.metrics()
     env.reset(seed=1)
+    with pytest.raises(IzooError, match="of an episode that has ended"):
+        env.metrics()
     env.close()
     with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):
         env.step({})
+
+
+def test_a_bound_that_is_no_whole_number_is_refused() -> None:
+    with pytest.raises(IzooError, match="max_vehicles is 10.5; it must be a whole number"):
+        parallel_env(crossing(), short(), max_vehicles=10.5)
 
 
 def test_unknown_render_mode_is_refused() -> None:

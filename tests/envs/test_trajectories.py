@@ -10,7 +10,7 @@ import pytest
 from izoo.contexts.procedural import procedural_context
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.views.trajectories import write_trajectories
+from izoo.envs.views.trajectories import trajectory_table, write_trajectories
 from izoo.errors import IzooError
 
 CONFIG = {"horizon_s": 120.0, "warmup_s": 5.0}
@@ -32,6 +32,27 @@ def test_table_holds_every_vehicle_and_its_class_explains_its_emission(tmp_path:
     column = {name: torch.tensor(table[name].to_numpy()) for name in ("speed_mps", "accel_mps2", "grade_pct")}
     rate = MovesSurrogate()(*(c.float() for c in column.values()), torch.tensor(table["moves_class"]), 20.0, 46.0)
     assert torch.allclose(0.5 * rate.double(), torch.tensor(table["emission_g"]), rtol=1e-3, atol=1e-4)
+
+
+def test_electric_vehicles_are_called_so(tmp_path: Path) -> None:
+    context = procedural_context(inflow_vph_per_lane=600.0).replace(engine="electric", adoption=0.5)
+    env = EcoDrivingEnv(context, config=EnvConfig(**CONFIG), simulator="twin")
+    try:
+        table = trajectory_table(env.rollout(100))
+    finally:
+        env.close()
+    assert (table["fuel"] == "electric").equals(table["is_cv"])
+    assert table["is_cv"].nunique() == 2 and (table.loc[table["is_cv"], "emission_g"] == 0.0).all()
+
+
+def test_trajectories_need_a_folder(tmp_path: Path) -> None:
+    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(**CONFIG), simulator="twin")
+    try:
+        rollout = env.rollout(3)
+    finally:
+        env.close()
+    with pytest.raises(IzooError, match="nowhere is no folder"):
+        write_trajectories(rollout, tmp_path / "nowhere" / "trajectories.csv")
 
 
 def test_rollout_without_vehicles_is_refused() -> None:

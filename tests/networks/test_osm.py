@@ -243,6 +243,12 @@ def way(oneway: int = 0, highway: str = "primary", **tags: str) -> Way:
         (way(1, "residential"), True, Lanes(("",), guessed=True)),
         (way(lanes="two"), True, Lanes(("", ""), guessed=True)),
         (way(1, lanes="40"), True, Lanes(("",) * 6)),
+        (way(lanes="8"), True, Lanes(("",) * 4)),
+        (way(lanes="40"), False, Lanes(("",) * 6)),
+        (way(lanes="7"), True, Lanes(("",) * 4, guessed=True, left_lane=True)),
+        (way(lanes="7"), False, Lanes(("",) * 3, guessed=True)),
+        (way(lanes="7", lanes__both_ways="1"), True, Lanes(("", "", "", "l"))),
+        (way(lanes="7", lanes__backward="3"), True, Lanes(("",) * 4)),
         (way(lanes="1"), True, Lanes(("",), guessed=True)),
     ],
 )
@@ -359,11 +365,16 @@ def test_ways_are_cut_where_nodes_are_missing_and_unpublished_ids_work(tmp_path:
     assert spec.name == "town/-1" and len(spec.legs) == 4
 
 
+STREET = """<osm version="0.6"><node id="1" lat="0" lon="0"/><node id="2" lat="0.001" lon="0"/>
+<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="primary"/></way></osm>"""
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
         ("map.osm", "<osm version='0.6'><node id=", "cannot be read as OpenStreetMap data"),
         ("map.osm", "", "cannot be read as OpenStreetMap data"),
+        ("map.osm", STREET.replace('lat="0.001"', 'lat="north"'), "cannot be read as OpenStreetMap data"),
         ("map.osm", "<net/>", "cannot be read as OpenStreetMap data"),
         ("map.osm", '<!DOCTYPE osm [<!ENTITY a "b">]><osm version="0.6"/>', "cannot be read as OpenStreetMap data"),
         ("map.osm.pbf", "not a pbf file at all", "cannot be read as OpenStreetMap data"),
@@ -425,9 +436,10 @@ def test_a_damaged_build_is_refused(tmp_path: Path) -> None:
     (target / "1.json").write_text(json.dumps({**record, "spec": {"legs": 3}}))
     with pytest.raises(IzooError, match="is damaged"):
         load_dataset(target)
-    (target / "1.json").write_text("{")
-    with pytest.raises(IzooError, match="is damaged"):
-        load_dataset(target)
+    for text in ("{", 100_000 * "["):
+        (target / "1.json").write_text(text)
+        with pytest.raises(IzooError, match="is damaged"):
+            load_dataset(target)
     (target / "1.json").unlink()
     with pytest.raises(IzooError, match="cannot read"):
         load_dataset(target)

@@ -151,9 +151,10 @@ def _stage(
 ) -> tuple[list[IndexRow], dict[str, str]]:
     rows: list[IndexRow] = []
     unusable: dict[str, str] = {}
+    present = frozenset(archive.files())
     for number, place in enumerate(places, start=1):
         try:
-            rows.append(_stage_one(archive, place, staging))
+            rows.append(_stage_one(archive, present, place, staging))
         except IzooError as error:
             unusable["/".join(("imported", *archive.label, *place.parts)[-2:])] = str(error)
         if progress is not None:
@@ -161,12 +162,11 @@ def _stage(
     return rows, unusable
 
 
-def _stage_one(archive: Archive, place: PurePosixPath, staging: Path) -> IndexRow:
+def _stage_one(archive: Archive, present: frozenset[PurePosixPath], place: PurePosixPath, staging: Path) -> IndexRow:
     dataset, intersection = _names(archive, place)
     folder = staging / dataset / intersection
     if folder.exists():
         raise IzooError(f"another folder is called {dataset}/{intersection} too; rename one of them.")
-    present = set(archive.files())
     for name in (NET_FILE, INFLOW_FILE):
         if place / name not in present:
             raise IzooError(f"it has no {name}; fetch the folder again.")

@@ -108,7 +108,7 @@ def _read(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise IzooError(f"cannot read {path}: {error.strerror}; build the folder again.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise IzooError(f"{path} is damaged ({error}); build the folder again.") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise IzooError(f"{path} is not of the format {FORMAT}; build the folder again with this version of izoo.")

@@ -84,7 +84,7 @@ def read_streets(path: Path | str) -> StreetMap:
     try:
         ways, restrictions = _read_ways(osmium, path)
         lonlat, signals = _read_nodes(osmium, path, {node for way in ways for node in way.nodes})
-    except (RuntimeError, ValueError, OSError, UnicodeDecodeError) as error:
+    except (osmium.InvalidLocationError, RuntimeError, ValueError, OSError) as error:
         raise IzooError(f"{path} cannot be read as OpenStreetMap data ({error}); export the extract again.") from error
     kept = {way.id: way for whole in ways for way in _cut(whole, lonlat)}
     if not kept:
