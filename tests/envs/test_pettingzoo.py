@@ -172,7 +172,7 @@ def test_step_before_reset_is_refused() -> None:
 
 
 def test_a_bound_that_is_no_whole_number_is_refused() -> None:
-    with pytest.raises(IzooError, match="max_vehicles is 10.5; it must be a whole number"):
+    with pytest.raises(IzooError, match=r"max_vehicles is 10\.5; it must be a whole number"):
         parallel_env(crossing(), short(), max_vehicles=10.5)
 
 
