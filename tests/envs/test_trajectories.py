@@ -35,10 +35,10 @@ def test_table_holds_every_vehicle_and_its_class_explains_its_emission(tmp_path:
 
 
 def test_electric_vehicles_are_called_so(tmp_path: Path) -> None:
-    context = procedural_context(inflow_vph_per_lane=600.0).replace(engine="electric", adoption=0.5)
+    context = procedural_context(inflow_vph_per_lane=600.0).replace(engine="electric", adoption=0.3)
     env = EcoDrivingEnv(context, config=EnvConfig(**CONFIG), simulator="twin")
     try:
-        table = trajectory_table(env.rollout(100))
+        table = trajectory_table(env.rollout(1000))
     finally:
         env.close()
     assert (table["fuel"] == "electric").equals(table["is_cv"])

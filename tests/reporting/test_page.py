@@ -16,6 +16,7 @@ import pytest
 
 from izoo.conf.compose import compose_config
 from izoo.conf.report_options import ReportConfig
+from izoo.evaluation.table import FEATURES
 from izoo.report import COMMAND, main
 from izoo.reporting.material import Entry, Evaluated, Material, collect
 from izoo.reporting.page import render
@@ -186,6 +187,7 @@ def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_p
 
 def made(table: pd.DataFrame) -> Material:
     """Return what a report is made of, from an evaluation's table."""
+    table = table.assign(**{name: 1.0 for name in FEATURES if name not in table})
     names = [name for name in dict.fromkeys(table["policy"]) if name != "human"]
     entries = []
     for name in names:
@@ -221,7 +223,7 @@ def test_policies_without_a_common_episode_stand_in_tables_of_their_own() -> Non
 
 def test_benefits_of_electric_vehicles_are_over_human_driving_as_well() -> None:
     material = made(make_table("electric"))
-    ppo = score(material.entries[0]).summary["all"]
+    ppo = score(next(entry for entry in material.entries if entry.name == "ppo")).summary["all"]
     assert ppo["ungated"]["mean"]["value"] == pytest.approx(0.1)
     assert ppo["over_uncommanded"]["mean"]["value"] == pytest.approx(1.0 - 0.9 / 0.97)
     words = "Controlled vehicles are electric"

@@ -92,7 +92,7 @@ def lanes_towards(way: Way, direction: int, *, arriving: bool) -> Lanes:
         return _with_centre(turns, False, centre)
     if explicit is not None:
         return _with_centre(("",) * explicit, False, centre)
-    total = _count(way.tags.get("lanes"), 2 * MAX_LANES + 1)
+    total = _count(way.tags.get("lanes"), 2 * MAX_LANES + 2)
     if total is None:
         return _with_centre(("",) * class_default(way).lanes, True, centre)
     rest = total - _centre_lane(way)
@@ -191,6 +191,6 @@ def _with_centre(turns: tuple[str, ...], guessed: bool, centre: int | bool) -> L
 
 
 def _count(value: str | None, most: int = MAX_LANES) -> int | None:
-    """Return the number of lanes that a tag names, or ``most``: of one direction, or of both and a centre lane."""
+    """Return the number of lanes that a tag names, or ``most``: if it names more."""
     numbers = [int(float(part)) for part in re.findall(r"\d+(?:\.\d+)?", value or "")]
     return min(max(numbers), most) if numbers and max(numbers) > 0 else None
