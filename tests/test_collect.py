@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, NonTensorData
+from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
@@ -21,7 +21,7 @@ from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
 from izoo.training import offline
-from izoo.training.shards import ShardStorage
+from izoo.training.shards import ShardStorage, reserve
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -205,9 +205,30 @@ def test_a_manifest_that_names_other_frames_than_there_are_is_refused(data: Path
     path.write_text(json.dumps(content))
     with pytest.raises(IzooError, match=r"not as manifest\.json says"):
         collect.load(tmp_path / "data")
-    path.write_text(100_000 * "[")
-    with pytest.raises(IzooError, match="damaged"):
+    for text in (100_000 * "[", json.dumps(content).replace(f'"frames": {frames}', '"frames": 1e999')):
+        path.write_text(text)
+        with pytest.raises(IzooError, match="damaged"):
+            collect.load(tmp_path / "data")
+
+
+def test_shards_of_other_shapes_are_refused(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    TensorDict({"done": torch.zeros(300, 1)}, [300]).memmap(str(tmp_path / "data" / "shard-00001"))
+    path = tmp_path / "data" / offline.MANIFEST
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "shards": [*content["shards"], {"name": "shard-00001", "frames": 300}]}))
+    with pytest.raises(IzooError, match="its shards hold different things"):
         collect.load(tmp_path / "data")
+
+
+def test_a_file_system_that_cannot_reserve_room_does_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(descriptor: int, offset: int, size: int) -> None:
+        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+
+    monkeypatch.setattr(os, "posix_fallocate", refuse, raising=False)
+    (tmp_path / "x.memmap").write_bytes(bytes(4))
+    reserve(tmp_path)
+    assert (tmp_path / "x.memmap").read_bytes() == bytes(4)
 
 
 def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Path) -> None:

@@ -255,10 +255,8 @@ class EcoDrivingEgo(_View[np.ndarray]):
             raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, 1] accelerations.")
         wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
         passing = [("agents", name) for name in (*agents, *Commands._fields)]
-        self._kept = result.exclude("next", "is_init", *passing)
-        following = result.get("next", None)
-        if following is not None:
-            self._kept.update(following)
+        kept, following = result.exclude("next"), result.get("next", None)
+        self._kept = (kept if following is None else kept.update(following)).exclude("next", "is_init", *passing)
         commands.defer[:] = False
         for name, values in commands._asdict().items():
             if wanted[name] is not None:

@@ -27,7 +27,7 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
     Returns:
         One row per vehicle and step, sorted by step: ``step``, ``time_s`` since the end of warm-up, the columns of
         ``("vehicles", ...)`` with their units, and the vehicle's ``model_year``, MOVES ``source_type`` and ``fuel``
-        (gasoline, diesel or electric).
+        (gasoline, diesel or, of vehicles that are ``electric``, electric).
 
     Raises:
         IzooError: the rollout holds no vehicles, or more than one environment.
@@ -48,7 +48,7 @@ def trajectory_table(rollout: TensorDictBase, step_s: float = 0.5) -> pd.DataFra
     table["model_year"] = [year for year, _, _ in classes]
     table["source_type"] = [source for _, source, _ in classes]
     fuels = [FUELS[fuel] for _, _, fuel in classes]
-    table["fuel"] = np.where(table.pop("electric"), ELECTRIC, fuels)
+    table["fuel"] = np.where(table["electric"], ELECTRIC, fuels)
     return table
 
 

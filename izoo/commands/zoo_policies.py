@@ -126,7 +126,7 @@ def _figures(evaluation: Path | None) -> list[str]:
     if evaluation is None:
         return ["Not yet."]
     from izoo.evaluation.policies import UNCOMMANDED
-    from izoo.evaluation.show import comparison_rows, intersections_of, intervals_in_words, places_in_words
+    from izoo.evaluation.show import comparison_rows, counted_in_words, places_in_words
     from izoo.evaluation.summary import summarise
     from izoo.reporting.material import read_evaluation
 
@@ -140,11 +140,10 @@ def _figures(evaluation: Path | None) -> list[str]:
             header, rows = comparison_rows(comparison)
             lines += [f"{policy} against {baseline}:", "", "| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
             lines += ["| " + " | ".join(row) + " |" for row in rows if set(row[1:]) != {"-"}] + [""]
-    n = summary["n"]
-    words = intervals_in_words(intersections_of(summary))
+    n, played = summary["n"], dict(facts)["played on"]
     return [
         *lines,
-        f"{places_in_words(n)}, {n['seeds']} paired seeds, played on {dict(facts)['played on']}. {words}",
+        f"{places_in_words(n)}, {n['seeds']} paired seeds, played on {played}.{counted_in_words(summary)}",
     ]
 
 

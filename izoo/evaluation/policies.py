@@ -81,7 +81,7 @@ def as_candidate(policy: str | Policy, config: EnvConfig, name: str | None = Non
 def import_policy(reference: str) -> Policy:
     """Import ``module:function``; a class is called without arguments."""
     module_name, _, attribute = reference.partition(":")
-    if not all(part.isidentifier() for part in (*module_name.split("."), *attribute.split("."))):
+    if not module_name or module_name.startswith(".") or not all(map(str.isidentifier, attribute.split("."))):
         raise IzooError(
             f"{reference!r} is no policy: it is written module:function, such as mine:drive for the function drive of "
             "mine.py, whose folder is on PYTHONPATH."

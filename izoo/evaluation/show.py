@@ -75,9 +75,9 @@ def print_summary(summary: dict[str, Any], console: Console | None = None) -> No
     for name, scores in summary["scores"].items():
         if scores["nan_share"]:
             console.print(nan_in_words(plain(name), scores["nan_share"]), highlight=False, markup=False)
-    words = intervals_in_words(intersections_of(summary))
     console.print(
-        f"{places_in_words(n)}, {n['seeds']} paired seeds, {n['episodes']} episodes. {words}", highlight=False
+        f"{places_in_words(n)}, {n['seeds']} paired seeds, {n['episodes']} episodes.{counted_in_words(summary)}",
+        highlight=False,
     )
     if n["seeds"] < MIN_EVAL_SEEDS:
         console.print(f"Only {counted(n['seeds'], 'seed')} per context: three or more are needed to judge throughput.")
@@ -104,9 +104,14 @@ def benefit_table(
     return _rich(f"{name} against {baseline} on {SIMULATOR_NAMES[simulator]}{mark}", *comparison_rows(comparison))
 
 
-def intersections_of(summary: dict[str, Any]) -> list[int]:
-    """Return on how many intersections the figures of each policy rest."""
-    return [policy["intersections"] for policy in summary["policies"].values()]
+def counted_in_words(summary: dict[str, Any]) -> str:
+    """Return what the brackets of a summary's tables mean, after a space; nothing where there are no policies."""
+    counts = [policy["intersections"] for policy in summary["policies"].values()]
+    if not counts:
+        return ""
+    left_out = min(counts) < summary["n"]["intersections"]
+    some = f" {counted(min(counts), 'intersection')} with a figure." if left_out else ""
+    return f"{some} {intervals_in_words(counts)}"
 
 
 def places_in_words(n: dict[str, int]) -> str:

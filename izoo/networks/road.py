@@ -129,7 +129,7 @@ def _read_road(path: str, _stamp: int) -> RoadNet:
         return _Reader(root, path, hashlib.sha256(data).hexdigest()).read()
     except IzooError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise IzooError(f"{path} is not a complete SUMO net ({error!r}); fetch the file again.") from error
 
 

@@ -244,23 +244,27 @@ def _cell(estimate: dict[str, Any]) -> dict[str, str]:
 def _scores(scored: Sequence[Scored]) -> list[tuple[list[str], list[list[str]]]]:
     """Per test, header and lines of every measured quantity; of several training seeds the mean over them.
 
-    Policies of a test stand beside each other over the episodes that all of them have; those that share none with
-    others, each in a table of its own.
+    Policies of a test stand beside each other over the episodes that all of them have. One that shares none with
+    those before it begins a table of its own.
     """
-    tests: dict[str, list[Scored]] = {}
+    groups: list[list[Scored]] = []
     for s in scored:
-        tests.setdefault(s.entry.test, []).append(s)
+        for group in groups:
+            if group[0].entry.test == s.entry.test and _paired([*group, s]):
+                group.append(s)
+                break
+        else:
+            groups.append([s])
+    several = len({s.entry.test for s in scored}) > 1
     tables = []
-    for test, group in tests.items():
-        together = _paired(group)
-        for found in [together] if together else [_paired([s]) for s in group]:
-            header, lines = score_rows({"scores": {name: _pooled(part) for name, part in found.items()}})
-            tables.append(([test if len(tests) > 1 else "", *header[1:]], lines))
+    for group in groups:
+        header, lines = score_rows({"scores": {name: _pooled(rows) for name, rows in _paired(group).items()}})
+        tables.append(([group[0].entry.test if several else "", *header[1:]], lines))
     return tables
 
 
 def _paired(group: Sequence[Scored]) -> dict[str, pd.DataFrame]:
-    """Rows of human driving and of policies of one test, over the episodes that all of them have; empty without any."""
+    """Rows of human driving and of policies of one test, over the episodes that all of them have; none without any."""
     parts = {HUMAN: [group[0].entry.runs[0].table]} | {s.name: [run.table for run in s.entry.runs] for s in group}
     policies = {HUMAN: HUMAN} | {s.name: s.entry.policy for s in group}
     rows = {name: [t[t["policy"] == policies[name]].set_index(list(PAIR)) for t in parts[name]] for name in parts}

@@ -257,7 +257,7 @@ def _read_manifest(folder: Path | str) -> tuple[int, list[tuple[str, int]]]:
         shards = [(Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
         environments = int(manifest["environments"]) if form == FORMAT else 1
         check_range("environments", environments, 1, MAX_ENVS)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise IzooError(f"{path} is damaged; collect the data again.") from error
     if form != FORMAT:
         raise IzooError(f"{path} is of format {form!r}; this version of izoo reads {FORMAT}.")

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
 from izoo.errors import IzooError
-from izoo.files import read_text
+from izoo.files import NO_ROOM, read_text
 
 
 def as_they_are(rows: TensorDictBase) -> TensorDictBase:
@@ -25,29 +25,31 @@ def as_they_are(rows: TensorDictBase) -> TensorDictBase:
     return rows
 
 
-def check_files(folder: Path) -> set[str]:
-    """Return the leaves of a memory-mapped TensorDict, whose files are all there, and whole.
+def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
+    """Return type and shape, without the first dimension, of every leaf of a memory-mapped TensorDict.
+
+    Its files are all there then, and whole.
 
     Torch itself extends a file that is too short, with zeros, when it maps it.
 
     Raises:
         ValueError: a file is missing or of another size, or its name leads out of the folder.
     """
-    leaves: set[str] = set()
+    leaves: dict[str, tuple[str, list[int]]] = {}
     for name, entry in json.loads(read_text(folder / "meta.json")).items():
         if not isinstance(entry, dict):
             continue
-        if name != Path(name).name:
+        if name in ("", ".", "..") or name != Path(name).name:
             raise ValueError(f"{name!r} is no name of a file")
         if "dtype" not in entry:
-            leaves |= {f"{name}/{leaf}" for leaf in check_files(folder / name)}
+            leaves |= {f"{name}/{leaf}": form for leaf, form in check_files(folder / name).items()}
             continue
         path = folder / f"{name}.memmap"
         size = math.prod(entry["shape"]) * getattr(torch, entry["dtype"].removeprefix("torch.")).itemsize
-        there = path.stat().st_size if path.is_file() and not path.is_symlink() else 0
+        there = path.stat().st_size if path.is_file() else 0
         if there != size:
             raise ValueError(f"{path} has {there:,} bytes, and should have {size:,}")
-        leaves.add(name)
+        leaves[name] = (entry["dtype"], entry["shape"][1:])
     return leaves
 
 
@@ -63,7 +65,11 @@ def reserve(folder: Path) -> None:
         size = path.stat().st_size
         if size:
             with path.open("r+b") as file:
-                os.posix_fallocate(file.fileno(), 0, size)
+                try:
+                    os.posix_fallocate(file.fileno(), 0, size)
+                except OSError as error:
+                    if error.errno in NO_ROOM:
+                        raise  # not every file system can do this, and then it is left to chance
 
 
 class ShardStorage(Storage):

@@ -117,7 +117,9 @@ def test_others_act_by_their_mode_and_remember_a_simulation(ego: gymnasium.Env[A
         assert exploration_type() == ExplorationType.DETERMINISTIC
         count = tensordict.get("count", torch.zeros(1, dtype=torch.int64))
         seen.append((bool(tensordict["is_init"]), int(count)))
-        tensordict["next", "count"] = count + 1
+        assert not (tensordict["agents", "observation"] == 7.0).all(), "what is foretold is not what is seen"
+        tensordict["next"] = TensorDict({"count": count + 1, "is_init": torch.ones(1, dtype=torch.bool)}, [])
+        tensordict["next", "agents", "observation"] = torch.full_like(tensordict["agents", "observation"], 7.0)
         return tensordict.set(("agents", "action"), torch.zeros(tensordict["agents", "mask"].shape[0], 1))
 
     env.others = remembers

@@ -73,7 +73,7 @@ def test_only_intersections_with_a_figure_are_counted_where_intervals_are_explai
     assert aggregate(run_rows(table, "ppo", 0))["n"]["intersections"] == 5
     text = io.StringIO()
     print_summary(summary, Console(file=text, width=200))
-    assert "No intervals with fewer than 6 intersections" in text.getvalue()
+    assert "5 intersections with a figure. No intervals with fewer than 6 intersections" in text.getvalue()
     assert "Brackets" not in text.getvalue()
 
 

@@ -193,6 +193,12 @@ def test_phases_without_a_duration_are_refused(duration: str, tmp_path: Path) ->
         built(tmp_path, lambda program: program.replace('duration="26"', f'duration="{duration}"'))
 
 
+@pytest.mark.parametrize("offset", ["inf", "nan", "1e400", "late"])
+def test_offsets_that_are_no_time_are_refused(offset: str, tmp_path: Path) -> None:
+    with pytest.raises(IzooError, match="is not a complete SUMO net"):
+        built(tmp_path, lambda program: program.replace('offset="0"', f'offset="{offset}"'))
+
+
 def test_of_several_programs_the_last_is_played(tmp_path: Path) -> None:
     """As in SUMO; the twin's is compared with SUMO's in ``tests/envs/twin``."""
 

@@ -61,6 +61,11 @@ def pages() -> str:
     return "".join((DOCS / name).read_text() for name in ("benchmark.md", "notes/results.md"))
 
 
+def test_the_page_says_how_many_simulators_the_files_came_from() -> None:
+    codes = {json.loads(path.read_text())["versions"]["code"] for path in FILES.rglob("*.json")}
+    assert f"The files carry {len(codes)} different digests" in (DOCS / "benchmark.md").read_text()
+
+
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
     def table(*words: object) -> tuple[int, str, str]:

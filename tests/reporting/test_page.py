@@ -215,6 +215,7 @@ def test_policies_without_a_common_episode_stand_in_tables_of_their_own() -> Non
     first = table["context"].str.startswith("town/0")
     table = table[(table["policy"] != "ppo") | first]
     table = table[(table["policy"] != "uncommanded") | ~first]
+    table = pd.concat([table, table[table["policy"] == "uncommanded"].assign(policy="mine")])  # beside it
     text = render(made(table), replay=False)
     part = text[text.index("Everything that was measured") :]
     part = part[: part.index("</details>")]
