@@ -43,6 +43,7 @@ TABLES: dict[str, list[Path]] = {
     ],
     "all approaches": [FILES / "all_approaches", FILES / "5000_episodes_all_approaches"],
     "atlanta": [FILES / "atlanta", *(LONG / f"{name}_atlanta.json" for name in LEARNERS)],
+    "atlanta, all approaches": [FILES / "atlanta_all_approaches"],
     "atlanta in distribution": [
         FILES / "atlanta_in_distribution",
         Path("--uncommanded"),
