@@ -125,6 +125,12 @@ def test_bombs_are_refused(tmp_path: Path) -> None:
     assert "EntitiesForbidden" in import_dataset(bomb, tmp_path / "c").unusable["t/2"]
 
 
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="there is no such device here")
+def test_a_device_is_not_read(tmp_path: Path) -> None:
+    with pytest.raises(IzooError, match="/dev/zero is neither a folder nor a file"):
+        import_dataset(Path("/dev/zero"), tmp_path / "target")
+
+
 def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     (tmp_path / "x.zip").write_bytes(b"not a zip")
     with pytest.raises(IzooError, match="neither a folder nor a readable zip"):

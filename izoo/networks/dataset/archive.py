@@ -49,6 +49,8 @@ def open_archive(source: Path) -> Iterator[Archive]:
         yield FolderArchive(source)
     elif not source.exists():
         raise IzooError(f"{source} does not exist; give the path of the dataset's folder or zip archive.")
+    elif not source.is_file():  # a device may have no end
+        raise IzooError(f"{source} is neither a folder nor a file; give the dataset's folder or zip archive.")
     else:
         try:
             file = zipfile.ZipFile(source)
