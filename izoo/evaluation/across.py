@@ -49,9 +49,14 @@ def played_all(table: pd.DataFrame, baseline: str, policy: str) -> bool:
     return len(_matching(table, baseline, chosen)) == len(chosen)
 
 
+def drives_electric(table: pd.DataFrame, policy: str) -> bool:
+    """Return whether a policy drives electric CVs, whose engine saves most of what they save over human driving."""
+    return bool((table.loc[table["policy"] == policy, "engine"] == "electric").any())
+
+
 def headline_baseline(table: pd.DataFrame, policy: str) -> str:
     """Return what a policy's main figure is over: human driving, or with electric CVs uncommanded ones."""
-    electric = bool((table.loc[table["policy"] == policy, "engine"] == "electric").any())
+    electric = drives_electric(table, policy)
     return UNCOMMANDED if electric and policy != UNCOMMANDED and played_all(table, UNCOMMANDED, policy) else HUMAN
 
 

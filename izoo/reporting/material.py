@@ -25,12 +25,10 @@ TRADEOFFS_FILE = "tradeoffs.csv"
 EVALUATIONS = "evaluations"
 BRIEF = "training contexts"
 """What the brief evaluation that ends a run is called; it lies in the run folder itself."""
-TRADEOFF_COLUMNS = (
-    *("point", "kind", "emission_g_per_vehicle", "travel_time_s_per_vehicle"),
-    *("throughput_kept", "on_front"),
-)
-"""What the report needs of ``tradeoffs.csv``."""
+TRADEOFF_NUMBERS = ("emission_g_per_vehicle", "travel_time_s_per_vehicle")
 TRADEOFF_FLAGS = ("throughput_kept", "on_front")
+TRADEOFF_COLUMNS = ("point", "kind", *TRADEOFF_NUMBERS, *TRADEOFF_FLAGS)
+"""What the report needs of ``tradeoffs.csv``."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +268,7 @@ def _with_tradeoffs(material: Material, folder: Path) -> Material:
     missing = [name for name in TRADEOFF_COLUMNS if name not in table]
     if missing:
         raise IzooError(f"{path} lacks the column(s) {', '.join(missing)}; {remedy}.")
-    for name in TRADEOFF_COLUMNS[2:]:
+    for name in (*TRADEOFF_NUMBERS, *TRADEOFF_FLAGS):
         check = pd.api.types.is_bool_dtype if name in TRADEOFF_FLAGS else pd.api.types.is_numeric_dtype
         if len(table) and not check(table[name]):
             raise IzooError(f"{path} is damaged in the column {name}; {remedy}.")

@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 from izoo import __version__
 from izoo.console import counted
 from izoo.errors import IzooError
-from izoo.evaluation.across import counted_intersections
+from izoo.evaluation.across import counted_intersections, drives_electric
 from izoo.evaluation.policies import HUMAN, UNCOMMANDED
 from izoo.evaluation.show import intervals_in_words, nan_in_words, percent, score_rows
 from izoo.evaluation.summary import seeds_per_context, summarise
@@ -150,7 +150,7 @@ def render(material: Material, *, replay: bool = True, imports: bool = False, no
         summary_columns=[label for label, _, _ in SUMMARY_COLUMNS],
         scores=_scores(scored),
         improvement=_improvement(scored),
-        electric=any(s.electric for s in scored),
+        electric=any(drives_electric(s.entry.runs[0].table, s.entry.policy) for s in scored),
         saturated=_named(scored, "saturated"),
         left_out=_named(scored, "left_out"),
         figures=drawn,
@@ -247,35 +247,39 @@ def _scores(scored: Sequence[Scored]) -> list[tuple[list[str], list[list[str]]]]
     Policies of a test stand beside each other over the episodes that all of them have. One that shares none with
     those before it begins a table of its own.
     """
-    groups: list[list[Scored]] = []
+    groups: list[tuple[list[Scored], pd.Index]] = []
     for s in scored:
-        for group in groups:
-            if group[0].entry.test == s.entry.test and _paired([*group, s]):
-                group.append(s)
+        played = _episodes(s)
+        for k, (group, shared) in enumerate(groups):
+            common = shared.intersection(played)
+            if group[0].entry.test == s.entry.test and len(common):
+                groups[k] = ([*group, s], common)
                 break
         else:
-            groups.append([s])
+            groups.append(([s], played))
     several = len({s.entry.test for s in scored}) > 1
     tables = []
-    for group in groups:
-        header, lines = score_rows({"scores": {name: _pooled(rows) for name, rows in _paired(group).items()}})
+    for group, shared in groups:
+        parts = {HUMAN: _parts(group[0], HUMAN)[:1], **{s.name: _parts(s, s.entry.policy) for s in group}}
+        pooled = {name: _pooled([part.loc[shared] for part in rows]) for name, rows in parts.items() if len(shared)}
+        header, lines = score_rows({"scores": pooled})
         tables.append(([group[0].entry.test if several else "", *header[1:]], lines))
     return tables
 
 
-def _paired(group: Sequence[Scored]) -> dict[str, pd.DataFrame]:
-    """Rows of human driving and of policies of one test, over the episodes that all of them have; none without any."""
-    parts = {HUMAN: [group[0].entry.runs[0].table]} | {s.name: [run.table for run in s.entry.runs] for s in group}
-    policies = {HUMAN: HUMAN} | {s.name: s.entry.policy for s in group}
-    rows = {name: [t[t["policy"] == policies[name]].set_index(list(PAIR)) for t in parts[name]] for name in parts}
-    shared = functools.reduce(pd.Index.intersection, [part.index for tables in rows.values() for part in tables])
-    if shared.empty:
-        return {}
-    return {name: pd.concat([part.loc[shared].reset_index() for part in tables]) for name, tables in rows.items()}
+def _parts(scored: Scored, policy: str) -> list[pd.DataFrame]:
+    """Rows of a policy in every run, by episode and approach."""
+    return [run.table[run.table["policy"] == policy].set_index(list(PAIR)) for run in scored.entry.runs]
 
 
-def _pooled(rows: pd.DataFrame) -> dict[str, Any]:
-    return summarise(rows.assign(policy=HUMAN))["scores"][HUMAN]
+def _episodes(scored: Scored) -> pd.Index:
+    """What a policy has played in all of its runs, and human driving too."""
+    parts = [*_parts(scored, scored.entry.policy), _parts(scored, HUMAN)[0]]
+    return functools.reduce(pd.Index.intersection, [part.index for part in parts])
+
+
+def _pooled(parts: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    return summarise(pd.concat(parts).reset_index().assign(policy=HUMAN))["scores"][HUMAN]
 
 
 def _improvement(scored: Sequence[Scored]) -> list[dict[str, Any]]:

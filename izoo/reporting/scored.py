@@ -53,12 +53,6 @@ class Scored:
         return len(self.tables) > 1 and not self.trained
 
     @property
-    def electric(self) -> bool:
-        """Whether it drives electric CVs, whose engine saves most of what they save over human driving."""
-        table = self.entry.runs[0].table
-        return bool((table.loc[table["policy"] == self.entry.policy, "engine"] == "electric").any())
-
-    @property
     def nan_share(self) -> float:
         """Share of its commands that were NaN, over all runs: SUMO drove those vehicles."""
         return nan_share_of(run.table[run.table["policy"] == self.entry.policy] for run in self.entry.runs)

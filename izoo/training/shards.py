@@ -28,9 +28,7 @@ def as_they_are(rows: TensorDictBase) -> TensorDictBase:
 def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
     """Return type and shape, without the first dimension, of every leaf of a memory-mapped TensorDict.
 
-    Its files are all there then, and whole.
-
-    Torch itself extends a file that is too short, with zeros, when it maps it.
+    Its files are all there then, and whole: torch itself extends one that is too short, with zeros, when it maps it.
 
     Raises:
         ValueError: a file is missing or of another size, or its name leads out of the folder.
@@ -39,7 +37,7 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
     for name, entry in json.loads(read_text(folder / "meta.json")).items():
         if not isinstance(entry, dict):
             continue
-        if name in ("", ".", "..") or name != Path(name).name:
+        if name == ".." or name != Path(name).name:
             raise ValueError(f"{name!r} is no name of a file")
         if "dtype" not in entry:
             leaves |= {f"{name}/{leaf}": form for leaf, form in check_files(folder / name).items()}

@@ -191,6 +191,6 @@ def _with_centre(turns: tuple[str, ...], guessed: bool, centre: int | bool) -> L
 
 
 def _count(value: str | None, most: int = MAX_LANES) -> int | None:
-    """Return the number of lanes that a tag names, or ``most``: if it names more."""
+    """Return the number of lanes that a tag names, or ``most`` if it names more."""
     numbers = [int(float(part)) for part in re.findall(r"\d+(?:\.\d+)?", value or "")]
     return min(max(numbers), most) if numbers and max(numbers) > 0 else None
