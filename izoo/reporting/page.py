@@ -190,7 +190,7 @@ def _replays(scored: Sequence[Scored], imports: bool, note: Note) -> tuple[list[
                     lost.append((s.name, f"the {scene.which} approach would make the page too large."))
                     continue
                 described = dataclasses.asdict(dataclasses.replace(scene, run=None))  # type: ignore[arg-type]
-                described |= {"name": s.name, "baseline": HUMAN, "seed": str(scene.seed), "runs": len(s.tables)}
+                described |= {"name": s.name, "seed": str(scene.seed), "runs": len(s.tables)}
                 played.append((described, packed))
     return played, lost
 

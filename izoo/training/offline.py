@@ -88,7 +88,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
                     break
         writer.finish_shard()
     except OSError as error:
-        text = f"could not write to {out}: {error}; shards that its {MANIFEST} names are complete"
+        kept = f"; shards that its {MANIFEST} names are complete" if (out / MANIFEST).exists() else ""
+        text = f"could not write to {out}: {error}{kept}"
         remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
         raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
     finally:

@@ -260,8 +260,8 @@ if (byId("replay-app")) report.ready.then(content => {
     Object.assign(state, { scene: data, index, frame: busiest(data) });
     lookAtApproach();
     const same = SIDES.every(side => data[side].as_evaluated) ? "" : " This replay differs from what was evaluated: the simulator or the machine is another one.";
-    byId("scene-text").textContent = `${scene.context}, leg ${scene.approach}: benefit of ${scene.name} over ${scene.baseline} driving ${percent(scene.benefit)} (CO2 per vehicle, mean over seeds, no gate). Seed ${scene.seed}.${same}`;
-    const names = { baseline: `Baseline: ${scene.baseline}`, policy: scene.name };
+    byId("scene-text").textContent = `${scene.context}, leg ${scene.approach}: benefit of ${scene.name} over human driving ${percent(scene.benefit)} (CO2 per vehicle, mean over seeds, no gate). Seed ${scene.seed}.${same}`;
+    const names = { baseline: "Baseline: human", policy: scene.name };
     SIDES.forEach(side => { byId(`${side}-name`).textContent = names[side]; byId(`${side}-ts-name`).textContent = names[side]; });
     byId("scrub").max = String(data.frames - 1);
     legend();
