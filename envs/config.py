@@ -33,6 +33,8 @@ class EnvConfig:
             may be handed on within a decision, which ``vehicle_number`` tells.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
+        drain_s: an episode is played out: after the horizon nobody new departs, and simulation and control go on until
+            everybody has left, or for this long. 0 (as in training): it ends at the horizon.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
         num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
         num_approaches: rows ``P`` of the per-approach metrics.
@@ -56,6 +58,7 @@ class EnvConfig:
     hold_s: float | None = None
     horizon_s: float = 1000.0
     warmup_s: float = 25.0
+    drain_s: float = 0.0
     num_agents: int = 64
     num_vehicles: int = 256
     num_approaches: int = 6
@@ -92,6 +95,7 @@ class EnvConfig:
         self._check_hold()
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
+        check_range("drain_s", self.drain_s, 0.0, 86400.0, "s")
         check_range("num_agents", self.num_agents, 1, 4096)
         check_range("num_vehicles", self.num_vehicles, 1, 8192)
         check_range("num_approaches", self.num_approaches, 1, 26)

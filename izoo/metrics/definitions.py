@@ -45,6 +45,12 @@ APPROACH_METRICS: tuple[str, ...] = (
     "early",  # those that were in the region, or had left it, when the warm-up ended
     "held_up_s",  # seconds that vehicles were held up outside of the region, over all who should have come to it
     "held_up_emission_g",  # what these would have burned meanwhile, standing
+    "cohort",  # vehicles whose departure is due between warm-up and horizon: the same ones under every policy
+    "cohort_left",  # those of them that had left the region when the episode ended
+    "cohort_region_co2_g",  # what the cohort burned in the region: approach, junction and exit
+    "cohort_blocked_co2_g",  # what it would have burned standing outside, while blocked
+    "cohort_region_delay_s",  # time that it lost in the region against driving at the limit
+    "cohort_blocked_s",  # time for which it was blocked outside: it could have come, at the limit, and had not
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 
