@@ -33,10 +33,10 @@ from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
-from izoo.report.published import PAPER_LABEL, paper_table
+from izoo.report.published import BENEFIT, paper_table
 from izoo.report.tables import SAVED, Table
 from izoo.results.schema import COLUMNS, FEATURES, IDENTITY
-from izoo.results.store import read_manifest, read_table
+from izoo.results.store import PolicyRecord, read_manifest, read_table
 from izoo.training.plots import Chart, save
 from izoo.training.plots import draw as draw_charts
 
@@ -69,12 +69,16 @@ def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = out or folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
+    table = table[table["task"] == manifest.task]
     for name in dict.fromkeys(table["policy"]):
-        if name in BASELINES and set(table["policy"]) > set(BASELINES):
+        if name in BASELINES:
             continue
-        about = {"name": name, **_plain(manifest.policies.get(name, {"kind": "scripted"}))}
+        records = manifest.policies.get(name, {0: PolicyRecord()})
+        first = next(iter(records.values()))
+        about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}
+        about["weights"] = [record.weights for record in records.values() if record.weights]
         rows = table[table["policy"].isin({name, *BASELINES})]
-        content = make_entry(about, manifest.task, manifest.model_version, dict(manifest.versions), rows)
+        content = make_entry(about, manifest.task, manifest.model_version, manifest.versions, rows)
         written.append(out / f"{name.replace('/', '_')}.json")
         write_entry(written[-1], content)
     return written
@@ -236,16 +240,12 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
     elif content["model_version"] != MODEL_VERSION:
         marks.append(f"model version {content['model_version']} of the simulation, not {MODEL_VERSION}")
     mine = table[table["policy"] == policy["name"]]
-    seeds = max(1, mine["train_seed"].nunique())
-    wanted = mine[list(PAIR)].drop_duplicates()
-    for name in BASELINES if not content.get("superseded") else ():
-        wanted = pd.concat([wanted, table.loc[table["policy"] == name, list(PAIR)]]).drop_duplicates()
-    lacking = sum(len(wanted) - len(table[table["policy"] == name]) for name in BASELINES if name != policy["name"])
-    episodes = len(wanted) - len(mine[list(PAIR)].drop_duplicates()) + max(lacking, 0)
-    if mine.empty:
-        marks.append(f"there are no rows of {policy['name']}")
-    elif episodes and not content.get("superseded"):
-        marks.append(f"{counted(episodes, 'row')} of the policy or a baseline are missing")
+    seeds = mine["train_seed"].nunique()
+    if not content.get("superseded"):
+        wanted = len(table[list(PAIR)].drop_duplicates())
+        for name, there in {name: 1 for name in BASELINES} | {policy["name"]: max(seeds, 1)}.items():
+            lacking = there * wanted - int((table["policy"] == name).sum())
+            marks += [f"{counted(lacking, 'row')} {'is' if lacking == 1 else 'are'} missing of {name}"] if lacking else []
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
     if set(table["simulator"]) == {"twin"}:
@@ -272,7 +272,7 @@ def merge(found: Sequence[Entry]) -> dict[str, Any]:
 def board(group: Mapping[str, Any]) -> Table:
     """Return a group of :func:`merge` as a table: ranked entries, slower ones, those that are not ranked."""
     if "paper" in group:
-        return paper_table(group["paper"], f"{group['task']}: superseded, the paper's form")
+        return paper_table(group["paper"], f"{group['task']}: superseded; the paper's form, over human driving")
     summary = group["summary"] or group["marked"][0]["summary"]
     shown = tables.entries(summary)
     groups = shown.groups if group["summary"] else ()
@@ -292,7 +292,7 @@ def draw(found: Sequence[Entry], path: Path, histograms: bool = False) -> None:
 def _histogram(entry: Entry) -> Chart:
     title = f"{entry.name}: {entry.content['task']}"
     if entry.superseded:
-        return plots.histogram(100.0 * paper_form(entry.table, entry.name)[0]["benefit"], title, "histogram", PAPER_LABEL)
+        return plots.histogram(100.0 * paper_form(entry.table, entry.name)[0]["benefit"], title, "histogram", BENEFIT)
     own = pair(entry.table[entry.table["simulator"] == entry.simulator], entry.name, UNCOMMANDED)
     return plots.histogram(FIGURES[SAVED].value(own.own, own.baseline), title, "histogram")
 
@@ -309,7 +309,7 @@ def _group(task: str, simulator: str, found: Sequence[Entry], old: bool) -> dict
     for name, entry in named.items():
         base = entry.table[entry.table["policy"].isin(BASELINES)]
         reference = base if reference is None and not entry.marks else reference
-        more = [f"{counted(len(most - _tested(entry)), 'episode')} fewer than others of the task"] if most - _tested(entry) else []
+        more = [f"{counted(len(most - _tested(entry)), 'context')} fewer than others of the task"] if most - _tested(entry) else []
         if reference is not None and not entry.marks and not _same(base, reference):
             more.append("its baselines drove otherwise than those of the other files")
         if entry.marks or more:
@@ -318,18 +318,11 @@ def _group(task: str, simulator: str, found: Sequence[Entry], old: bool) -> dict
         ranked[name] = entry
         parts += [entry.table.assign(policy=entry.table["policy"].replace({entry.name: name}), task=task)]
     summary = summarise(pd.concat(parts, ignore_index=True).drop_duplicates(list(KEY))) if parts else None
-    order = sorted(ranked, key=lambda name: _place(summary, name))  # type: ignore[arg-type]
+    order = [name for name in tables.ranking(summary) if name in ranked] if summary else []
     alone = [{"name": name, "summary": _renamed(summarise(e.table), e.name, name)} for name, e in marked.items() if not _empty(e)]
     lines = [_line(name, ranked[name], k) for k, name in enumerate(order, 1)]
     lines += [_line(name, entry, None) for name, entry in marked.items()]
     return group | {"summary": summary, "entries": lines, "marked": alone}
-
-
-def _place(summary: Mapping[str, Any], name: str) -> tuple[bool, float]:
-    entry = summary["entries"][name]
-    block = entry["against"].get(BASELINES[0], {}).get(summary["block"], {})
-    value = block.get("figures", {}).get(SAVED, {}).get("value")
-    return bool(entry.get("slower")), np.inf if value is None else -value
 
 
 def _named(found: Sequence[Entry]) -> dict[str, Entry]:
@@ -379,7 +372,3 @@ def _rounded(value: Any) -> Any:
         return value
     number = float(f"{float(value):.{DIGITS}g}")
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    return dict(record) if isinstance(record, Mapping) else {k: v for k, v in vars(record).items()}

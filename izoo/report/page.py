@@ -19,8 +19,7 @@ from izoo import __version__
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import UNCOMMANDED
-from izoo.metrics.paper_form import paper_form
+from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.report import plots, tables
 from izoo.report.published import paper_table, published_for
 from izoo.report.replay import Player, scenes
@@ -137,7 +136,6 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
 def _part(evaluation: Evaluation) -> dict[str, Any]:
     """What the page says of an evaluation in tables."""
     summary = evaluation.summary
-    paper = _paper(evaluation)
     return {
         "name": evaluation.name,
         "verdict": summary["verdict"],
@@ -146,12 +144,8 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],
-        "paper": paper_table(paper, "").html() if paper else "",
+        "paper": paper_table(evaluation.paper, "", evaluation.task).html(),
     }
-
-
-def _paper(evaluation: Evaluation) -> dict[str, Any]:
-    return {name: paper_form(evaluation.table, name)[1] for name in evaluation.policies}
 
 
 def _charts(results: Results) -> dict[str, list[Chart]]:
@@ -170,10 +164,9 @@ def _charts(results: Results) -> dict[str, list[Chart]]:
         tint = plots.colours(list(values))
         for j, (name, of) in enumerate(values.items()):
             found["histograms"].append(plots.histogram(of, name, f"histogram{place}-{j}", colour=tint[name]))
-        published = published_for(evaluation.manifest.task)
-        if published:
-            ours = paper_table(_paper(evaluation), "")
-            found["published"].append(dataclasses.replace(plots.beside_published(ours, published), name=f"published{place}"))
+        if published_for(evaluation.task):
+            chart = plots.forest(paper_table(evaluation.paper, "", evaluation.task), f"published{place}", 1)
+            found["published"].append(chart)
     tint = plots.colours([name for evaluation in results.evaluations for name in evaluation.policies])
     found["curves"] = curves(results.curves, colours={name: tint[name] for name in results.curves if name in tint})
     return found
@@ -202,8 +195,8 @@ def _replays(
     lost: list[tuple[str, str]] = []
     with Player(imports) as player:
         for evaluation in evaluations:
-            ranked = [row.label.split(" (")[0] for row in tables.entries(evaluation.summary).rows]
-            able = [name for name in ranked if name != UNCOMMANDED and not name.endswith(plots.UNTRAINED)] or ranked
+            able = [name for name in tables.ranking(evaluation.summary) if name not in BASELINES]
+            able = [name for name in able if not name.endswith(plots.UNTRAINED)] or able
             if able[REPLAY_POLICIES:]:
                 lost.append((", ".join(able[REPLAY_POLICIES:]), f"only the {REPLAY_POLICIES} best are replayed."))
             for name in able[:REPLAY_POLICIES]:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.statistics import performance_profile
-from izoo.report.published import Published
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
+from izoo.metrics.statistics import performance_profile
 from izoo.report.tables import SAVED, Cell, Table, compared
 from izoo.training.plots import PALETTE, QUIET, Chart, Series
 
@@ -110,16 +109,6 @@ def cut_height(counts: np.ndarray) -> float:
     """Height at which bars are cut: that of the tallest, unless it is over three times the second tallest."""
     tallest = np.sort(counts)[::-1]
     return float(max(2 * tallest[1], 1) if tallest[0] > 3 * max(int(tallest[1]), 1) else max(tallest[0], 1))
-
-
-def beside_published(ours: Table, published: Sequence[Published]) -> Chart:
-    """Return the paper's form of entries beside the published figures."""
-    chart = forest(ours, "published")
-    known = [p for p in published if p.benefit is not None]
-    places = [len(chart.rows) + k for k in range(len(known))]
-    theirs = Series([100.0 * (p.benefit or 0.0) for p in known], places, "published", "points", colour=PALETTE[1])
-    rows = [*chart.rows, *(f"{p.algorithm}, {p.protocol} (paper)" for p in known)]
-    return Chart("published", "", [*chart.series, theirs], chart.x_label, alt=chart.alt, rows=rows, zero=True, height_px=120 + 36 * len(rows))
 
 
 def to_plotly(chart: Chart) -> dict[str, Any]:

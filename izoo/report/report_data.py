@@ -15,6 +15,7 @@ from izoo.errors import IzooError
 from izoo.files import check_folder
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, pair
+from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import summarise
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
@@ -32,13 +33,15 @@ class Evaluation:
 
     Attributes:
         name: how the report calls it.
+        task: what was tested.
         folder: where it lies.
-        table: its rows.
+        table: its rows, of one task and one simulator.
         manifest: what is known of how they came to be.
         run: the folder of the training run that it belongs to.
     """
 
     name: str
+    task: str
     folder: Path
     table: pd.DataFrame = field(repr=False)
     manifest: Manifest
@@ -56,9 +59,13 @@ class Evaluation:
 
     def contexts(self, policy: str) -> pd.DataFrame:
         """Return every figure over uncommanded per training seed and context (:class:`izoo.metrics.pairing.Paired`)."""
-        rows = self.table[self.table["simulator"] == self.summary["simulators"][0]]
-        contexts, own, baseline = pair(rows, policy, UNCOMMANDED)
+        contexts, own, baseline = pair(self.table, policy, UNCOMMANDED)
         return contexts.assign(**{name: figure.value(own, baseline) for name, figure in FIGURES.items()})
+
+    @cached_property
+    def paper(self) -> dict[str, dict[str, Any]]:
+        """The paper's form of every policy."""
+        return {name: paper_form(self.table, name)[1] for name in self.policies}
 
 
 @dataclass(frozen=True)
@@ -91,30 +98,38 @@ def collect(folder: Path, partial: bool = False) -> Results:
     name, run = folder.resolve().name, folder if (folder / CONFIG_FILE).exists() else None
     places = [folder] if (folder / MANIFEST_FILE).exists() or (folder / ROWS_FILE).exists() else []
     places += sorted(path.parent for path in (folder / EVALUATIONS).glob(f"*/{MANIFEST_FILE}"))
-    found = tuple(_evaluation(place, place.resolve().name, run, partial) for place in places)
+    found = tuple(each for place in places for each in _evaluations(place, run, partial))
     curves = read_curves(folder)
     if not found and not curves:
         raise IzooError(
             f"{folder} holds no results: neither {ROWS_FILE} (izoo.evaluate, a benchmark) nor {METRICS_FILE} (izoo.train)."
         )
-    if len(found) == 1 and found[0].manifest.task and run is None:
-        name = f"{name}: {found[0].manifest.task}"
+    if len(found) == 1 and found[0].task and run is None:
+        name = f"{name}: {found[0].task}"
     if folder.resolve().parent.name == EVALUATIONS:
         name = f"{folder.resolve().parent.parent.name}: {name}"
     return Results(name, found, curves, _facts(found))
 
 
-def _evaluation(folder: Path, name: str, run: Path | None, partial: bool) -> Evaluation:
+def _evaluations(folder: Path, run: Path | None, partial: bool) -> list[Evaluation]:
+    """Return the evaluations of a folder, one per task, the manifest's first."""
     table, manifest = read_table(folder), read_manifest(folder)
     if not manifest.complete and not partial:
         raise IzooError(
             f"{folder} is not finished; start the same command again, it goes on where it stopped; or report what is "
             "there: partial=true."
         )
-    lacking = [baseline for baseline in BASELINES if baseline not in set(table["policy"])]
-    if lacking:
-        raise IzooError(f"{folder} has no rows of {' and '.join(lacking)}; evaluate again with out={folder}.")
-    return Evaluation(name, folder, table, manifest, run)
+    if "sumo" in set(table["simulator"]):
+        table = table[table["simulator"] == "sumo"]
+    found, tasks = [], sorted(table["task"].unique(), key=lambda task: task != manifest.task)
+    for task in tasks:
+        rows = table[table["task"] == task]
+        lacking = [baseline for baseline in BASELINES if baseline not in set(rows["policy"])]
+        if lacking:
+            raise IzooError(f"{folder} has no rows of {' and '.join(lacking)}; evaluate again with out={folder}.")
+        name = str(task) if len(tasks) > 1 else folder.resolve().name
+        found.append(Evaluation(name, str(task), folder, rows, manifest, run))
+    return found
 
 
 def _facts(found: tuple[Evaluation, ...]) -> tuple[tuple[str, str], ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ Rows = list[dict[str, Any]]
 
 
 def convert(paths: Sequence[Path], out: Path) -> list[Path]:
-    """Write files of the format before this one in the present format into ``out``, under their own names.
+    """Write files of the format before this one in the present format into ``out``, in the folders they lie in.
 
     Rows are means over episode seeds, so that CO2 is the product of its mean per vehicle that crossed and their mean
     number. Rows of uncommanded are those of a file among ``paths`` that was played in the same episodes; where there
@@ -38,12 +39,12 @@ def convert(paths: Sequence[Path], out: Path) -> list[Path]:
         if content["policy"]["name"] == UNCOMMANDED
     ]
     human = [_human(content) for content, _ in uncommanded]
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
+    written, common = [], os.path.commonpath([path.parent for path in paths])
     for path, content in old.items():
         driving = _human(content)
         beside = next((rows for own, (_, rows) in zip(human, uncommanded, strict=True) if _covers(own, driving)), {})
-        written.append(out / path.name)
+        written.append(out / path.relative_to(common))
+        written[-1].parent.mkdir(parents=True, exist_ok=True)
         write_entry(written[-1], _converted(content, driving, beside))
     return written
 
@@ -67,7 +68,7 @@ def _converted(content: Mapping[str, Any], human: Mapping[Any, Any], uncommanded
         approaches = {key[2:] for key in human}
         rows |= {key: row for key, row in uncommanded.items() if key[2:] in approaches}
     untrained = policy["name"].endswith(UNTRAINED)
-    about = {**policy, "kind": "untrained" if untrained else policy["kind"], "weights": None, "source": None}
+    about = {**policy, "kind": "untrained" if untrained else policy["kind"], "weights": []}
     task = f"{protocol['title']}, {protocol['scale']}" + (f", {protocol['env']}" if "env" in protocol else "")
     table = pd.DataFrame(list(rows.values())).reindex(columns=list(PAPER_COLUMNS)).assign(task=task)
     why = WHY.format(seeds=len(content["eval_seeds"]))

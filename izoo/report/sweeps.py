@@ -16,13 +16,15 @@ from izoo.files import check_folder, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
+from izoo.report.report_data import EVALUATIONS
 from izoo.report.tables import SAVED, Cell, Row, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, read_table
 from izoo.training import plots, runs
 from izoo.training.records import MetricsTable
-from izoo.training.validation import VALIDATION_FILE, VALIDATION_MEASURE
+from izoo.training.validation import VALIDATION_FILE
 
 SWEEP_FILE, RUNS_FILE, CURVES_FILE = "sweep.csv", "sweep_runs.csv", "sweep.png"
+LAST_EVALUATION = f"{EVALUATIONS}/last"
 NOT_OPTIONS = ("seed", "run_dir", "resume")
 """Options in which repetitions of the same choice differ."""
 MEASURE = FIGURES[SAVED]
@@ -64,7 +66,7 @@ def read_run(run_dir: Path) -> Choice:
         row["frames"], row["seconds"] = int(table.rows[-1]["frames"]), float(table.rows[-1]["seconds"])
         returns = table.series("return")[1]
         row["return"] = float(np.mean(returns[-LAST_ROWS:])) if returns else None
-    validated = MetricsTable.read(run_dir / VALIDATION_FILE).series(VALIDATION_MEASURE)[1]
+    validated = MetricsTable.read(run_dir / VALIDATION_FILE).series(SAVED)[1]
     if validated:
         row |= {"best": max(validated), "last": validated[-1]}
     row["evaluation"] = _evaluated(run_dir)
@@ -168,7 +170,7 @@ def _choice(row: Choice, options: Sequence[str]) -> tuple[str, ...]:
 def _evaluated(run_dir: Path) -> float | None:
     """Return what the evaluation that ended the run found, where there is one."""
     try:
-        summary = summarise(read_table(run_dir))
+        summary = summarise(read_table(run_dir / LAST_EVALUATION))
     except IzooError:
         return None
     found = [summary["entries"][name]["against"].get(UNCOMMANDED, {}) for name in compared(summary)]

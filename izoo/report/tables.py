@@ -5,6 +5,7 @@ Columns and formats of figures come from :data:`izoo.metrics.figures.FIGURES`; n
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import math
 from collections.abc import Mapping, Sequence
@@ -25,8 +26,10 @@ FIRST_ROWS = 6
 SAVED = HEADLINE[0]
 BESIDE = ("unserved",)
 """Levels that stand in the row of an entry; all others are shown on request."""
-SLOWER = "slower: delay is shown to be higher than uncommanded"
+SLOWER = "slower"
 WIDTH = 80
+ABREAST = 6
+"""Policies that stand side by side in a table of levels."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Cell:
         low, high: ends of its interval; ``None``: it has none.
         unit, digits: how it is written.
         signed: whether a gain has a plus.
+        note: what stands in the place of an interval.
     """
 
     value: float | None = None
@@ -46,6 +50,7 @@ class Cell:
     unit: str = ""
     digits: int = 1
     signed: bool = False
+    note: str = ""
 
     @property
     def number(self) -> str:
@@ -57,7 +62,9 @@ class Cell:
 
     @property
     def interval(self) -> str:
-        """The ends in brackets; empty where there are none."""
+        """The ends, or the note, in brackets; empty where there are none."""
+        if self.note:
+            return f"({self.note})"
         return "" if self.low is None or self.high is None else f"[{self._round(self.low)}, {self._round(self.high)}]"
 
     def __str__(self) -> str:
@@ -101,14 +108,13 @@ class Table:
         shown = RichTable(title=Text(plain(self.title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         shown.padding = (0, 1, 0, 0)
         for k, heading in enumerate(self.columns):
-            shown.add_column(Text(plain(heading)), justify="right" if k else "left", overflow="fold", no_wrap=k > 0)
-            if k:
-                shown.columns[k].header = Text(plain(heading).replace(", ", ",\n") if wide else plain(heading))
+            heading = plain(heading).replace(", ", ",\n") if wide else plain(heading)
+            shown.add_column(Text(heading), justify="right" if k else "left", overflow="fold", no_wrap=k > 0)
         for heading, rows in self.groups:
             if heading and rows:
                 shown.add_row(Text(plain(heading), style="italic"))
             for row in rows:
-                cells = [str(c) if not wide or isinstance(c, str) else f"{c.number}\n{c.interval}" for c in row.cells]
+                cells = [f"{c.number}\n{c.interval}" if wide and isinstance(c, Cell) else str(c) for c in row.cells]
                 shown.add_row(Text(plain(row.label)), *(Text(_lines(cell).rstrip()) for cell in cells))
             shown.add_section()
         return shown
@@ -164,19 +170,32 @@ def headline(summary: Mapping[str, Any]) -> Table:
 
 def entries(summary: Mapping[str, Any]) -> Table:
     """Return a row per entry with the main figures of the main block, best first; slower entries stand apart."""
-    groups: dict[bool, list[tuple[float, Row]]] = {False: [], True: []}
-    for name, entry in summary["entries"].items():
-        row = entry_row(summary, name)
-        saved = next((cell.value for cell in row.cells if isinstance(cell, Cell) and cell.value is not None), None)
-        groups[bool(entry.get("slower"))].append((math.inf if saved is None else -saved, row))
-    first, slower = (tuple(row for _, row in sorted(groups[k], key=lambda pair: pair[0])) for k in (False, True))
-    title = f"{summary.get('task') or 'Entries'}: {summary["block"]} intersections"
+    first, slower = (
+        tuple(entry_row(summary, name) for name in ranking(summary) if is_slower(summary, name) == k)
+        for k in (False, True)
+    )
+    title = f"{summary['task'] or 'Entries'}: {summary['block']} intersections, over {UNCOMMANDED} but for one column"
     return Table(title, entry_columns(), (("", first), (SLOWER, slower)))
+
+
+def ranking(summary: Mapping[str, Any]) -> list[str]:
+    """Return the entries by CO2 saved over uncommanded, slower ones last."""
+
+    def place(name: str) -> tuple[bool, float]:
+        saved = _cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]).value
+        return is_slower(summary, name), math.inf if saved is None else -saved
+
+    return sorted(summary["entries"], key=place)
+
+
+def is_slower(summary: Mapping[str, Any], name: str) -> bool:
+    """Whether the delay of an entry is shown to be above that of uncommanded."""
+    return bool(summary["entries"][name].get("slower"))
 
 
 def entry_columns() -> tuple[str, ...]:
     """Headings of :func:`entries`."""
-    paired = [f"{FIGURES[f].label}, over {UNCOMMANDED}" for f in HEADLINE if FIGURES[f].paired]
+    paired = [FIGURES[f].label for f in HEADLINE if FIGURES[f].paired]
     return ("entry", *paired, f"{FIGURES[SAVED].label}, over {HUMAN}", "gain, lose", *(FIGURES[f].label for f in BESIDE))
 
 
@@ -192,6 +211,8 @@ def entry_row(summary: Mapping[str, Any], name: str) -> Row:
 def details(summary: Mapping[str, Any]) -> list[Table]:
     """Return what the headline leaves out: every figure of every entry, and the differences between entries."""
     tables = [_of_entry(summary, name, tuple(FIGURES)) for name in compared(summary)]
+    names = sorted(summary["entries"], key=BASELINES.__contains__)
+    tables += [_levels(summary, names[k : k + ABREAST]) for k in range(0, len(names), ABREAST)]
     return [*tables, *([pairwise(summary)] if summary["pairwise"] else [])]
 
 
@@ -203,7 +224,7 @@ def pairwise(summary: Mapping[str, Any]) -> Table:
         words = ("-" if p is None else f"{p:.3f}" if p >= 0.001 else "< 0.001", pair["verdict"])
         points = _estimate(pair["difference"], figure, "points" if figure.unit == "%" else figure.unit)
         rows.append(Row(f"{pair['x']} - {pair['y']}", (points, *words)))
-    title = f"Differences in {figure.label}, {summary["block"]} intersections"
+    title = f"Differences in {figure.label}, {summary['block']} intersections"
     return Table(title, ("pair", "difference", "p (Holm)", "verdict"), (("", tuple(rows)),))
 
 
@@ -219,6 +240,8 @@ def counts(summary: Mapping[str, Any]) -> str:
     text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
     text += f"played on {' and '.join(played.get(name, name) for name in summary['simulators'])}. "
     text += "Interquartile means over intersections; brackets: 95 % intervals."
+    if any(entry.get("slower") for entry in summary["entries"].values()):
+        text += f" Slower: the delay is shown to be above that of {UNCOMMANDED}."
     if n["left_out"]:
         some, more = ", ".join(n["left_out"][:3]), ", ..." if len(n["left_out"]) > 3 else ""
         text += f" Without demand, and left out: {len(n['left_out'])} ({some}{more})."
@@ -238,14 +261,8 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
         for f in paired
         if most is None or b == against[0] or f == SAVED
     ]
-    levels: list[tuple[str, list[Cell | str]]] = []
-    for f in (f for f in figures if not FIGURES[f].paired):
-        cells: list[Cell | str] = []
-        for block in blocks:
-            of = [(n, _level(summary, n, f, block)) for n in (name, *BASELINES)]
-            beside = ", ".join(f"{n} {cell.number}" for n, cell in of[1:] if cell.value is not None)
-            cells.append(of[0][1].number + (f" ({beside})" if beside and most is None else ""))
-        levels.append((FIGURES[f].label, cells))
+    for f in (f for f in figures if not FIGURES[f].paired and most is not None):
+        rows.append((FIGURES[f].label, [_beside(summary, name, f, block) for block in blocks]))
     if most is None:
         for b in against:
             for key in ("mean", "median"):
@@ -253,11 +270,24 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
                 rows.append((label, [_plain(entry["against"][b].get(block, {}).get(key)) for block in blocks]))
             label = f"intersections that gain, lose over 1 %, over {b}"
             rows.append((label, [_shares(entry, block, b) for block in blocks]))
-    lines = tuple(Row(label, tuple(cells)) for label, cells in (*rows, *levels)[:most])
+    lines = tuple(Row(label, tuple(cells)) for label, cells in rows[:most])
     found = [entry["against"][b] for b in against]
     n = [max((of[block]["intersections"] for of in found if block in of), default=0) for block in blocks]
     headings = (f"{block} (n = {number})" for block, number in zip(blocks, n, strict=True))
     return Table(f"{name}{_task(summary)}", ("figure", *headings), (("", lines),))
+
+
+def _levels(summary: Mapping[str, Any], names: Sequence[str]) -> Table:
+    """Return the levels of policies side by side, in the main block."""
+    figures = [f for f in FIGURES if not FIGURES[f].paired]
+    rows = [Row(FIGURES[f].label, tuple(_level(summary, name, f, summary["block"]) for name in names)) for f in figures]
+    return Table(f"Levels, {summary['block']} intersections", ("figure", *names), (("", tuple(rows)),))
+
+
+def _beside(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
+    """A level of an entry, with that of the uncommanded CVs."""
+    own, other = (_level(summary, policy, figure, block) for policy in (name, UNCOMMANDED))
+    return dataclasses.replace(own, note="" if other.value is None else f"{UNCOMMANDED} {other.number}")
 
 
 def _task(summary: Mapping[str, Any]) -> str:

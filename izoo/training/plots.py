@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from izoo.files import replacing
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import UNCOMMANDED
 from izoo.training.records import MetricsTable
 
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4fa0", "#8c564b")
@@ -26,11 +28,11 @@ CURVES = {
     "emission_g_per_vehicle": "CO2 per vehicle (g)",
     "throughput_veh_per_episode": "vehicles through per episode",
     "stopped_time_s_per_vehicle": "stopped time per vehicle (s)",
-    "co2_saved_over_uncommanded": "training: CO2 saved over uncommanded (share)",
-    "co2_saved_over_human": "training: CO2 saved over human driving (share)",
+    "co2_saved": "training: CO2 saved, over uncommanded (%)",
+    "co2_saved_over_human": "training: CO2 saved, over human (%)",
 }
 """Columns of ``metrics.csv`` that are drawn: what their axis says."""
-COMPARED = ("co2_saved_over_human", "co2_saved_over_uncommanded", "return", "emission_g_per_vehicle")
+COMPARED = ("co2_saved", "return", "emission_g_per_vehicle")
 """Columns that are drawn where several choices stand side by side."""
 SMOOTHING_POINTS, BAND_POINTS, CURVE_POINTS = 20, 100, 400
 LEGEND_CHARACTERS = 40
@@ -129,9 +131,7 @@ def curves(
     validations = {c: [v for _, v in pairs if v is not None] for c, pairs in runs.items()}
     measured = {c: [table for table, _ in pairs] for c, pairs in runs.items()}
     names = dict.fromkeys(name for tables in validations.values() for table in tables for name in table.columns)
-    drawn = [name for name in names if f"{name}_low" in names or name.startswith("benefit")]
-    drawn = [name for name in drawn if not name.endswith(("_low", "_high"))][:4]
-    parts = [(name, f"validation: {name.replace('_', ' ')}", validations, 1) for name in drawn]
+    parts = [(name, f"validation: {_label(name)}", validations, 1) for name in names if f"{name}_low" in names]
     parts += [(name, CURVES[name], measured, SMOOTHING_POINTS) for name in columns]
     charts = []
     for name, label, tables, window in parts:
@@ -264,6 +264,13 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
     dash = ":" if series.hollow else "-"
     thin = {"linewidth": 0.8, "alpha": 0.35} if series.faint else {"linewidth": 1.8}
     axes.plot(x, y, drawstyle=shape, linestyle=dash, **thin, **style)
+
+
+def _label(column: str) -> str:
+    """What the axis of a column says that is a figure over a baseline, uncommanded where it names none."""
+    name, _, baseline = column.partition("_over_")
+    figure = FIGURES[name]
+    return f"{figure.label}, over {baseline or UNCOMMANDED}" + (f" ({figure.unit})" if figure.unit else "")
 
 
 def _shortened(text: str) -> str:

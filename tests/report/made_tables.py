@@ -11,9 +11,8 @@ import pandas as pd
 
 from izoo.envs.config import EnvConfig
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
-from izoo.results.policies import PolicyRecord
 from izoo.results.schema import COLUMNS
-from izoo.results.store import Store
+from izoo.results.store import PolicyRecord, Store
 
 BURNED_G, DELAY_S, COHORT = 200.0, 20.0, 40
 
@@ -87,8 +86,8 @@ def table(policies: Mapping[str, tuple[float, float, int]], places: int = 12, se
 
 def folder(path: Path, made: pd.DataFrame, complete: bool = True) -> Path:
     """A folder of results with these rows."""
-    names = dict.fromkeys(made["policy"])
-    records = {name: PolicyRecord("trained" if name == "ppo" else "scripted", None, None) for name in names}
+    keys = made[["policy", "train_seed"]].drop_duplicates().itertuples(index=False, name=None)
+    records = {key: PolicyRecord("trained" if key[0] == "ppo" else "scripted") for key in keys}
     store = Store(path, task="town test", config=EnvConfig())
     try:
         with store.open(records):

@@ -33,7 +33,7 @@ if (byId("replay-app")) report.ready.then(content => {
       for (let i = 2; i < lane.p.length; i += 2) lane.run.push(lane.run.at(-1) + Math.hypot(lane.p[i] - lane.p[i - 2], lane.p[i + 1] - lane.p[i - 1]));
     });
     SIDES.forEach(side => { raw[side].vehicles = raw[side].vehicles.map(decodeVehicle); });
-    raw.frames = Math.min(...SIDES.map(side => raw[side].frames));
+    raw.frames = Math.max(...SIDES.map(side => raw[side].frames));
     return raw;
   };
 
