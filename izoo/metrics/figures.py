@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 Array = NDArray[np.float64]
-Frame = pd.DataFrame | Mapping[str, Any]
-"""Sums by name, ``[N]`` each: one row per context, added over its approaches, mean over episode seeds."""
+Frame = Mapping[str, Any]
+"""Sums by name, ``[N]`` each, such as a table of pandas: a row per context, added over approaches, mean over seeds."""
 Better = Literal["higher", "lower", "neither"]
 
 
@@ -48,9 +47,9 @@ class Ratio:
         return np.divide(top, bottom, out=np.full_like(top, np.nan), where=bottom > 0.0)
 
     def of_tensors(self, sums: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return value and validity, ``[*B]`` each, of float sums ``[*B]``."""
+        """Return value (not scaled: shares are fractions) and validity, ``[*B]`` each, of float sums ``[*B]``."""
         minus = sum(sums[name] for name in self.minus)
-        top = self.scale * (torch.stack([sums[name] for name in self.top]).sum(0) - minus)
+        top = torch.stack([sums[name] for name in self.top]).sum(0) - minus
         if not self.bottom:
             return top, torch.ones_like(top, dtype=torch.bool)
         bottom = torch.stack([sums[name] for name in self.bottom]).sum(0)
@@ -178,7 +177,7 @@ def level_tensors(sums: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[st
         names: of figures that are levels.
 
     Returns:
-        ``(value, valid)`` by name, ``[*B]`` each.
+        ``(value, valid)`` by name, ``[*B]`` each; shares are fractions.
     """
     return {name: FIGURES[name].value.of_tensors(sums) for name in names}  # type: ignore[attr-defined]
 

@@ -45,10 +45,8 @@ def of_policy(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, pd.DataFr
     return _contexts(rows), _sums(rows, rows[SUMS].to_numpy(float))
 
 
-def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
-    """Join the rows of a policy with those of a baseline.
-
-    Contexts without demand (a cohort of 0) are left out.
+def matched(table: pd.DataFrame, policy: str, baseline: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the rows of a policy, and the row of the baseline that each is paired with, in the same order.
 
     Args:
         table: rows of one simulator.
@@ -58,20 +56,26 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     """
     rows = table[table["policy"] == policy]
     others = table[table["policy"] == baseline].drop_duplicates(list(PAIR), keep="last")
-    places = others.set_index(list(PAIR)).index.get_indexer(pd.MultiIndex.from_frame(rows[list(PAIR)]))
-    if (places < 0).any():
-        lacking = rows[places < 0]
-        episodes = lacking[["context_hash", "seed"]].drop_duplicates()
+    places = pd.MultiIndex.from_frame(others[list(PAIR)]).get_indexer(pd.MultiIndex.from_frame(rows[list(PAIR)]))
+    lacking = rows[places < 0]
+    if len(lacking):
         first = lacking.iloc[0]
         raise IzooError(
-            f"{baseline} lacks {len(episodes)} episode(s) of {policy} (the first: context {first['context']}, "
-            f"seed {first['seed']}); evaluate it on the same contexts and seeds."
+            f"{baseline} lacks {len(lacking[['context_hash', 'seed']].drop_duplicates())} episode(s) of {policy} (the "
+            f"first: context {first['context']}, seed {first['seed']}); evaluate it on the same contexts and seeds."
         )
-    contexts = _contexts(rows)
-    own = _sums(rows, rows[SUMS].to_numpy(float))
-    beside = _sums(rows, others[SUMS].to_numpy(float)[places])
-    kept = ((own["cohort"] > 0) & (beside["cohort"] > 0)).to_numpy()
-    return Paired(*(part[kept].reset_index(drop=True) for part in (contexts, own, beside)))
+    return rows, others.iloc[places]
+
+
+def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
+    """Join the rows of a policy with those of a baseline, as :func:`matched` does.
+
+    Contexts without demand (a cohort of 0) are left out.
+    """
+    rows, others = matched(table, policy, baseline)
+    own, beside = (_sums(rows, part[SUMS].to_numpy(float)) for part in (rows, others))
+    kept = (own["cohort"] > 0).to_numpy()
+    return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
 def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[str], int]:
@@ -85,15 +89,19 @@ def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[
         ``[S, I]`` values, the names of the intersections, and the number of contexts.
     """
     matrix = context_matrix(contexts, values)
-    names = contexts.drop_duplicates("context_hash").set_index("context_hash")["intersection"]
-    places = names.loc[matrix.columns].tolist()
+    names = dict(zip(contexts["context_hash"], contexts["intersection"], strict=True))
+    places = [names[key] for key in matrix.columns]
     return pooled(matrix.to_numpy(), places), list(dict.fromkeys(places)), matrix.shape[1]
 
 
 def context_matrix(contexts: pd.DataFrame, values: Array) -> pd.DataFrame:
     """Return values ``[N]`` as ``[training seeds, contexts]``, over the contexts that all training seeds have."""
-    long = contexts[CONTEXT].assign(value=values)
-    return long.pivot(index="train_seed", columns="context_hash", values="value").dropna(axis=1)
+    seeds, labels = pd.factorize(contexts["train_seed"], sort=True)
+    columns, keys = pd.factorize(contexts["context_hash"])
+    matrix = np.full((len(labels), len(keys)), np.nan)
+    matrix[seeds, columns] = values
+    known = ~np.isnan(matrix).any(axis=0)
+    return pd.DataFrame(matrix[:, known], index=labels, columns=keys[known])
 
 
 def _contexts(rows: pd.DataFrame) -> pd.DataFrame:

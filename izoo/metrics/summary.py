@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from izoo.metrics.figures import FIGURES, Array
+from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, Paired, by_intersection, context_matrix, of_policy, pair
 from izoo.metrics.statistics import MIN_INTERSECTIONS, SIGNIFICANCE, Estimate, difference, estimate, holm, pooled
 
@@ -75,9 +75,9 @@ def generalisation_gap(test: Summary, train: Summary) -> dict[str, dict[str, flo
     for name in test["entries"]:
         if name in train["entries"]:
             on_train, on_test = (_headline(s["entries"][name], s["block"]) for s in (train, test))
-            values = [found["value"] if found else None for found in (on_train, on_test)]
-            gap = values[0] - values[1] if None not in values else None
-            gaps[name] = {"train": values[0], "test": values[1], "gap": gap}
+            known = on_train["value"] is not None and on_test["value"] is not None
+            gap = on_train["value"] - on_test["value"] if known else None
+            gaps[name] = {"train": on_train["value"], "test": on_test["value"], "gap": gap}
     return gaps
 
 
@@ -92,7 +92,7 @@ def verdict(entries: Mapping[str, Summary], pairwise: list[Summary], block: str)
     if not compared:
         return "Only baselines were played: there is nothing to compare."
     values = {name: _headline(entry, block) for name, entry in compared.items()}
-    ranked = [name for name, found in values.items() if found and found["value"] is not None]
+    ranked = [name for name, found in values.items() if found["value"] is not None]
     if not ranked:
         return "Nothing can be said of CO2: no context has demand."
     ranked.sort(key=lambda name: (compared[name]["slower"], -values[name]["value"]))
@@ -121,14 +121,15 @@ def _in_words(name: str, entry: Summary, block: str) -> str:
     co2, time = _words(saved, "co2_saved"), _words(delay, "delay_change_s")
     slower = f"slower: {time.amount} more delay per vehicle" if time.shown == "above" else ""
     if co2.shown == "none":
-        more = saved["value"] < 0.0
-        did = f"burns {co2.amount} more CO2 than" if more else f"saves {co2.amount} CO2 over"
+        burns = saved["value"] < 0.0
+        did = f"burns {co2.amount} more CO2 than" if burns else f"saves {co2.amount} CO2 over"
         few = found["intersections"] < MIN_INTERSECTIONS
         return f"{name} {did} {other} {where}" + (f", too few for an interval ({MIN_INTERSECTIONS})" if few else "")
     if co2.shown == "open":
         of = f"CO2 saved {_number(saved, 'co2_saved')}"
         if slower:
-            return f"{name} is slower than {other} {where}: {time.amount} more delay per vehicle; no saving is shown ({of})"
+            more = f"{time.amount} more delay per vehicle"
+            return f"{name} is slower than {other} {where}: {more}; no saving is shown ({of})"
         return f"No difference between {name} and {other} is shown {where} ({of})"
     faster = f", and saves {time.amount} of delay per vehicle" if time.shown == "below" else ""
     if co2.shown == "below":
@@ -209,15 +210,12 @@ def _against(paired: Paired) -> Summary:
     found = {}
     for kind, chosen in _blocks(paired.contexts).items():
         contexts = paired.contexts[chosen]
-        figures = {}
-        for key, value in values.items():
-            matrix, _, n = by_intersection(contexts, value[chosen])
-            figures[key] = estimate(matrix, n)
-        saved, _, n = by_intersection(contexts, values["co2_saved"][chosen])
+        pools = {key: by_intersection(contexts, value[chosen]) for key, value in values.items()}
+        saved, _, n = pools["co2_saved"]
         found[kind] = {
             "intersections": saved.shape[1],
             "contexts": n,
-            "figures": {key: figure.to_dict() for key, figure in figures.items()},
+            "figures": {key: estimate(pool, count).to_dict() for key, (pool, _, count) in pools.items()},
             "mean": _reduced(np.mean, saved),
             "median": _reduced(np.median, saved),
             "gain_share": _reduced(np.mean, saved > NOTABLE),
@@ -228,7 +226,8 @@ def _against(paired: Paired) -> Summary:
 
 def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Summary]:
     """Differences of CO2 saved between all entries, over the contexts that both have."""
-    matrices, places = {}, {}
+    matrices: dict[str, pd.DataFrame] = {}
+    places: dict[str, str] = {}
     for name, compared in pairs.items():
         if name in BASELINES or not compared:
             continue
@@ -241,8 +240,8 @@ def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Sum
     for x, y in itertools.combinations(matrices, 2):
         shared = matrices[x].columns.intersection(matrices[y].columns)
         groups = [places[key] for key in shared]
-        both = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
-        found.append((x, y, difference(*both, n=len(shared))))
+        own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
+        found.append((x, y, difference(own, other, len(shared))))
     corrected = holm([estimate.p for _, _, estimate in found])
     return [
         {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
@@ -264,13 +263,13 @@ def _blocks(contexts: pd.DataFrame, counted: np.ndarray | None = None) -> dict[s
     return {kind: mask for kind, mask in masks.items() if kind == "all" or mask.any()}
 
 
-def _headline(entry: Summary, block: str) -> Summary | None:
-    """CO2 saved over the first baseline in the main block."""
-    found = next(iter(entry["against"].values()), {}).get(block)
-    return found["figures"]["co2_saved"] if found else None
+def _headline(entry: Summary, block: str) -> Summary:
+    """CO2 saved over the first baseline in the main block; its value is ``None`` where there is nothing."""
+    against: Summary = next(iter(entry["against"].values()), {})
+    return against[block]["figures"]["co2_saved"] if block in against else {"value": None}
 
 
-def _reduced(statistic: Any, values: Array) -> float | None:
+def _reduced(statistic: Any, values: Any) -> float | None:
     return float(statistic(values)) if values.size else None
 
 
