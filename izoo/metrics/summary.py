@@ -11,7 +11,17 @@ import numpy as np
 import pandas as pd
 
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, Paired, by_intersection, context_matrix, of_policy, pair
+from izoo.metrics.pairing import (
+    BASELINES,
+    HUMAN,
+    UNCOMMANDED,
+    Paired,
+    by_intersection,
+    context_matrix,
+    intersections_of,
+    of_policy,
+    pair,
+)
 from izoo.metrics.statistics import MIN_INTERSECTIONS, SIGNIFICANCE, Estimate, difference, estimate, holm, pooled
 
 BLOCKS = ("unsaturated", "saturated", "all")
@@ -126,11 +136,13 @@ def _in_words(name: str, entry: Summary, block: str) -> str:
         few = found["intersections"] < MIN_INTERSECTIONS
         return f"{name} {did} {other} {where}" + (f", too few for an interval ({MIN_INTERSECTIONS})" if few else "")
     if co2.shown == "open":
-        of = f"CO2 saved {_number(saved, 'co2_saved')}"
+        of = f"(CO2 saved {_number(saved, 'co2_saved')})"
         if slower:
             more = f"{time.amount} more delay per vehicle"
-            return f"{name} is slower than {other} {where}: {more}; no saving is shown ({of})"
-        return f"No difference between {name} and {other} is shown {where} ({of})"
+            return f"{name} is slower than {other} {where}: {more}; no CO2 saving is shown {of}"
+        if time.shown == "below":
+            return f"{name} saves {time.amount} of delay per vehicle over {other} {where}; no CO2 saving is shown {of}"
+        return f"No difference between {name} and {other} is shown {where} {of}"
     faster = f", and saves {time.amount} of delay per vehicle" if time.shown == "below" else ""
     if co2.shown == "below":
         return f"{name} burns {co2.amount} more CO2 than {other} {where}{f', and is {slower}' if slower else faster}"
@@ -227,7 +239,6 @@ def _against(paired: Paired) -> Summary:
 def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Summary]:
     """Differences of CO2 saved between all entries, over the contexts that both have."""
     matrices: dict[str, pd.DataFrame] = {}
-    places: dict[str, str] = {}
     for name, compared in pairs.items():
         if name in BASELINES or not compared:
             continue
@@ -235,11 +246,10 @@ def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Sum
         chosen = _blocks(paired.contexts).get(block, np.zeros(len(paired.contexts), bool))
         value = FIGURES["co2_saved"].value(paired.own, paired.baseline)
         matrices[name] = context_matrix(paired.contexts[chosen], value[chosen])
-        places |= dict(paired.contexts[["context_hash", "intersection"]].itertuples(index=False, name=None))
     found: list[tuple[str, str, Estimate]] = []
     for x, y in itertools.combinations(matrices, 2):
         shared = matrices[x].columns.intersection(matrices[y].columns)
-        groups = [places[key] for key in shared]
+        groups = intersections_of(next(iter(pairs[x].values())).contexts, shared)
         own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
         found.append((x, y, difference(own, other, len(shared))))
     corrected = holm([estimate.p for _, _, estimate in found])
