@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from izoo.errors import unknown_choice
+from izoo.errors import IzooError, unknown_choice
 
 if TYPE_CHECKING:
     import torch
@@ -21,7 +21,25 @@ if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig
 
 DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "glide")
-"""Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`)."""
+"""Scripted drivers (:data:`izoo.algos.scripted.DRIVERS`); ``cap_SHARE`` is one for any share: :func:`cap_share`."""
+CAP = "cap_"
+
+
+def cap_share(name: str) -> float | None:
+    """Return the share of the limit that a driver ``cap_SHARE`` keeps to, such as 0.6 of ``cap_0.6``; else ``None``.
+
+    Raises:
+        IzooError: the share is not in (0, 1].
+    """
+    if not name.startswith(CAP):
+        return None
+    try:
+        share = float(name.removeprefix(CAP))
+    except ValueError:
+        share = 0.0
+    if not 0.0 < share <= 1.0:
+        raise IzooError(f"{name!r} is not a speed cap; give a share of the limit above 0 and up to 1, such as cap_0.6.")
+    return share
 
 
 class AlgoConfig:

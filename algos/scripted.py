@@ -17,6 +17,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from izoo.algos.base import ACTION, MASK, OBSERVATION
+from izoo.algos.registry import cap_share
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import observation_names
@@ -134,6 +135,36 @@ class ConstantAcceleration(ScriptedDriver):
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         return torch.full(mask.shape, self.accel_mps2), torch.zeros_like(mask)
+
+
+class CappedSpeed(ScriptedDriver):
+    """No CV exceeds a share of the speed limit, before and behind the stop line; below it, all are left alone.
+
+    The bar for every policy that slows vehicles: it saves CO2 without looking at signals or queues, and costs time.
+
+    Args:
+        config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
+        share: of the limit, above 0 and up to 1.
+    """
+
+    brake_mps2 = 1.5
+    near_mps = 1.3
+    """Below the cap by more than this, a CV accelerates as its own driver does."""
+
+    def __init__(self, config: EnvConfig, share: float) -> None:
+        super().__init__()
+        names = observation_names(config)
+        if "context_speed_limit_mps" not in names:
+            raise IzooError("a speed cap needs the limit in the observation; add speed_limit_mps to env.observed.")
+        self.share, self.response_s = share, max(1.0, config.decision_s)
+        self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
+        self.limit_scale = feature("speed_limit_mps").scale
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        speed = observation[..., self.speed] * SPEED_SCALE_MPS
+        above = speed - self.share * observation[..., self.limit] * self.limit_scale
+        free = (above < -self.near_mps) | torch.full_like(mask, self.share >= 1.0)
+        return (-above / self.response_s).clamp_min(-self.brake_mps2), free
 
 
 @dataclass(frozen=True)
@@ -349,6 +380,9 @@ DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
 
 def make_driver(name: str, config: EnvConfig) -> TensorDictModuleBase:
     """Return the scripted driver ``name`` for environments with ``config``."""
+    share = cap_share(name)
+    if share is not None:
+        return CappedSpeed(config, share)
     if name not in DRIVERS:
-        raise unknown_choice("scripted driver", name, DRIVERS)
+        raise unknown_choice("scripted driver", name, [*DRIVERS, "cap_SHARE"])
     return DRIVERS[name](config)

@@ -119,6 +119,24 @@ def test_constant_acceleration_asks_for_two_metres_per_second_squared_whatever_i
     assert not step["agents", "defer"].any()
 
 
+def test_a_speed_cap_brakes_what_is_faster_and_leaves_the_slower_alone() -> None:
+    step = make_driver("cap_0.6", CONFIG)(as_step(*(observation(speed=v) for v in (15.0, 9.5, 9.0, 8.0, 7.0, 0.0))))
+    assert step["agents", "action"].squeeze(-1).tolist()[:4] == pytest.approx([-1.5, -0.5, 0.0, 1.0], abs=1e-5)
+    assert step["agents", "defer"].tolist() == [False, False, False, False, True, True]
+
+
+def test_a_speed_cap_at_the_limit_commands_nothing() -> None:
+    assert make_driver("cap_1", CONFIG)(as_step(observation(speed=15.0), observation(speed=3.0)))[
+        "agents", "defer"
+    ].all()
+
+
+@pytest.mark.parametrize("name", ["cap_0", "cap_1.2", "cap_-1", "cap_x", "cap_", "cap_nan"])
+def test_a_cap_that_is_no_share_is_refused(name: str) -> None:
+    with pytest.raises(IzooError, match="share of the limit above 0 and up to 1"):
+        make_driver(name, CONFIG)
+
+
 def test_the_names_of_drivers_are_those_of_the_table() -> None:
     assert tuple(DRIVERS) == DRIVER_NAMES
 
