@@ -3,8 +3,8 @@
 Values are ``[S, I]``: training seeds (1 where nothing was trained) by intersections, each the mean of its contexts. The
 headline is the interquartile mean over training seeds of each one's interquartile mean over intersections. It was
 chosen, with its interval, by simulation (``tests/metrics/test_coverage.py``): it holds in 91 % or more of all adverse
-populations. There nominal 95 % intervals of means hold in 30 to 85 %, and where one training seed in four is bad those
-of one interquartile mean over seeds and intersections at once in 70 to 85 %.
+populations. There nominal 95 % intervals of means hold in 26 to 88 %, and where one training seed in four is bad those
+of one interquartile mean over seeds and intersections at once in 70 %.
 
 Two things could have been others, the intersections and the training seeds. Each adds a variance:
 

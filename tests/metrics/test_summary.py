@@ -52,6 +52,10 @@ def test_verdicts_on_one_entry() -> None:
     faster = said({"ppo": good}, {"ppo": -4.0})
     assert faster.endswith(f"{where}, and saves 4.4 s [4.2, 4.5] of delay per vehicle.")
     assert said({"ppo": none}).startswith(f"No difference between ppo and uncommanded CVs is shown {where} (CO2 saved ")
+    assert (
+        said({"ppo": [0.0] * 20})
+        == f"No difference between ppo and uncommanded CVs is shown {where} (CO2 saved 0.0 %)."
+    )
     assert said({"ppo": none}, {"ppo": -4.0}).startswith("ppo saves 4.4 s [4.2, 4.5] of delay per vehicle over")
     assert said({"ppo": none}, {"ppo": 4.0}).startswith(f"ppo is slower than uncommanded CVs {where}: 4.4 s [4.2, 4.5]")
     assert "burns 3.5 % [" in said({"ppo": bad}) and "more CO2 than uncommanded CVs" in said({"ppo": bad})
@@ -88,6 +92,12 @@ def test_pairs_are_compared_on_the_contexts_that_they_share() -> None:
     assert entries["ppo"]["against"]["uncommanded"]["all"]["figures"]["co2_saved"]["n"] == 20
 
 
+def test_with_a_reference_the_others_are_compared_with_it_alone() -> None:
+    table = compared({"full": 4.0 + NOISE[0], "less": 3.0 + NOISE[1], "least": 2.0 + NOISE[2]})
+    found = summarise(table, reference="full")["pairwise"]
+    assert [(pair["x"], pair["y"]) for pair in found] == [("less", "full"), ("least", "full")]
+
+
 def test_a_twin_of_an_entry_is_indistinguishable_from_it() -> None:
     (pair,) = summarise(compared({"ppo": 4.0 + NOISE[0], "copy": 4.0 + NOISE[0]}))["pairwise"]
     assert pair["verdict"] == "indistinguishable" and pair["p_holm"] is None
@@ -117,9 +127,8 @@ def test_contexts_without_demand_are_named() -> None:
     assert found["n"]["left_out"] == ["x/3/A"] and found["n"]["contexts"] == 19
     table[sums] = 0.0
     empty = summarise(table)
-    assert (
-        empty["verdict"] == "Nothing can be said of CO2: no context has demand." and len(empty["n"]["left_out"]) == 20
-    )
+    assert empty["verdict"] == "There is nothing to compare: no context has demand, or the baseline burns no CO2."
+    assert len(empty["n"]["left_out"]) == 20
 
 
 def test_without_uncommanded_rows_human_driving_is_the_baseline() -> None:
@@ -128,13 +137,15 @@ def test_without_uncommanded_rows_human_driving_is_the_baseline() -> None:
     assert "CO2 over human driving" in found["verdict"] and not found["entries"]["ppo"]["slower"]
     alone = summarise(table[table["policy"] == "ppo"])
     assert alone["entries"]["ppo"]["against"] == {} and alone["pairwise"] == []
-    assert alone["verdict"] == "Only baselines were played: there is nothing to compare."
+    assert alone["verdict"] == "There is nothing to compare: the table has no policy with a baseline."
     baselines = summarise(table[table["policy"] != "ppo"])["verdict"]
     assert baselines.startswith("uncommanded driving saves")
 
 
 def test_a_baseline_that_lacks_episodes_is_refused() -> None:
     table = compared({"ppo": 4.0 + NOISE[0]})
+    with pytest.raises(IzooError, match="no episodes"):
+        summarise(table.iloc[:0])
     with pytest.raises(IzooError, match="uncommanded lacks 1 episode"):
         summarise(table[(table["policy"] != "uncommanded") | (table["context"] != "x/3/A")])
 
