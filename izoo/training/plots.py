@@ -22,18 +22,12 @@ PANELS = (
     ("throughput_veh_per_episode", "vehicles through per episode"),
     ("stopped_time_s_per_vehicle", "stopped time per vehicle, s"),
 )
-PAIRED_PANELS = (
-    (
-        ("co2_saved_over_human", "CO2 saved over human driving"),
-        ("co2_saved_over_uncommanded", "CO2 saved over uncommanded CVs"),
-    ),
-    (("crossed_relative_to_human", "vehicles through, of human driving's"),),
+COMPARED_PANELS = (
+    ("%", (("co2_saved", "CO2 saved over uncommanded CVs"), ("co2_saved_over_human", "CO2 saved over human driving"))),
+    ("s", (("delay_change_s", "delay added to that of uncommanded CVs"),)),
 )
-"""Training episodes beside the same ones without the policy (:mod:`izoo.training.paired`)."""
-VALIDATION_PANELS = (
-    (("benefit", "benefit over human driving"), ("benefit_over_uncommanded", "benefit over uncommanded CVs")),
-    (("throughput_kept", "approaches that kept their throughput"),),
-)
+"""Unit, columns and labels: training episodes beside the same ones without the policy (:mod:`izoo.training.paired`),
+and validations."""
 SMOOTHING_POINTS = 20
 BAND_POINTS = 100
 LEGEND_CHARACTERS = 40
@@ -49,21 +43,23 @@ def draw_learning_curve(table: MetricsTable, title: str, validation: MetricsTabl
     """Draw return, emission, throughput and stopped time against environment steps.
 
     Thin lines are single batches; thick ones their running mean over a fifth of the points, at most 20. Where the run
-    has validated, two more panels show the benefit and the share of approaches that kept their throughput, with the
-    intervals of each as vertical lines; where its
-    episodes were compared with the same ones without the policy, two more show what it saved.
+    has validated, two more panels show CO2 saved and delay added, with their intervals as vertical lines; where its
+    episodes were compared with the same ones without the policy, two more show the same for these.
     """
     validated = validation is not None and bool(validation.rows)
-    paired = bool(table.series(PAIRED_PANELS[0][0][0])[1])
+    paired = bool(table.series(COMPARED_PANELS[0][1][0][0])[1])
     columns = 2 + paired + validated
     figure = Figure(figsize=(2 + 4 * columns, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
     grid = figure.subplots(2, columns)
     if paired:
-        _paired_panels(list(grid[:, 2]), table)
-    if validated:
-        _validation_panels(list(grid[:, -1]), validation)  # type: ignore[arg-type]
+        _compared_panels(list(grid[:, 2]), table, "training")
+    if validation is not None and validated:
+        _compared_panels(list(grid[:, -1]), validation, "validation")
+        best = [int(row["frames"]) for row in validation.rows if row.get("best") == "1"]
+        if best:
+            grid[0, -1].axvline(best[-1], color="tab:green", alpha=0.3, linestyle="--")
     for axes, (name, label) in zip(grid[:, :2].flat, PANELS, strict=True):
         frames, values = table.series(name)
         axes.plot(frames, values, color="tab:blue", alpha=0.3, linewidth=1)
@@ -90,8 +86,9 @@ def draw_compared(runs: Mapping[str, Sequence[MetricsTable]], title: str) -> Fig
         runs: metrics of the runs of every choice, such as the training seeds of an algorithm.
         title: of the picture.
     """
-    compared = all(table.series(PAIRED_PANELS[0][0][0])[1] for tables in runs.values() for table in tables)
-    panels = (*(PAIRED_PANELS[0] if compared else ()), *PANELS[:2])
+    unit, saved = COMPARED_PANELS[0]
+    compared = all(table.series(saved[0][0])[1] for tables in runs.values() for table in tables)
+    panels = (*((name, f"{label}, {unit}") for name, label in saved if compared), *PANELS[:2])
     figure = Figure(figsize=(3 + 4 * len(panels), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
@@ -144,33 +141,24 @@ def _save(figure: Figure, path: Path) -> None:
         figure.savefig(partial, format="png", dpi=110)
 
 
-def _paired_panels(panels: list[Axes], table: MetricsTable) -> None:
-    for axes, columns in zip(panels, PAIRED_PANELS, strict=True):
+def _compared_panels(panels: list[Axes], table: MetricsTable, what: str) -> None:
+    """Draw :data:`COMPARED_PANELS`: validations as dots with their intervals, training as a line and its mean."""
+    for axes, (unit, columns) in zip(panels, COMPARED_PANELS, strict=True):
         for (name, label), colour in zip(columns, ("tab:green", "tab:gray"), strict=False):
             frames, values = table.series(name)
-            percent = [100.0 * value for value in values]
-            axes.plot(frames, percent, color=colour, alpha=0.3, linewidth=1)
-            axes.plot(frames, _running_mean(percent), color=colour, linewidth=2, label=label)
-        _label(axes, "training, %")
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1, frameon=False, fontsize="small")
-    panels[0].axhline(0.0, color="black", linewidth=0.8)
-
-
-def _validation_panels(panels: list[Axes], table: MetricsTable) -> None:
-    for axes, columns in zip(panels, VALIDATION_PANELS, strict=True):
-        for (name, label), colour in zip(columns, ("tab:green", "tab:gray"), strict=False):
-            frames, values = table.series(name)
-            axes.plot(frames, [100.0 * value for value in values], "o-", markersize=4, color=colour, label=label)
-            ends = [dict(zip(*table.series(f"{name}_{end}"), strict=True)) for end in ("low", "high")]
-            known = [number for number in frames if all(number in end for end in ends)]
-            low, high = ([100.0 * end[number] for number in known] for end in ends)
-            axes.vlines(known, low, high, color=colour, alpha=0.5, linewidth=1.5)
-        _label(axes, "validation, %")
+            if what == "training":
+                axes.plot(frames, values, color=colour, alpha=0.3, linewidth=1)
+                axes.plot(frames, _running_mean(values), color=colour, linewidth=2, label=label)
+                continue
+            axes.plot(frames, values, "o-", markersize=4, color=colour, label=label)
+            low, high = (dict(zip(*table.series(f"{name}_{end}"), strict=True)) for end in ("low", "high"))
+            known = [number for number in frames if number in low and number in high]
+            ends = [[end[number] for number in known] for end in (low, high)]
+            axes.vlines(known, *ends, color=colour, alpha=0.5, linewidth=1.5)
+        _label(axes, f"{what}, {unit}")
+        axes.axhline(0.0, color="black", linewidth=0.8)
         # Above the panel, where it covers no curve.
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1, frameon=False, fontsize="small")
-    best = [int(row["frames"]) for row in table.rows if row.get("best") == "1"]
-    if best:
-        panels[0].axvline(best[-1], color="tab:green", alpha=0.3, linestyle="--")
 
 
 def _label(axes: Axes, label: str) -> None:
