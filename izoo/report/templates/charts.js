@@ -56,25 +56,20 @@
   const escape = text => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
   const featureFigure = (content, policy, feature, label) => {
-    const rows = content.rows, kept = [], gated = [];
+    const rows = content.rows, { key, label: measure } = content.measure, points = [];
     rows.policy.forEach((name, k) => {
-      const x = rows[feature][k], y = rows.benefit_ungated[k];
-      if (name !== policy || rows.left_out[k] || x === null || y === null) return;
-      const point = [x, Math.max(-100, Math.min(100, 100 * y)), `${escape(rows.context[k])} ${escape(rows.approach[k])}`];
-      (rows.gated[k] ? gated : kept).push(point);
+      const x = rows[feature][k], y = rows[key][k];
+      if (name === policy && x !== null && y !== null) points.push([x, Math.max(-100, Math.min(100, y)), escape(rows.context[k])]);
     });
-    if (new Set([...kept, ...gated].map(point => point[0])).size < 2) return null;
-    const colour = content.colours[policy], many = kept.length + gated.length > 300;
-    const cloud = (points, name, symbol) => ({
-      type: "scatter", mode: "markers", name, x: points.map(p => p[0]), y: points.map(p => p[1]), text: points.map(p => p[2]),
-      marker: { symbol, color: colour, size: many ? 4 : 7, opacity: many ? 0.4 : 0.75 }, hovertemplate: "%{text}<br>%{y:.1f} %<extra></extra>",
-    });
-    const line = trend([...kept, ...gated]);
+    if (new Set(points.map(point => point[0])).size < 2) return null;
+    const many = points.length > 300, line = trend(points);
     return {
-      data: [cloud(kept, "throughput kept", "circle"), cloud(gated, "gated to 0", "circle-open"),
-        { type: "scatter", mode: "lines", name: "mean", x: line.map(p => p[0]), y: line.map(p => p[1]), line: { color: colourOf("--ink"), width: 2 }, hoverinfo: "skip" }],
-      layout: { showlegend: false, xaxis: { title: { text: label }, zeroline: false }, yaxis: { title: { text: "benefit, no gate (%)" }, zeroline: true } },
-      alt: `Benefit of ${policy} against ${label}: ${kept.length + gated.length} approaches, ${gated.length} gated.`,
+      data: [{
+        type: "scatter", mode: "markers", name: policy, x: points.map(p => p[0]), y: points.map(p => p[1]), text: points.map(p => p[2]),
+        marker: { color: content.colours[policy], size: many ? 4 : 7, opacity: many ? 0.4 : 0.75 }, hovertemplate: "%{text}<br>%{y:.1f} %<extra></extra>",
+      }, { type: "scatter", mode: "lines", name: "mean", x: line.map(p => p[0]), y: line.map(p => p[1]), line: { color: colourOf("--ink"), width: 2 }, hoverinfo: "skip" }],
+      layout: { showlegend: false, xaxis: { title: { text: label }, zeroline: false }, yaxis: { title: { text: measure }, zeroline: true } },
+      alt: `${measure} of ${policy} against ${label}: ${points.length} contexts.`,
     };
   };
 

@@ -33,7 +33,7 @@ if (byId("replay-app")) report.ready.then(content => {
       for (let i = 2; i < lane.p.length; i += 2) lane.run.push(lane.run.at(-1) + Math.hypot(lane.p[i] - lane.p[i - 2], lane.p[i + 1] - lane.p[i - 1]));
     });
     SIDES.forEach(side => { raw[side].vehicles = raw[side].vehicles.map(decodeVehicle); });
-    raw.frames = Math.min(...SIDES.map(side => raw[side].frames));
+    raw.frames = Math.max(...SIDES.map(side => raw[side].frames));
     return raw;
   };
 
@@ -233,7 +233,7 @@ if (byId("replay-app")) report.ready.then(content => {
     state.shift = [-Math.cos(heading) * 40, -Math.sin(heading) * 40];
   };
 
-  const percent = value => { const text = (100 * value).toFixed(1); return Number(text) === 0 ? "0.0 %" : `${value > 0 ? "+" : ""}${text} %`; };
+  const percent = value => { const text = value.toFixed(1); return Number(text) === 0 ? "0.0 %" : `${value > 0 ? "+" : ""}${text} %`; };
   const legend = () => {
     const swatch = (style, label) => { const item = document.createElement("span"), mark = document.createElement("i"); mark.style.background = style; mark.className = style.startsWith("linear") ? "ramp" : ""; item.append(mark, label); return item; };
     const ramp = `linear-gradient(90deg, ${Array.from({ length: 7 }, (_, k) => speedColour(k * FAST_MPS / 6)).join(",")})`;
@@ -260,8 +260,8 @@ if (byId("replay-app")) report.ready.then(content => {
     Object.assign(state, { scene: data, index, frame: busiest(data) });
     lookAtApproach();
     const same = SIDES.every(side => data[side].as_evaluated) ? "" : " This replay differs from what was evaluated: the simulator or the machine is another one.";
-    byId("scene-text").textContent = `${scene.context}, leg ${scene.approach}: benefit of ${scene.name} over human driving ${percent(scene.benefit)} (CO2 per vehicle, mean over seeds, no gate). Seed ${scene.seed}.${same}`;
-    const names = { baseline: "Baseline: human", policy: scene.name };
+    byId("scene-text").textContent = `${scene.context}: ${scene.policy} saves ${percent(scene.saved)} CO2 over uncommanded, mean over seeds. Seed ${scene.seed}.${same}`;
+    const names = { baseline: `Baseline: ${scene.baseline}`, policy: scene.policy };
     SIDES.forEach(side => { byId(`${side}-name`).textContent = names[side]; byId(`${side}-ts-name`).textContent = names[side]; });
     byId("scrub").max = String(data.frames - 1);
     legend();
@@ -290,5 +290,5 @@ if (byId("replay-app")) report.ready.then(content => {
   });
   new ResizeObserver(draw).observe(byId("replay-app"));
   themeListeners.push(draw);
-  choices(byId("scenes"), content.scenes.map(s => `${s.name}: ${s.which} (${percent(s.benefit)})`), show);
+  choices(byId("scenes"), content.scenes.map(s => `${s.policy}: ${s.which} (${percent(s.saved)})`), show);
 });

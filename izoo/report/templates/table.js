@@ -6,7 +6,7 @@ if (byId("rows")) report.ready.then(content => {
 
   const text = (column, k) => {
     const value = rows[column.key][k];
-    return value === null ? "" : column.digits === null ? String(value) : (column.scale * value).toFixed(column.digits).replace(/^-(0(\.0*)?)$/, "$1");
+    return value === null ? "" : column.digits === null ? String(value) : value.toFixed(column.digits).replace(/^-(0(\.0*)?)$/, "$1");
   };
 
   const render = () => {
@@ -30,7 +30,7 @@ if (byId("rows")) report.ready.then(content => {
     byId("following").disabled = page >= pages - 1;
   };
 
-  /** "benefit<0" becomes a test of the first column whose key or label begins with that word. */
+  /** "co2_saved<0" becomes a test of the first column whose key or label begins with that word. */
   const condition = word => {
     const found = /^([a-z_]+)(<=|>=|<|>|=)(-?[\d.]+)$/i.exec(word);
     if (!found) return null;
@@ -38,14 +38,14 @@ if (byId("rows")) report.ready.then(content => {
     const column = columns.find(c => c.digits !== null && (c.key.startsWith(name.toLowerCase()) || c.label.startsWith(name.toLowerCase())));
     if (!column) return null;
     const tests = { "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b, ">=": (a, b) => a >= b, "=": (a, b) => a === b };
-    return k => rows[column.key][k] !== null && tests[sign](column.scale * rows[column.key][k], Number(bound));
+    return k => rows[column.key][k] !== null && tests[sign](rows[column.key][k], Number(bound));
   };
 
   const filter = () => {
     const policy = byId("filter-policy").value;
     const words = byId("filter-text").value.trim().split(/\s+/).filter(Boolean);
     const tests = words.map(word => condition(word)
-      ?? (k => `${rows.context[k]} ${rows.approach[k]} ${rows.policy[k]} ${rows.left_out[k]}`.toLowerCase().includes(word.toLowerCase())));
+      ?? (k => `${rows.context[k]} ${rows.policy[k]} ${rows.test[k]}`.toLowerCase().includes(word.toLowerCase())));
     shown = order.filter(k => (!policy || rows.policy[k] === policy) && tests.every(test => test(k)));
     page = 0;
     render();
@@ -80,7 +80,7 @@ if (byId("rows")) report.ready.then(content => {
   });
   byId("rows").tHead.rows[0].replaceChildren(...heads);
   const option = (value, label) => Object.assign(document.createElement("option"), { value, textContent: label });
-  byId("filter-policy").replaceChildren(option("", "all"), ...Object.keys(content.colours).map(name => option(name, name)));
+  byId("filter-policy").replaceChildren(option("", "all"), ...[...new Set(rows.policy)].map(name => option(name, name)));
   byId("filter-policy").addEventListener("change", filter);
   byId("filter-text").addEventListener("input", filter);
   byId("previous").addEventListener("click", () => { page -= 1; render(); });
