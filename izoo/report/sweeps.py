@@ -128,7 +128,9 @@ def report(folder: Path, console: Console | None = None) -> Path:
     shown = options[: max(FEW_OPTIONS, console.width // CHARACTERS_PER_OPTION)]
     console.print(_shown(table, shown).rich(console.width))
     if len(shown) < len(options):
-        more = f"{len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
+        more = (
+            f"{len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
+        )
         console.print(f"  {more}", highlight=False)
     for row in rows:
         if row["state"] != "finished":
@@ -159,7 +161,8 @@ def _shown(table: pd.DataFrame, options: Sequence[str]) -> Table:
             for name in measures
         ]
         rows.append(Row(str(number), (*cells, f"{line['frames']:,}", f"{line['hours_per_run']:.2f}")))
-    headings = ("row", *options, "finished", *(MEASURES[name][0] for name in measures), "frames", "h per run")
+    names = (path.replace(".", ".\n") for path in options)
+    headings = ("row", *names, "finished", *(MEASURES[name][0] for name in measures), "frames", "h per run")
     return Table(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, (("", tuple(rows)),))
 
 
