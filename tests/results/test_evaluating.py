@@ -1,0 +1,193 @@
+"""``python -m izoo.evaluate`` at toy size, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+import izoo.conf
+from izoo import train
+from izoo.commands.evaluating import resolve
+from izoo.conf.context_choices import PcgContexts
+from izoo.conf.evaluate_options import EvaluateConfig
+from izoo.conf.mapping import with_given
+from izoo.contexts.source import ContextList
+from izoo.envs.config import EnvConfig, RewardConfig
+from izoo.errors import IzooError
+from izoo.evaluate import main
+from izoo.results.rollout import DRAIN_S
+from izoo.results.selection import choose_contexts
+from izoo.results.store import read_manifest, read_table
+from tests.networks.test_dataset import published  # noqa: F401
+
+TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
+
+
+def test_command_writes_its_results_and_goes_on_with_more_seeds(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["policy=tests.results.odd_policies:gentle", f"cache={cache}", "num_contexts=1", *TOY]
+    assert main([*words, "seeds=1"]) == 0
+    (folder,) = (tmp_path / "evaluations").iterdir()
+    assert len(read_table(folder)) == 3
+    assert main([*words, "seeds=2", "-v"]) == 0
+    assert len(read_table(folder)) == 6
+    manifest = read_manifest(folder)
+    assert manifest.task == "pcg" and manifest.env["drain_s"] == DRAIN_S
+    assert manifest.policies["gentle"][0].source == "tests.results.odd_policies:gentle"
+    out = " ".join(capsys.readouterr().out.split())
+    assert "1 context, 2 seeds each, episodes of 90 s of which the first 25 s are not measured" in out
+    assert "Episodes of gentle that are there already, and not played again: 1" in out
+    assert out.endswith("on 1 unsaturated intersection, too few for an interval (6)."), "the verdict comes last"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["policy=glied"], "Did you mean 'glide'"),
+        ([], "give one of run=RUN_DIR and policy=NAME"),
+        (["run=no/such/run"], "does not exist"),
+        (["polciy=glide"], "Did you mean 'policy'"),
+        (["policy=glide", "seeds=0"], "seeds is 0"),
+        (["policy=glide", "algo=ppo"], "'algo'"),
+        (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
+        (["policy=glide", "env.drain_s=0"], "evaluated episodes are played out"),
+        (["policy=cap_2"], "is not a speed cap"),
+        (
+            ["policy=glide", "simulator=twin", "env.gui=true", "num_contexts=1"],
+            "the twin has no window; use simulator=",
+        ),
+    ],
+)
+def test_bad_options_are_one_sentence_and_exit_code_2(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, *TOY]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_contexts_that_changed_go_into_a_folder_of_their_own(
+    tmp_path: Path,
+    cache: Path,
+    published: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As where a town is built again: the options are the same, its contexts are not."""
+    monkeypatch.chdir(tmp_path)
+    town = shutil.copytree(published / "106", tmp_path / "town" / "9")
+    words = ["policy=glide", "contexts=dataset", "contexts.path=town", "contexts.approaches=all", f"cache={cache}"]
+    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1"]
+    words += ["num_contexts=1"]
+    for inflow in ("1000\n", "2000\n"):
+        (town / "inflows.txt").write_text(inflow * len((town / "inflows.txt").read_text().splitlines()))
+        assert main(words) == 0
+        assert main([*words, "out=together"]) == 0
+    assert [len(read_table(path)) % 3 for path in (tmp_path / "evaluations").iterdir()] == [0, 0]
+    said = capsys.readouterr().out
+    assert said.count(f"1 other context of earlier evaluations in {tmp_path / 'together'}: ") == 1
+
+
+@pytest.mark.parametrize("sweep", [False, True])
+def test_options_of_a_runs_own_contexts_are_changed(
+    sweep: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One by one, whatever these contexts are; the others stay as they were in training."""
+    monkeypatch.chdir(tmp_path)
+    trained = [
+        "contexts=pcg",
+        "contexts.lane_count={1:0.25,2:0.75}",
+        "contexts.green_s=20..30",
+        "contexts.adoption=0.2",
+    ]
+    short = ["env.horizon_s=30", "env.warmup_s=5", "algo.frames_per_batch=50", "total_frames=50"]
+    short += ["evaluation.contexts=0", "num_workers=1", "collector=single", "run_dir=run"]
+    assert train.main([*trained, *short]) == 0
+    words = ["run=run", "contexts.adoption=0..1", "contexts.exclude=[{lane_count:2}]"]
+    if sweep:
+        assert main(["run=run", "contexts.adoption=0.5", "seeds=1,2", "num_contexts=1", "-m", "--cfg"]) == 0
+        assert capsys.readouterr().out.count("name: pcg") == 2
+        assert main(["run=run,elsewhere", "contexts.adoption=0.5", "num_contexts=1", "-m"]) == 2
+        return
+    capsys.readouterr()
+    assert main([*words, "--cfg"]) == 0
+    shown = yaml.safe_load(capsys.readouterr().out.partition("\n")[2])["contexts"]
+    assert shown["name"] == "pcg" and shown["green_s"] == "20..30" and shown["adoption"] == "0..1"
+    assert {float(lanes) for lanes in shown["lane_count"]} == {1.0, 2.0} and shown["exclude"] == [{"lane_count": 2}]
+    assert main(["run=run", "contexts.split=test"]) == 2
+    assert "contexts.split" in capsys.readouterr().err
+    assert main(["run=run", "contexts.adoption=0.5", "num_contexts=1", "seeds=1", "num_workers=0", *short[:2]]) == 0
+    assert "contexts=pcg, 1 context" in capsys.readouterr().out
+
+
+def test_a_folder_of_an_earlier_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "evaluation.json").write_text("{}")
+    assert main(["policy=glide", "num_contexts=1", f"out={tmp_path}", *TOY]) == 2
+    error = capsys.readouterr().err
+    assert "was written by an earlier version of izoo; evaluate again into another folder" in error
+    assert error.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["evaluation.json"]
+
+
+def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    long = "x" * 300
+    assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
+    error = capsys.readouterr().err
+    assert "File name too long" in error and "Traceback" not in error and error.count("\n") == 1
+
+
+def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert EvaluateConfig(out="~nobodyofthisname/x").out == str(tmp_path / "~nobodyofthisname" / "x")
+    assert EvaluateConfig(out="~/x").out == str(tmp_path / "home" / "x")
+
+
+def test_yaml_equals_dataclass() -> None:
+    values = yaml.safe_load((Path(izoo.conf.__path__[0]) / "evaluate.yaml").read_text())
+    values.pop("defaults")
+    default = EvaluateConfig()
+    assert values.pop("env") == {"drain_s": default.env.drain_s}
+    plain = {f.name for f in dataclasses.fields(default)} - {"contexts", "env"}
+    assert values == {name: getattr(default, name) for name in plain}
+
+
+def test_a_run_keeps_its_environment_but_for_what_is_given() -> None:
+    trained = EnvConfig(num_agents=7, step_s=1.0)
+    chosen = EnvConfig(num_agents=9, horizon_s=300.0)
+    assert with_given(trained, chosen, frozenset(), "env") == trained
+    merged = with_given(trained, chosen, frozenset({"env.horizon_s", "contexts"}), "env")
+    assert merged == EnvConfig(num_agents=7, step_s=1.0, horizon_s=300.0)
+    paid = EnvConfig(reward=RewardConfig(eta=0.5, beta=-1.0))
+    merged = with_given(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}), "env")
+    assert merged.reward == RewardConfig(eta=0.5, beta=-1.0, alpha=-1.0), "one option of a group leaves the others"
+
+
+def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
+    source = PcgContexts(inflow_vph_per_lane="100..900").build()
+    drawn = choose_contexts(source, None, 0)
+    assert len({context.content_hash for context in drawn}) == len(drawn) == 16
+    assert choose_contexts(source, 3, 0) == choose_contexts(source, 3, 0) != choose_contexts(source, 3, 1)
+    assert choose_contexts(ContextList(contexts), None, 0) == contexts
+    assert choose_contexts(ContextList(contexts), 1, 0)[0] in contexts
+
+
+def test_a_run_and_a_policy_at_once_are_refused() -> None:
+    with pytest.raises(IzooError, match="give one of run=RUN_DIR and policy=NAME"):
+        resolve(EvaluateConfig(run="runs/RUN", policy="glide"), frozenset())
+
+
+def test_an_imported_policy_is_named_after_its_function() -> None:
+    subject = resolve(EvaluateConfig(policy="tests.results.odd_policies:gentle"), frozenset())
+    assert subject.name == "gentle"
+    with pytest.raises(IzooError, match="nobody"):
+        resolve(EvaluateConfig(policy="tests.results.odd_policies:nobody"), frozenset())
