@@ -4,6 +4,7 @@
 - :class:`SumoParallelEnv`: several on SUMO, each in a worker process.
 - :class:`TwinEnv`: many on the twin, in this process.
 - :class:`EnvConfig`, :class:`RewardConfig`: their settings.
+- :data:`MODEL_VERSION`: results of different ones are not comparable.
 - :mod:`izoo.envs.views.gymnasium`: ``gymnasium.make("izoo.envs:izoo/EcoDriving-v0")`` and
   ``"izoo.envs:izoo/EcoDrivingEgo-v0"``.
 - :mod:`izoo.envs.views.pettingzoo`: the parallel API of PettingZoo.
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
 
+from izoo.envs.model_version import MODEL_VERSION
+
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
     from izoo.envs.env import EcoDrivingEnv, SumoParallelEnv
@@ -30,7 +33,7 @@ _HOME = {
     "SumoParallelEnv": "env",
     "TwinEnv": "twin_env",
 }
-__all__ = ["EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv", "TwinEnv"]
+__all__ = ["MODEL_VERSION", "EcoDrivingEnv", "EnvConfig", "RewardConfig", "SumoParallelEnv", "TwinEnv"]
 
 
 def __getattr__(name: str) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.frame import EPISODE_METRIC
+from izoo.envs.mdp.frame import EPISODE_METRIC, TEAM_REWARD
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
@@ -24,6 +24,7 @@ from izoo.networks.road import INSIDE, RoadNet, read_road
 from izoo.traffic.sampling import Traffic, sample_traffic, with_late_vehicle
 
 CLOSED = "this environment is closed; make another one."
+_OF_SLOTS = ("observation", "reward", "reward_vector", "mask", "agent_terminated", "agent_truncated", "agent_done")
 
 
 class Play(NamedTuple):
@@ -62,7 +63,8 @@ class Backend(Protocol):
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Take the commands from the frames, simulate one decision of every environment, and write the next frames.
 
-        A decision is ``config.hold_steps`` steps, and fewer where the episode ends.
+        A decision is ``config.hold_steps`` steps, and fewer where the horizon comes or the episode ends. Where episodes
+        are played out, each environment ends by itself, and stays as it is while others go on.
 
         Args:
             meanwhile: may be called once while a simulation is waited for.
@@ -72,7 +74,7 @@ class Backend(Protocol):
             and vehicles of the agents are to be read, which are as before the step, and they need :meth:`begin`.
 
         Raises:
-            IzooError: an episode has ended.
+            IzooError: all episodes have ended, or one where episodes end at their horizon.
         """
 
     def scene(self, index: int = 0) -> Scene:
@@ -80,6 +82,23 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """End all simulations."""
+
+
+def rest_where_ended(config: EnvConfig, frames: dict[str, np.ndarray]) -> np.ndarray:
+    """Return which environments have ended and rest while others are played out, ``[N]`` bool; empty their slots.
+
+    Raises:
+        IzooError: there is nothing to play: all have ended, or one where episodes end at their horizon.
+    """
+    ended: np.ndarray = frames["done"][:, 0] != 0
+    if not ended.any():
+        return ended
+    if ended.all() or not config.drain_steps:
+        steps = frames["episode_metrics"][np.flatnonzero(ended)[0], EPISODE_METRIC["steps"]]
+        raise IzooError(f"the episode ended after {steps:.0f} steps; call reset() before the next step.")
+    for name in (*_OF_SLOTS, TEAM_REWARD):
+        frames[name][ended] = 0
+    return ended
 
 
 def scene_from_frame(config: EnvConfig, context: Context, frame: dict[str, np.ndarray]) -> Scene:

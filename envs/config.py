@@ -33,8 +33,8 @@ class EnvConfig:
             may be handed on within a decision, which ``vehicle_number`` tells.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
-        drain_s: an episode is played out: after the horizon nobody new departs, and simulation and control go on until
-            everybody has left, or for this long. 0 (as in training): it ends at the horizon.
+        drain_s: an episode is played out: after the horizon no further demand comes, and simulation and control go on
+            until every vehicle has left, or for this long. 0 (as in training): it ends at the horizon.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
         num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
         num_approaches: rows ``P`` of the per-approach metrics.
@@ -134,7 +134,7 @@ class EnvConfig:
 
     @property
     def decisions(self) -> int:
-        """Decisions of an episode: steps as a policy sees them."""
+        """Decisions of an episode up to its horizon: steps as a policy sees them."""
         return -(-self.control_steps // self.hold_steps)
 
     @property
@@ -144,8 +144,18 @@ class EnvConfig:
 
     @property
     def control_steps(self) -> int:
-        """Simulation steps of an episode that are controlled: the horizon without the warm-up."""
+        """Simulation steps from the end of the warm-up to the horizon."""
         return round(self.horizon_s / self.step_s) - self.warmup_steps
+
+    @property
+    def drain_steps(self) -> int:
+        """Simulation steps after the horizon in which an episode is played out, at most."""
+        return round(self.drain_s / self.step_s)
+
+    @property
+    def total_steps(self) -> int:
+        """Simulation steps of an episode from the end of the warm-up on, at most."""
+        return self.control_steps + self.drain_steps
 
 
 def checked_config(config: EnvConfig | None) -> EnvConfig:

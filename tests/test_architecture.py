@@ -30,9 +30,9 @@ FLOORS = (
     {"zoo"},
     {"evaluation"},
     {"training"},
-    {"reporting"},
+    {"report"},
     {"commands"},
-    {"benchmarks", "train", "evaluate", "collect", "report", "leaderboard"},
+    {"benchmarks", "train", "evaluate", "collect", "leaderboard"},
     {"docs"},
 )
 """Rooms from the ground up; rooms that share a floor do not know each other."""
@@ -150,7 +150,7 @@ def test_every_room_has_a_floor() -> None:
         ("izoo.algos.ppo", "from izoo.training import runs"),
         ("izoo.algos.ppo", "from ..conf import mapping"),
         ("izoo.evaluation.runner", "def late():\n    from izoo.training import runs"),
-        ("izoo.reporting.page", "from izoo.benchmarks import plan"),
+        ("izoo.report.page", "from izoo.benchmarks import plan"),
         ("izoo.commands.entries", "import izoo.benchmarks.plan"),
         ("izoo.console", "from izoo.files import write_text"),
         ("izoo.new_room.thing", "from izoo import errors"),

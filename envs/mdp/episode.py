@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.blocked_demand import blocked_s
 from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
-from izoo.envs.mdp.held_up import held_up_s, idle_rates
 from izoo.envs.mdp.motion import road_arrays
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.share import HERE
@@ -31,6 +31,7 @@ from izoo.envs.mdp.state import (
 from izoo.envs.mdp.step import give_orders, make_frame
 from izoo.envs.mdp.tally import book_unfinished
 from izoo.envs.mdp.world import (
+    HELD,
     MEMBERS,
     SUSPECTS,
     Frame,
@@ -64,7 +65,7 @@ class Orders(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """Vehicles that had not entered the region when the episode ended, by their numbers in the demand.
+    """Vehicles that had not entered the region at the horizon, by their numbers in the demand.
 
     Attributes:
         due: all whose departure was due.
@@ -119,7 +120,8 @@ class Episode:
         self.started_s = 0.0
         self._yielding = 0
         self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
-        self._demand, self._lanes = demand_arrays(traffic, road), road_arrays(road)
+        self._demand = demand_arrays(config, context, road, traffic, weights)
+        self._lanes = road_arrays(road)
         self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
         self.tables = empty_tables(config, len(road.lane_ids), capacity)
         self._work = work_space(config, len(road.lane_ids))
@@ -144,8 +146,13 @@ class Episode:
 
     @property
     def over(self) -> bool:
-        """Whether the horizon is reached."""
-        return self.steps >= self.config.control_steps
+        """Whether the episode has ended."""
+        return bool(self.frame["done"][0])
+
+    @property
+    def between_decisions(self) -> bool:
+        """Whether the last decision was played whole."""
+        return not self.tables.cursor[HELD]
 
     @property
     def members(self) -> np.ndarray:
@@ -154,8 +161,8 @@ class Episode:
 
     @property
     def awaited(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What has become of each vehicle of the demand, how many are held up outside, and who came when, as of now."""
-        return self._demand.fate, self._demand.outside, self._demand.came
+        """What has become of each vehicle of the demand, how many are blocked, and when each came, as of now."""
+        return self._demand.fate, self._demand.blocked, self._demand.came
 
     # The methods below change the tables; they come in the order of a step.
 
@@ -214,7 +221,8 @@ class Episode:
     def collide(self, row: int) -> None:
         """Count a collision whose rear vehicle is that of a row."""
         column = METRIC["collisions_cv" if self.tables.flags[row, IS_CV] else "collisions_hdv"]
-        self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
+        if self.steps < self.config.control_steps:
+            self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
     def observe(self, reading: Reading) -> np.ndarray:
@@ -235,24 +243,46 @@ class Episode:
         self.tables.flags[rows, YIELDING] = 1
         self._yielding = len(rows)
 
-    def finish(self, ending: Ending) -> None:
-        """Truncate everybody who is still there, and complete the metrics."""
-        tables, frame = self.tables, self.frame
+    def end_step(self, ending: Callable[[], Ending], everybody_left: Callable[[], bool]) -> None:
+        """Complete the sums where the horizon is reached, and the episode where it has been played out.
+
+        Args:
+            ending: returns what became of the demand; called at the horizon.
+            everybody_left: returns whether no vehicle is in the network or will be; called after each decision from
+                the horizon on.
+        """
+        config = self.config
+        if self.steps == config.control_steps:
+            self._end_measured_time(ending())
+        if self.steps < config.control_steps or not self.between_decisions:
+            return
+        if self.steps == config.total_steps or everybody_left():
+            self._finish()
+
+    def _end_measured_time(self, ending: Ending) -> None:
+        """Complete the sums that go to the horizon."""
+        tables = self.tables
         book_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
         for name, numbers in ending._asdict().items():
-            np.add.at(tables.sums[:, METRIC[name]], self.traffic.approach[np.asarray(numbers, np.int64)], 1.0)
-        self._book_held_up()
+            self._book(name, np.asarray(numbers, np.int64), 1.0)
+        self.frame["approach_metrics"][:] = tables.sums
+
+    def _finish(self) -> None:
+        """Truncate every vehicle that is still there, and complete the sums of the cohort."""
+        demand, frame = self._demand, self.frame
+        blocked = blocked_s(demand.came, demand.reach_s, self.started_s, self.steps, self.config.step_s)
+        cohort = np.flatnonzero(demand.cohort)
+        self._book("cohort", cohort, 1.0)
+        self._book("cohort_blocked_s", cohort, blocked[cohort])
+        self._book("cohort_blocked_co2_g", cohort, (blocked * demand.idle_gps)[cohort])
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
-        frame["approach_metrics"][:] = tables.sums
+        frame["approach_metrics"][:] = self.tables.sums
 
-    def _book_held_up(self) -> None:
-        """Book how long vehicles were held up outside, and what they would have burned, standing."""
-        held_s = held_up_s(self._demand.came, self.road, self.traffic, self.started_s, self.steps, self.config.step_s)
-        burned_g = held_s * idle_rates(self.context, self.road, self.traffic, self._weights)
-        for name, values in (("held_up_s", held_s), ("held_up_emission_g", burned_g)):
-            np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach, values)
+    def _book(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
+        """Add values of some vehicles of the demand to a sum of their approaches."""
+        np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach[numbers], values)
 
     def scene(self) -> Scene:
         """Return copies of the present state."""

@@ -92,10 +92,10 @@ class RewardConfig:
     region, human-driven ones too. ``y_s`` are terms that all share: the smallest time to collision.
 
     With ``sums``, ``x_ik`` is a sum over the vehicle and those behind it up to the next CV, and in the place of the
-    mean stands the sum over all: the team's. Both are over vehicles that have not crossed the stop line, with those
-    that are held up outside as if they stood on the approach; and both are in units of what human driving burns, a
-    vehicle's on its approach, or that of all vehicles that come during a step. So contexts weigh alike, and nobody
-    gains by keeping others out.
+    mean stands the sum over all: the team's. Vehicles count over their whole way in the region, and those that are
+    blocked outside count as if they stood on the approach. Of the vehicles behind the stop line only those that are
+    leaving count for a CV that is leaving. Both sums are in units of what human driving burns: that of a vehicle on
+    its way, or of all vehicles that come during a step. So contexts weigh alike, and no CV gains by blocking others.
 
     Attributes:
         eta: share of the fleet; 1 pays every CV the same.
@@ -134,9 +134,10 @@ class RewardConfig:
 
     @classmethod
     def fuel(cls) -> RewardConfig:
-        """Return minus CO2 and delay, for oneself and those behind: what the benefit is made of, shared out.
+        """Return minus CO2 and delay, of oneself and those behind: what an evaluation measures, shared out.
 
-        A second of delay counts as half a gram, about what a standing vehicle burns.
+        A second of delay counts as half a gram, about what a standing vehicle burns. What vehicles burn while they
+        are blocked outside counts, and so does the time.
         """
         return cls(eta=0.0, speed=0.0, alpha=0.0, beta=-1.0, delay=-0.5, scale=1.0, sums=True)
 

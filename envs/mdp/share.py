@@ -1,9 +1,8 @@
 """The reward as a sum (``RewardConfig.sums``), in compiled code: which vehicles' terms an agent is paid for.
 
-A vehicle counts until it has crossed the stop line, as in the metrics. The fleet's sum is over all of them; an agent's
-own is over itself and those behind it up to the next CV, so that these shares do not overlap. Vehicles that should have
-come to the region and have not are *held up outside*. They count in full, as if they stood there, or an agent could
-gain by keeping others out.
+A vehicle counts over its whole way in the region. The fleet's sum is over all of them; an agent's own is over itself
+and those behind it up to the next CV, so that these shares do not overlap. Vehicles that could have come to the region
+and have not are *blocked*. They count in full, as if they stood there, or an agent could gain by blocking others.
 """
 
 from __future__ import annotations
@@ -20,26 +19,38 @@ from izoo.envs.mdp.state import (
     LEADER,
     LOCATION,
     PATH_POSITION,
-    SPEED,
     TTC,
 )
-from izoo.envs.mdp.world import DUE
-from izoo.networks.road import APPROACHING, LEAVING
+from izoo.envs.mdp.world import DUE, IDLE_GPS, VEHICLES
+from izoo.networks.road import LEAVING
 
-AWAITED, HERE, OUTSIDE = 0, 1, 2
-"""What has become of a vehicle of the demand: not yet due, or due before control began; come; due, and not come."""
+AWAITED, HERE, BLOCKED = 0, 1, 2
+"""What has become of a vehicle of the demand: it could not have come yet; it came; it could have come, and has not."""
 
 
 @compiled(borrows=True)
-def count_outside(world, time_s, measured):  # type: ignore[no-untyped-def]
-    """Book those who are due by now and have not come; before control begins nobody is held up yet."""
-    demand, tables = world.demand, world.tables
-    while tables.cursor[DUE] < demand.due_s.shape[0] and demand.due_s[tables.cursor[DUE]] <= time_s:
-        number = demand.due_number[tables.cursor[DUE]]
+def count_blocked(world, time_s):  # type: ignore[no-untyped-def]
+    """Write to the working memory which vehicles were blocked in the step that ended at ``time_s``.
+
+    One that could have come within the step counts from then on.
+    """
+    demand, tables, blocked = world.demand, world.tables, world.work.blocked
+    for p in range(demand.blocked.shape[0]):
+        blocked[p, VEHICLES] = demand.blocked[p, VEHICLES]
+        blocked[p, IDLE_GPS] = demand.blocked[p, IDLE_GPS]
+    while tables.cursor[DUE] < demand.next_number.shape[0]:
+        number = demand.next_number[tables.cursor[DUE]]
+        if demand.reach_s[number] > time_s:
+            break
         tables.cursor[DUE] += 1
-        if measured and demand.fate[number] == AWAITED:
-            demand.fate[number] = OUTSIDE
-            demand.outside[demand.approach[number]] += 1
+        if demand.fate[number] == AWAITED:
+            demand.fate[number] = BLOCKED
+            p, idle_gps = demand.approach[number], demand.idle_gps[number]
+            share = (time_s - demand.reach_s[number]) / world.rules.step_s
+            blocked[p, VEHICLES] += share
+            blocked[p, IDLE_GPS] += share * idle_gps
+            demand.blocked[p, VEHICLES] += 1.0
+            demand.blocked[p, IDLE_GPS] += idle_gps
 
 
 @compiled(borrows=True)
@@ -53,48 +64,49 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
         own: ``[A, T]`` output, by slot.
         fleet: ``[T]`` output.
     """
-    tables, rules, outside = world.tables, world.rules, world.demand.outside
+    tables, rules, work = world.tables, world.rules, world.work
     floats, ints = tables.floats, tables.ints
     own[:, :] = 0.0
     fleet[:] = 0.0
-    rearmost, standing = world.work.rearmost, world.work.standing
-    for p in range(outside.shape[0]):
+    rearmost, standing, blocked = work.rearmost, work.standing, work.blocked
+    approaches = world.demand.blocked.shape[0]
+    for p in range(approaches):
         rearmost[p] = -1
     for r in rows:
-        if not _counts(r, floats, ints, rules.step_s):
-            continue
         p = ints[r, APPROACH]
-        if rearmost[p] < 0 or floats[r, PATH_POSITION] < floats[rearmost[p], PATH_POSITION]:
+        is_last = rearmost[p] < 0 or floats[r, PATH_POSITION] < floats[rearmost[p], PATH_POSITION]
+        if is_last and ints[r, LOCATION] != LEAVING:
             rearmost[p] = r
         slot = owner(r, ints, rows.shape[0])
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
             if slot >= 0:
                 own[slot, c] += terms[r, c] / rules.unit_g[p]
-    for p in range(outside.shape[0]):
-        if outside[p] == 0:
+    for p in range(approaches):
+        count = blocked[p, VEHICLES]
+        if count <= 0.0:
             continue
-        _stand(rules, p, world.work.standing_row, standing)
-        slot = owner(rearmost[p], ints, rows.shape[0]) if rearmost[p] >= 0 else -1
+        _stand(blocked[p, IDLE_GPS] / count, rules, work.standing_row, standing)
+        slot = owner(rearmost[p], ints, rows.shape[0])
         for c in range(NUM_TERMS):
-            fleet[c] += outside[p] * standing[c]
+            fleet[c] += count * standing[c]
             if slot >= 0:
-                own[slot, c] += outside[p] * standing[c] / rules.unit_g[p]
+                own[slot, c] += count * standing[c] / rules.unit_g[p]
     for c in range(NUM_TERMS):
         fleet[c] /= rules.fleet_g_per_step
 
 
 @compiled(borrows=True)
-def _counts(r, floats, ints, step_s):  # type: ignore[no-untyped-def]
-    """Whether a vehicle had not crossed the stop line when the step began."""
-    return ints[r, LOCATION] == APPROACHING or floats[r, PATH_POSITION] < floats[r, SPEED] * step_s
-
-
-@compiled(borrows=True)
 def owner(r, ints, most):  # type: ignore[no-untyped-def]
-    """Return the slot of the nearest CV at or ahead of row ``r``, -1 if there is none before the junction's end."""
+    """Return the slot of the nearest CV at or ahead of row ``r``, -1 if there is none.
+
+    Of a vehicle that is leaving it is one that is leaving, and of all others none of those.
+    """
+    if r < 0:
+        return -1
+    leaves = ints[r, LOCATION] == LEAVING
     for _ in range(most):
-        if r < 0 or ints[r, LOCATION] == LEAVING:
+        if r < 0 or (ints[r, LOCATION] == LEAVING) != leaves:
             return -1
         if ints[r, AGENT] >= 0:
             return ints[r, AGENT]
@@ -103,9 +115,9 @@ def owner(r, ints, most):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def _stand(rules, p, floats, out):  # type: ignore[no-untyped-def]
-    """Write the terms of a vehicle that stands for one step where approach ``p`` begins; ``floats [1, *]``: its row."""
-    floats[0, EMISSION] = rules.idle_gps[p] * rules.step_s
+def _stand(idle_gps, rules, floats, out):  # type: ignore[no-untyped-def]
+    """Write the terms of a vehicle that stands for one step; ``floats [1, *]``: its row."""
+    floats[0, EMISSION] = idle_gps * rules.step_s
     floats[0, DELAY] = rules.step_s
     floats[0, TTC] = np.inf
     evaluate(0, floats, rules.reward, out)

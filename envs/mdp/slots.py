@@ -8,12 +8,13 @@ stands in a leaver's place; the lowest free number goes first.
 from __future__ import annotations
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.frame import EPISODE_METRIC
-from izoo.envs.mdp.share import HERE, OUTSIDE
+from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
+from izoo.envs.mdp.share import BLOCKED, HERE
 from izoo.envs.mdp.state import (
     ACCEL,
     AGENT,
     APPROACH,
+    COHORT,
     COUNTED,
     ELECTRIC,
     ENTRY_M,
@@ -27,10 +28,11 @@ from izoo.envs.mdp.state import (
     PRESENT,
 )
 from izoo.envs.mdp.tally import book_entry
-from izoo.envs.mdp.world import FREE, FREED, LEAVERS, MEMBERS
+from izoo.envs.mdp.world import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
+_COHORT_LEFT = METRIC["cohort_left"]
 
 
 @compiled(borrows=True)
@@ -56,7 +58,7 @@ def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     floats[row, :] = 0.0
     is_cv, approach = demand.is_cv[number], demand.approach[number]
     flags[row, PRESENT], flags[row, FRESH] = 1, 1
-    flags[row, IS_CV], flags[row, COUNTED] = is_cv, counted
+    flags[row, IS_CV], flags[row, COUNTED], flags[row, COHORT] = is_cv, counted, demand.cohort[number]
     flags[row, ELECTRIC] = is_cv and world.rules.electric
     floats[row, LENGTH], floats[row, ACCEL] = demand.length_m[number], accel_mps2
     floats[row, ENTRY_M] = -world.road.lane_length_m[approach]
@@ -64,13 +66,14 @@ def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
     ints[row, AGENT] = -1
     ints[row, LEADER] = -1
-    if demand.fate[number] == OUTSIDE:
-        demand.outside[approach] -= 1
+    if demand.fate[number] == BLOCKED:
+        demand.blocked[approach, VEHICLES] -= 1.0
+        demand.blocked[approach, IDLE_GPS] -= demand.idle_gps[number]
     demand.fate[number] = HERE
     demand.came[number] = int(tables.episode[_STEPS])
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
-    book_entry(row, floats, ints, flags, tables.sums)
+    book_entry(row, floats, ints, flags, sums_to_horizon(world))
     if is_cv:
         _give_slot(row, tables, world.rules.num_vehicles)
     return row
@@ -99,6 +102,7 @@ def let_go(world, row):  # type: ignore[no-untyped-def]
     tables.cursor[MEMBERS] = kept
     tables.leavers[tables.cursor[LEAVERS]] = row
     tables.cursor[LEAVERS] += 1
+    tables.sums[tables.ints[row, APPROACH], _COHORT_LEFT] += tables.flags[row, COHORT]
 
 
 @compiled

@@ -81,6 +81,7 @@ HAS_LEADER = FLAGS.emit("has_leader")
 DEFERRED = FLAGS.emit("deferred")
 ELECTRIC = FLAGS.emit("electric")
 COUNTED = FLAGS.keep("counted")  # it entered after the warm-up
+COHORT = FLAGS.keep("cohort")  # it was scheduled to depart between warm-up and horizon
 CROSSED = FLAGS.keep("crossed")
 WRONG_LANE = FLAGS.keep("wrong_lane")  # its lane does not lead to its exit
 FRESH = FLAGS.keep("fresh")  # it has just been given its row

@@ -14,12 +14,12 @@ from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
 from izoo.envs.mdp.orders import plan_commands
 from izoo.envs.mdp.pay import NUM_TERMS, pay, reward_terms, team_pay
-from izoo.envs.mdp.share import count_outside, share_out
+from izoo.envs.mdp.share import count_blocked, share_out
 from izoo.envs.mdp.signals import phase_driven, read_clock
 from izoo.envs.mdp.slots import release
 from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
-from izoo.envs.mdp.tally import account, sum_episode
-from izoo.envs.mdp.world import FREE, HELD, MEMBERS, SUSPECTS
+from izoo.envs.mdp.tally import account, account_cohort, sum_episode
+from izoo.envs.mdp.world import FREE, HELD, MEMBERS, SUSPECTS, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]
 
@@ -47,7 +47,7 @@ def take_orders(world):  # type: ignore[no-untyped-def]
         tables.floats,
         tables.ints,
         tables.flags,
-        tables.sums,
+        sums_to_horizon(world),
         tables.command,
         tables.release,
         tables.target_mps,
@@ -121,16 +121,18 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
     rows = tables.members[: tables.cursor[MEMBERS]]
     floats, ints, flags = tables.floats, tables.ints, tables.flags
+    sums = sums_to_horizon(world)
     if measured:
         phase = phase_driven(time_s, clock)
         colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
-        account(rows, floats, ints, flags, colour, legal, rules.step_s, tables.sums)
+        account(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
+        account_cohort(rows, floats, ints, flags, tables.sums)
     read_clock(time_s, clock)
     begins = tables.cursor[HELD] == 0
     fleet, shared, paid, own = work.fleet, work.shared, work.paid, work.own
     reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.least)
     if rules.reward.sums:
-        count_outside(world, time_s, measured)
+        count_blocked(world, time_s)
         share_out(world, rows, tables.terms, own, fleet)
     else:
         for a in range(tables.acting.shape[0]):
@@ -159,9 +161,12 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, empty)
     release(tables, out.agent_terminated, out.agent_done, begins)
     if measured:
-        sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, tables.sums, tables.episode)
+        sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, sums, tables.episode)
         tables.cursor[HELD] = (tables.cursor[HELD] + 1) % rules.hold_steps
-    if tables.cursor[HELD] == 0 or tables.episode[_STEPS] >= rules.control_steps:
+        # The horizon and the end of an episode end a decision, however short.
+        if tables.episode[_STEPS] == rules.control_steps or tables.episode[_STEPS] == rules.total_steps:
+            tables.cursor[HELD] = 0
+    if tables.cursor[HELD] == 0:
         observe(
             tables.agent_row,
             work.shown,

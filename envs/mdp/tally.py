@@ -11,8 +11,10 @@ from izoo.envs.mdp.state import (
     ACCEL,
     AGENT,
     APPROACH,
+    COHORT,
     COUNTED,
     CROSSED,
+    DELAY,
     EMISSION,
     ENTRY_M,
     EXIT,
@@ -59,6 +61,8 @@ _MIN_TTC_VEHICLES = METRIC["min_ttc_vehicles"]
 _RED_CROSSINGS_CV = METRIC["red_crossings_cv"]
 _RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
 _UNSLOTTED_STEPS = METRIC["unslotted_steps"]
+_COHORT_CO2_G = METRIC["cohort_region_co2_g"]
+_COHORT_DELAY_S = METRIC["cohort_region_delay_s"]
 _STEPS = EPISODE_METRIC["steps"]
 _RETURN = EPISODE_METRIC["return"]
 _REWARD_SUM = EPISODE_METRIC["reward_sum"]
@@ -98,6 +102,16 @@ def account(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ig
 
 
 @compiled(borrows=True)
+def account_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Add what the cohort burned and lost in the step, which is counted until an episode's end."""
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if flags[r, COHORT]:
+            sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
+            sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
+
+
+@compiled(borrows=True)
 def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
     sums[p, _CROSSED] += 1
     sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
@@ -134,7 +148,7 @@ def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
 
 @compiled(borrows=True)
 def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Report, at the end, the counted vehicles that have not crossed."""
+    """Report, at the horizon, the counted vehicles that have not crossed."""
     for j in range(rows.shape[0]):
         r = rows[j]
         if flags[r, COUNTED] and not flags[r, CROSSED]:

@@ -17,20 +17,22 @@ from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, idle_rates, reach_times
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
-from izoo.envs.mdp.units import Units, due_times, units_of
+from izoo.envs.mdp.units import Units, units_of
 from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
+_STEPS = EPISODE_METRICS.index("steps")
 _DATA_WORD = 3
 """Word of numba's block of managed memory (``MemInfo``) that holds the address of the data."""
 (MEMBERS, LEAVERS, SUSPECTS, HELD, DUE) = range(5)
 """Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, how many steps of the present
-decision have been played, and how many vehicles were due so far."""
+decision have been played, and how many vehicles could have come to the region so far."""
 FREE, FREED = -1, -2
 """Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
 decision and cannot until the next."""
@@ -113,7 +115,8 @@ class Work(NamedTuple):
 
     Attributes:
         lane_fill: ``[L]``. own: ``[A, T]``. fleet, standing: ``[T]``. shared, least: ``[S]``. paid: ``[A]``.
-        rearmost: ``[P]``. standing_row: ``[1, *]``, a row like those of ``floats``.
+        rearmost: ``[P]``. blocked: ``[P, 2]``. standing_row: ``[1, *]``, a row like those of ``floats``.
+        past_horizon: ``[P, M]``, takes the sums of the steps after the horizon, which count for nothing.
         shown: ``[A]`` uint8, whether the slot's row of the frame's observation may hold something.
     """
 
@@ -125,6 +128,8 @@ class Work(NamedTuple):
     least: np.ndarray
     paid: np.ndarray
     rearmost: np.ndarray
+    blocked: np.ndarray
+    past_horizon: np.ndarray
     standing_row: np.ndarray
     shown: np.ndarray
 
@@ -141,23 +146,28 @@ def work_space(config: EnvConfig, num_lanes: int) -> Work:
         least=np.zeros(NUM_SHARED),
         paid=np.zeros(a),
         rearmost=np.zeros(config.num_approaches, np.int64),
+        blocked=np.zeros((config.num_approaches, 2)),
+        past_horizon=np.zeros((config.num_approaches, len(APPROACH_METRICS))),
         standing_row=np.zeros((1, len(FLOATS))),
         shown=np.ones(a, np.uint8),
     )
 
 
-NEVER = -1
-"""Step at which a vehicle came that has not come."""
+VEHICLES, IDLE_GPS = range(2)
+"""Columns of :attr:`Demand.blocked`."""
 
 
 class Demand(NamedTuple):
-    """What is known of every vehicle of the episode beforehand, ``[N]`` each, and who is held up outside.
+    """What is known of every vehicle of the episode beforehand, ``[N]`` each, and which are blocked outside.
 
     Attributes:
         is_cv, approach, exit, length_m, moves_class: of the vehicle.
-        due_s, due_number: by when vehicles should have come, ascending, and which these are.
+        cohort: whether the vehicle is scheduled to depart between warm-up and horizon.
+        reach_s: when it could have come to the region.
+        idle_gps: what it burns standing on its approach, g/s.
+        next_number: the vehicles in the order of ``reach_s``.
         fate: changes: what has become of the vehicle (:mod:`izoo.envs.mdp.share`).
-        outside: ``[P]``, changes: how many are held up.
+        blocked: ``[P, 2]``, changes: how many vehicles are blocked, and what they burn standing, g/s.
         came: changes: how many steps had been played when the vehicle came, :data:`NEVER` until then.
     """
 
@@ -166,27 +176,32 @@ class Demand(NamedTuple):
     exit: np.ndarray
     length_m: np.ndarray
     moves_class: np.ndarray
-    due_s: np.ndarray
-    due_number: np.ndarray
+    cohort: np.ndarray
+    reach_s: np.ndarray
+    idle_gps: np.ndarray
+    next_number: np.ndarray
     fate: np.ndarray
-    outside: np.ndarray
+    blocked: np.ndarray
     came: np.ndarray
 
 
-def demand_arrays(traffic: Traffic, road: RoadNet) -> Demand:
+def demand_arrays(
+    config: EnvConfig, context: Context, road: RoadNet, traffic: Traffic, surrogates: KernelWeights
+) -> Demand:
     """Pick the arrays out of an episode's traffic."""
-    due_s = due_times(road, traffic)
-    order = np.argsort(due_s, kind="stable")
+    reach_s = reach_times(road, traffic)
     return Demand(
         is_cv=np.ascontiguousarray(traffic.is_cv),
         approach=np.ascontiguousarray(traffic.approach),
         exit=np.ascontiguousarray(traffic.exit),
         length_m=np.ascontiguousarray(traffic.length_m),
         moves_class=np.ascontiguousarray(traffic.moves_class),
-        due_s=due_s[order],
-        due_number=order,
+        cohort=cohort_of(config, traffic),
+        reach_s=reach_s,
+        idle_gps=idle_rates(context, road, traffic, surrogates),
+        next_number=np.argsort(reach_s, kind="stable"),
         fate=np.zeros(len(traffic), np.int64),
-        outside=np.zeros(len(road.approaches), np.int64),
+        blocked=np.zeros((len(road.approaches), 2)),
         came=np.full(len(traffic), NEVER, np.int64),
     )
 
@@ -197,6 +212,7 @@ class Rules(NamedTuple):
     step_s: float
     hold_steps: int
     control_steps: int
+    total_steps: int
     temperature_c: float
     humidity_pct: float
     electric: bool
@@ -204,7 +220,6 @@ class Rules(NamedTuple):
     weights: np.ndarray
     shared_weights: np.ndarray
     unit_g: np.ndarray
-    idle_gps: np.ndarray
     fleet_g_per_step: float
     sensor_range_m: float
     columns: np.ndarray
@@ -219,13 +234,14 @@ class Rules(NamedTuple):
 def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffic, surrogates: KernelWeights) -> Rules:
     """Return the rules of an episode."""
     reward, weights, shared_weights = reward_arrays(config.reward)
-    units = Units(np.ones(1), np.ones(1), 1.0)
+    units = Units(np.ones(1), 1.0)
     if config.reward.sums:
         units = units_of(context, road, traffic, surrogates, config.horizon_s, config.step_s)
     return Rules(
         step_s=config.step_s,
         hold_steps=config.hold_steps,
         control_steps=config.control_steps,
+        total_steps=config.total_steps,
         temperature_c=context.temperature_c,
         humidity_pct=context.humidity_pct,
         electric=context.engine == "electric",
@@ -233,7 +249,6 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
         weights=weights,
         shared_weights=shared_weights,
         unit_g=units.unit_g,
-        idle_gps=units.idle_gps,
         fleet_g_per_step=units.fleet_g_per_step,
         sensor_range_m=np.inf if config.sensor_range_m is None else float(config.sensor_range_m),
         columns=neighbour_columns(config.neighbours),
@@ -316,6 +331,14 @@ class World(structref.StructRefProxy):  # type: ignore[misc]
 
 
 structref.define_proxy(World, WorldType, ["tables", "work", "demand", "road", "clock", "rules", "surrogate", "frame"])
+
+
+@compiled(borrows=True, inline="always")
+def sums_to_horizon(world):  # type: ignore[no-untyped-def]
+    """Return the table that takes the coming step's sums: after the horizon, one that nobody reads."""
+    if world.tables.episode[_STEPS] < world.rules.control_steps:
+        return world.tables.sums
+    return world.work.past_horizon
 
 
 @compiled

@@ -162,6 +162,10 @@ class SumoSession:
         """Simulated time."""
         return float(self._simulation.getTime())
 
+    def is_empty(self) -> bool:
+        """Whether no vehicle is in the network, waits to enter it, or is yet to depart."""
+        return bool(self._simulation.getMinExpectedNumber() == 0)
+
     def arrived(self) -> Sequence[str]:
         """Vehicles that reached the end of their route in the last step."""
         return self._simulation.getArrivedIDList()

@@ -121,9 +121,7 @@ class SumoSimulator:
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Apply the frame's actions, simulate the steps of one decision, and write the next frame."""
         self._step()
-        for _ in range(1, self.config.hold_steps):
-            if self.episode.over:
-                break
+        while not self.episode.between_decisions:
             self._step()
         return ()
 
@@ -144,8 +142,7 @@ class SumoSimulator:
         suspects = episode.observe(reading)
         self.names.forget(leavers)
         episode.give_way(self._slowed(suspects) if len(suspects) else ())
-        if episode.over:
-            episode.finish(self._ending())
+        episode.end_step(self._ending, session.is_empty)
 
     def _advance(self) -> None:
         """Simulate one step, and note who has departed."""
@@ -237,6 +234,6 @@ class SumoSimulator:
 
 def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:
     """Return how many vehicles' departure is due by each step of an episode, which SUMO takes in at its beginning."""
-    begin_s = np.arange(config.warmup_steps + config.control_steps) * config.step_s
+    begin_s = np.arange(config.warmup_steps + config.total_steps) * config.step_s
     # SUMO reads times in whole milliseconds.
     return np.searchsorted(np.round(depart_s, 3), begin_s + 1e-6, side="right").tolist()  # type: ignore[no-any-return]

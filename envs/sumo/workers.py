@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import CLOSED, Play, scene_from_frame
+from izoo.envs.backend import CLOSED, Play, rest_where_ended, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
@@ -101,13 +101,14 @@ class SumoWorkers:
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Simulate one step of every environment; return those whose worker was lost: :data:`KEPT` says what is
         left of their frames."""
+        ended = rest_where_ended(self.config, self.frames)
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
         for name, before in self._before.items():
             np.copyto(before, self.frames[name])
         try:
             # The first is asked last: it may have to wait for this core, which is given up with the first wait.
-            for index in reversed(range(self.num_workers)):
+            for index in np.flatnonzero(~ended)[::-1].tolist():
                 try:
                     self._workers[index].step()  # type: ignore[union-attr]
                     waiting.insert(0, index)

@@ -17,7 +17,7 @@ import torch
 from izoo.compiling import compiling_once
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import CLOSED, Play
+from izoo.envs.backend import CLOSED, Play, rest_where_ended
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
@@ -133,7 +133,7 @@ class TwinBackend:
                 run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
                 self._runs[index] = run
                 self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
-                self._addresses[index], self._left[index] = run.addresses, self.config.control_steps
+                self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
 
     def pack(self) -> list[np.ndarray]:
         """Return the state of every environment as compressed bytes, uint8."""
@@ -162,7 +162,7 @@ class TwinBackend:
             for index, state in enumerate(packed):
                 run = self._run(index)
                 run.unpack(state)
-                self._left[index] = self.config.control_steps - run.episode.steps
+                self._left[index] = 0 if run.episode.over else self.config.total_steps - run.episode.steps
 
     def plays(self) -> list[Play]:
         """Return what every environment plays."""
@@ -178,31 +178,35 @@ class TwinBackend:
         return prepare(self.config, play, desk)
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Simulate one decision of every environment.
+        """Simulate one decision of every environment whose episode has not ended.
 
         Raises:
-            IzooError: the environments are closed, no episode has begun, or one has ended.
+            IzooError: the environments are closed, no episode has begun, or there is none to go on with.
         """
         self._run(0)
-        if self.frames["done"].any():
-            ended = int(np.flatnonzero(self.frames["done"])[0])
-            steps = self._run(ended).episode.steps
-            raise IzooError(f"the episode ended after {steps} steps; call reset() before the next step.")
+        ended = rest_where_ended(self.config, self.frames)
         with self._whole():
-            # An episode that ends within a decision ends it.
-            self._play(np.minimum(self._left, self.config.hold_steps), meanwhile)
-            for index in np.flatnonzero(self._left == 0).tolist():
-                self._run(index).finish()
+            self._play(np.minimum(self._until_horizon_or_end(), self.config.hold_steps), meanwhile)
+            for index in np.flatnonzero((self._left <= self.config.drain_steps) & ~ended).tolist():
+                run = self._run(index)
+                run.end_step()
+                if run.episode.over:
+                    self._left[index] = 0
         return ()
+
+    def _until_horizon_or_end(self) -> np.ndarray:
+        """Return how many steps each environment has until its horizon, or its end where that is past, ``[N]``."""
+        drain = self.config.drain_steps
+        return np.where(self._left > drain, self._left - drain, self._left)
 
     def advance(self, decisions: Sequence[int]) -> None:
         """Play on in each environment for so many decisions, with every CV left to its driver.
 
         Args:
-            decisions: ``[N]``; so few that no episode ends.
+            decisions: ``[N]``; so few that no episode comes to its horizon.
 
         Raises:
-            IzooError: an episode would end.
+            IzooError: an episode would come to its horizon.
         """
         try:
             given = np.asarray(decisions)
@@ -210,7 +214,7 @@ class TwinBackend:
             given = np.empty(0)
         whole = given.shape == (self.num_envs,) and given.dtype.kind in "iu"
         steps = given.astype(np.int64) * self.config.hold_steps if whole else given
-        if not whole or (steps < 0).any() or (steps >= self._left).any():
+        if not whole or (steps < 0).any() or (steps >= self._until_horizon_or_end()).any():
             shown = repr(decisions)
             raise IzooError(
                 f"advance({shown if len(shown) < 80 else shown[:80] + '...'}): give each of {self.num_envs} "

@@ -29,6 +29,7 @@ from izoo.envs.twin.arrays import (
     MAX_TAIL_LANES,
     NEXT_DEPARTURE,
     NOW_MS,
+    ON_ROAD,
     STATUS,
     WAITING,
     WORKING,
@@ -145,10 +146,11 @@ class TwinRun:
         signals = driving.signals[vehicles].astype(np.int64)
         return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
 
-    def finish(self) -> None:
-        """Complete the metrics and the frame of the last step; say so where vehicles were not driven as in SUMO."""
+    def end_step(self) -> None:
+        """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
+        self.episode.end_step(self._ending, self._everybody_left)
         state = self.driving.state
-        if state.clock[LOST_TAILS]:
+        if self.episode.over and state.clock[LOST_TAILS]:
             _log.warning(
                 "context %s: the rear of a vehicle lay on more than %d lanes, or with more than as many others on one, "
                 "%d times; there the twin forgot it. Use simulator=sumo.",
@@ -156,11 +158,21 @@ class TwinRun:
                 MAX_TAIL_LANES,
                 state.clock[LOST_TAILS],
             )
+
+    def _everybody_left(self) -> bool:
+        """Whether no vehicle is on the road, waits to enter it, or is yet to depart."""
+        state = self.driving.state
+        on_road, departed = state.clock[[ON_ROAD, NEXT_DEPARTURE]]
+        return bool(on_road == 0 and departed == len(state.ints) and not (state.ints[:, STATUS] == WAITING).any())
+
+    def _ending(self) -> Ending:
+        """Say what became of the demand that did not reach the region."""
+        state = self.driving.state
         status = state.ints[:, STATUS]
         outside = (status == DRIVING) & (self._guests.row_of < 0)
         masks = (status == DROPPED, status == WAITING, outside, self._early)
         gone = (np.flatnonzero(mask).tolist() for mask in masks)
-        self.episode.finish(Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone))
+        return Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone)
 
     def _changing(self) -> list[np.ndarray]:
         """Return every array that changes in the course of the episode."""

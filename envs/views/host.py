@@ -18,7 +18,7 @@ from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, SIMULATORS, EnvConfig, checked_config
-from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.frame import EPISODE_METRIC, frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
@@ -179,7 +179,7 @@ class Host:
     @property
     def time_s(self) -> float:
         """Simulated time, warm-up included."""
-        simulated = min(self.steps * self.config.hold_steps, self.config.control_steps)
+        simulated = round(float(self.frame["episode_metrics"][EPISODE_METRIC["steps"]]))
         return (self.config.warmup_steps + simulated) * self.config.step_s
 
     @property

@@ -8,7 +8,7 @@ from pathlib import Path
 from izoo.conf.report_options import ReportConfig
 from izoo.errors import IzooError
 from izoo.files import expanded
-from izoo.reporting import page, sweeps
+from izoo.report import page, sweeps
 
 
 def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -23,7 +23,12 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
     """
     folder = expanded(str(config.results))
     if sweeps.is_sweep(folder):
-        _check_sweep(folder, given)
+        names = [field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results"}]
+        if names:
+            raise IzooError(
+                f"{folder} is the folder of a sweep, to which {', '.join(names)} cannot apply: its table is written to "
+                f"{folder / sweeps.SWEEP_FILE}. Leave {', '.join(names)} out, or give the folder of one run."
+            )
         path = sweeps.report(folder)
         print(f"Table: {path}", flush=True)
         return path
@@ -38,13 +43,3 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
     )
     print(f"Report: {path} ({path.stat().st_size / 1e6:.1f} MB)", flush=True)
     return path
-
-
-def _check_sweep(folder: Path, given: frozenset[str]) -> None:
-    """Refuse options that are about the page."""
-    names = [field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results"}]
-    if names:
-        raise IzooError(
-            f"{folder} is the folder of a sweep, to which {', '.join(names)} cannot apply: its table is written to "
-            f"{folder / sweeps.SWEEP_FILE}. Leave {', '.join(names)} out, or give the folder of one run."
-        )

@@ -122,29 +122,14 @@ def _differences(values: dict[str, Any], default: Any, prefix: str = "") -> list
 
 
 def _figures(evaluation: Path | None) -> list[str]:
-    """Return the figures of an evaluation as Markdown, by policy and baseline."""
+    """Return the figures of a folder of results in Markdown."""
     if evaluation is None:
         return ["Not yet."]
-    from izoo.evaluation.policies import UNCOMMANDED
-    from izoo.evaluation.show import comparison_rows, counted_in_words, places_in_words
-    from izoo.evaluation.summary import summarise
-    from izoo.reporting.material import read_evaluation
+    from izoo.metrics.summary import summarise
+    from izoo.report.tables import markdown
+    from izoo.results.store import read_table
 
-    table, facts = read_evaluation(evaluation)
-    summary = summarise(table)
-    lines = []
-    for policy, entry in summary["policies"].items():
-        if policy == UNCOMMANDED:
-            continue
-        for baseline, comparison in entry["against"].items():
-            header, rows = comparison_rows(comparison)
-            lines += [f"{policy} against {baseline}:", "", "| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
-            lines += ["| " + " | ".join(row) + " |" for row in rows if set(row[1:]) != {"-"}] + [""]
-    n, played = summary["n"], dict(facts)["played on"]
-    return [
-        *lines,
-        f"{places_in_words(n)}, {n['seeds']} paired seeds, played on {played}.{counted_in_words(summary)}",
-    ]
+    return [markdown(summarise(read_table(evaluation))).rstrip()]
 
 
 ZOO = SubcommandCommand(

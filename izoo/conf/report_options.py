@@ -12,17 +12,17 @@ class ReportConfig:
     """Options of a report.
 
     Attributes:
-        results: a folder that izoo.evaluate, izoo.train, izoo.benchmarks.generalization or izoo.benchmarks.tradeoffs
-            has written; or that of a sweep, with training runs at any depth, as izoo.train -m leaves them: then a row
-            for every combination of the options in which the runs differ is printed and written to ``sweep.csv``
-            there, a row per run to ``sweep_runs.csv``, and the learning curves to ``sweep.png``. Runs that have not
-            finished are counted and named. The other options are about the page, and are refused for a sweep.
+        results: a folder that izoo.evaluate, izoo.train or a benchmark has written; or that of a sweep, with training
+            runs at any depth, as izoo.train -m leaves them: then a row for every combination of the options in which
+            the runs differ is printed and written to ``sweep.csv`` there, a row per run to ``sweep_runs.csv``, and the
+            learning curves to ``sweep.png``. Runs that have not finished are counted and named. The other options are
+            refused for a sweep.
         out: the page; null: ``RESULTS/report.html``.
-        title: its title; null: what the folder says, such as "train -> test".
-        replay: show the best and the worst approach of every policy, played again beside the baseline. That takes some
+        title: its title; null: what the folder says.
+        replay: show the best and the worst context of every policy, played again beside uncommanded. That takes some
             seconds for each the first time; then they lie in the folder "replays" of the evaluation.
         imports: import policies that are written module:function for that. Say true only of results that you trust.
-        partial: accept a benchmark that is not finished.
+        partial: accept results that are not complete.
     """
 
     results: str | None = None

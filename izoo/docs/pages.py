@@ -45,7 +45,8 @@ def option_docs(config: type) -> dict[str, str]:
 
 def modules() -> dict[str, Any]:
     """Return the modules that ``python -m`` runs, by the name that it takes."""
-    names = ["izoo.train", "izoo.evaluate", "izoo.collect", "izoo.contexts.__main__", "izoo.drivers.__main__"]
+    names = ["izoo.train", "izoo.evaluate", "izoo.collect", "izoo.report.__main__"]
+    names += ["izoo.contexts.__main__", "izoo.drivers.__main__"]
     for package in ("izoo", "izoo.benchmarks"):
         path = importlib.import_module(package).__path__
         names += [f"{package}.{module.name}" for module in pkgutil.iter_modules(path) if not module.ispkg]

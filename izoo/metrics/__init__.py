@@ -1,9 +1,11 @@
-"""From the sums that an environment emits to numbers with intervals.
+"""From the sums that an environment emits to figures with intervals.
 
 - :mod:`~izoo.metrics.definitions`: what an environment reports.
 - :mod:`~izoo.metrics.masked`: reductions over valid slots.
-- :mod:`~izoo.metrics.scores`: scores per vehicle.
-- :mod:`~izoo.metrics.benefit`: benefit against human driving, paired and gated.
-- :mod:`~izoo.metrics.statistics`: aggregates with confidence intervals.
-- :mod:`~izoo.metrics.student`: the distribution that they rest on.
+- :mod:`~izoo.metrics.figures`: the registry: every figure that is shown, declared once.
+- :mod:`~izoo.metrics.pairing`: rows of a policy beside those of a baseline.
+- :mod:`~izoo.metrics.statistics`: the headline with its interval, differences, corrections.
+- :mod:`~izoo.metrics.summary`: what a table says, and a verdict.
+- :mod:`~izoo.metrics.paper_form`: the measure of the published figures.
+- :mod:`~izoo.metrics.student`: Student's t.
 """

@@ -1,7 +1,9 @@
 """The numbers that an environment reports for an episode, and the scores derived from them.
 
 An environment emits *sums and counts* (``("metrics", "approach", name)`` of shape ``[*B, P]``, one entry per incoming
-approach), never means, so that they can be added over approaches and episodes without weights going wrong. Means are
+approach), never means, so that they can be added over approaches and episodes without weights going wrong. Where an
+episode is played out after its horizon, they are those of the horizon, but for the ``cohort`` ones, which go on to the
+end. Means are
 taken in one place, :mod:`izoo.metrics.scores`, and are NaN-free: a mean over nothing is reported as missing by its
 mask.
 
@@ -43,9 +45,7 @@ APPROACH_METRICS: tuple[str, ...] = (
     "dropped",  # those that the simulator dropped because they could not enter the network safely
     "outside",  # those under way to the region at the end
     "early",  # those that were in the region, or had left it, when the warm-up ended
-    "held_up_s",  # seconds that vehicles were held up outside of the region, over all who should have come to it
-    "held_up_emission_g",  # what these would have burned meanwhile, standing
-    "cohort",  # vehicles whose departure is due between warm-up and horizon: the same ones under every policy
+    "cohort",  # vehicles that are scheduled to depart between warm-up and horizon: the same ones under every policy
     "cohort_left",  # those of them that had left the region when the episode ended
     "cohort_region_co2_g",  # what the cohort burned in the region: approach, junction and exit
     "cohort_blocked_co2_g",  # what it would have burned standing outside, while blocked

@@ -6,38 +6,37 @@ from tensordict import TensorDictBase
 
 from izoo.algos.base import MASK, REWARD
 from izoo.envs.mdp.frame import TOTALS
+from izoo.metrics.figures import level_tensors
 from izoo.metrics.masked import masked_mean
-from izoo.metrics.scores import score_tensors
 from izoo.training.environments import NUMBERS, split_totals
 
-LOGGED_SCORES = {
-    "emission_g_per_vehicle": "emission_g_per_vehicle",
-    "throughput": "throughput_veh_per_episode",
-    "approach_speed_mps": "approach_speed_mps",
-    "stopped_time_s_per_vehicle": "stopped_time_s_per_vehicle",
-    "travel_time_s_per_vehicle": "travel_time_s_per_vehicle",
-    "deferred_share": "deferred_share",
-    "unfinished_share": "unfinished_share",
-}
-"""Scores that training logs, and the name each has in ``metrics.csv``."""
-
+LOGGED = (
+    "emission_g_per_vehicle",
+    "throughput",
+    "travel_time_s_per_vehicle",
+    "approach_speed_mps",
+    "stopped_time_s_per_vehicle",
+    "unfinished_share",
+    "deferred_share",
+)
+"""Figures that training logs; shares as fractions."""
 
 READS = (MASK, ("next", *REWARD), ("next", "done"), ("next", TOTALS), ("next", NUMBERS))
 """What :func:`episode_stats` reads of a batch."""
 
 
 def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
-    """Summarise a batch: the reward of all valid agent-steps, and the scores of the episodes that ended in it.
+    """Summarise a batch: the reward of all valid agent-steps, and the figures of the episodes that ended in it.
 
     Args:
         batch: ``[N, T]`` steps of a training environment.
-        partial: episodes with numbers below this were not commanded from their beginning on; no scores of theirs.
+        partial: episodes with numbers below this were not commanded from their beginning on; they are left out.
 
     Episodes that were lost with their worker report no steps, and are left out.
 
     Returns:
         ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,
-        ``collisions``, and :data:`LOGGED_SCORES` pooled over them (every vehicle weighs the same). What is unknown is
+        ``collisions``, and :data:`LOGGED` pooled over them (every vehicle weighs the same). What is unknown is
         left out.
     """
     mask, reward = batch.get(MASK), batch.get(("next", *REWARD)).squeeze(-1)
@@ -58,8 +57,9 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     stats["return"] = float(episode["return"].mean())
     stats["collisions"] = float(episode["collisions"].mean())
     sums = {name: value.double().sum() for name, value in approach.items()}
-    for name, (value, valid) in score_tensors(sums).items():
-        if name in LOGGED_SCORES and bool(valid):
-            per_episode = count if name == "throughput" else 1
-            stats[LOGGED_SCORES[name]] = float(value) / per_episode
+    for name, (value, valid) in level_tensors(sums, LOGGED).items():
+        if bool(valid) and name == "throughput":
+            stats["throughput_veh_per_episode"] = float(value) / count
+        elif bool(valid):
+            stats[name] = float(value)
     return stats

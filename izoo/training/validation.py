@@ -21,8 +21,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError
 from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
-from izoo.metrics.benefit import SIGNIFICANCE
-from izoo.metrics.statistics import fall_p_value
+from izoo.metrics.statistics import SIGNIFICANCE, fall_p_value
 from izoo.training import checkpoint
 from izoo.training.records import MetricsTable
 

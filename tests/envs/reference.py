@@ -6,6 +6,7 @@ import os
 import subprocess
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import sumo
 from defusedxml import ElementTree
@@ -22,6 +23,18 @@ Steps = dict[float, dict[int, tuple[str, float, float]]]
 
 def run_sumo(context: Context, seed: int, folder: Path, config: EnvConfig) -> Steps:
     """Return ``{time after the step: {vehicle number: (lane, position, speed)}}`` of the ``sumo`` program."""
+    steps: Steps = defaultdict(dict)
+    for step in run_fcd(context, seed, folder, config):
+        for vehicle in step:
+            number, lane = int(vehicle.get("id")), vehicle.get("lane")
+            # FCD names the begin of the step after which it writes.
+            time_s = float(step.get("time")) + config.step_s
+            steps[time_s][number] = (lane, float(vehicle.get("pos")), float(vehicle.get("speed")))
+    return steps
+
+
+def run_fcd(context: Context, seed: int, folder: Path, config: EnvConfig) -> Any:
+    """Return the floating car data that the ``sumo`` program writes of an episode, drain included: an XML element."""
     net = build_net(context.intersection)
     road = read_road(net)
     routes, output = folder / "traffic.rou.xml", folder / "fcd.xml"
@@ -30,16 +43,9 @@ def run_sumo(context: Context, seed: int, folder: Path, config: EnvConfig) -> St
     subprocess.run(
         [
             *(str(program), *sumo_arguments(net, routes, seed, config.step_s)),
-            *("--end", str(config.horizon_s), "--fcd-output", str(output), "--precision", "17"),
+            *("--end", str(config.horizon_s + config.drain_s), "--fcd-output", str(output), "--precision", "17"),
         ],
         check=True,
         timeout=120,
     )
-    steps: Steps = defaultdict(dict)
-    for step in ElementTree.parse(output).getroot():
-        for vehicle in step:
-            number, lane = int(vehicle.get("id")), vehicle.get("lane")
-            # FCD names the begin of the step after which it writes.
-            time_s = float(step.get("time")) + config.step_s
-            steps[time_s][number] = (lane, float(vehicle.get("pos")), float(vehicle.get("speed")))
-    return steps
+    return ElementTree.parse(output).getroot()

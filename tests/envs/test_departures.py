@@ -25,6 +25,10 @@ DROPPED = "will not be able to depart"
 
 @pytest.fixture(scope="module")
 def cramped() -> Context:
+    return cramped_context()
+
+
+def cramped_context() -> Context:
     """Four lanes on legs of 40 m with sources of 10 m: too short for the lane changes that some vehicles need."""
     context = crossing(lane_count=4, lane_length_m=60.0)
     spec = context.intersection

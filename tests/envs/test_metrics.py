@@ -194,7 +194,7 @@ def test_waiting_vehicles_are_spill_back() -> None:
     assert sums["waiting"].sum() > 0 and free["waiting"].sum() == 0
 
 
-def test_held_up_is_who_has_not_come_though_it_could(tmp_path: Path) -> None:
+def test_blocked_is_what_could_have_come_and_has_not(tmp_path: Path) -> None:
     """Read in the ``sumo`` program's own output when each vehicle came to the region, of a demand that queues up."""
     config = short(horizon_s=300.0, warmup_s=60.0, emit=("metrics", "vehicles"))
     full = crossing(lane_count=1, inflow_vph_per_lane=900.0, green_s=20.0, red_s=32.0, adoption=0.0)
@@ -205,17 +205,18 @@ def test_held_up_is_who_has_not_come_though_it_could(tmp_path: Path) -> None:
         for number in (n for n, (lane, _, _) in vehicles.items() if lane in road.lane_ids):
             came[number] = min(came.get(number, np.inf), time_s)
     expected = np.zeros(len(road.approaches))
-    for number, p in enumerate(traffic.approach.tolist()):
+    cohort = np.flatnonzero(traffic.depart_s >= config.warmup_s)
+    for number, p in zip(cohort.tolist(), traffic.approach[cohort].tolist(), strict=True):
         could_s = traffic.depart_s[number] + 2.0 * road.lane_length_m[p] / road.speed_limit_mps[p]
         until_s = min(came.get(number, np.inf), config.horizon_s)
-        expected[p] += max(until_s - max(could_s, config.warmup_s), 0.0)
+        expected[p] += max(until_s - could_s, 0.0)
     frames = run(full, defer, config)
     sums = final(frames)
-    held_s = sums["held_up_s"][: len(expected)].numpy()
+    blocked_s = sums["cohort_blocked_s"][: len(expected)].numpy()
     assert expected.min() > 300.0
     steps = np.bincount(traffic.approach) * config.step_s  # a vehicle comes between two steps
-    assert (abs(held_s - expected) <= steps).all()
-    standing_gps = sums["held_up_emission_g"][: len(expected)].numpy() / held_s
+    assert (abs(blocked_s - expected) <= steps).all()
+    standing_gps = sums["cohort_blocked_co2_g"][: len(expected)].numpy() / blocked_s
     still = rates_of_standing(frames)
     assert still.min() <= standing_gps.min() and standing_gps.max() <= still.max()
 
@@ -227,13 +228,13 @@ def rates_of_standing(frames: TensorDict) -> np.ndarray:
     return vehicles["emission_g"][stands].numpy() / CONFIG.step_s
 
 
-def test_holding_vehicles_back_is_held_against_who_does() -> None:
-    """CVs that crawl burn little on the approach, and keep a queue outside: by demand that is no gain."""
+def test_blocked_vehicles_are_charged() -> None:
+    """CVs that crawl burn little on the approach, and keep a queue outside."""
     full = crossing(lane_count=1, inflow_vph_per_lane=700.0, approach="A")
     config = short(horizon_s=400.0, emit=("metrics",))
     free, crawling = (final(run(full, act, config)) for act in (defer, crawl))
-    assert crawling["held_up_s"][0] > free["held_up_s"][0] + 100.0
-    assert crawling["held_up_emission_g"][0] > free["held_up_emission_g"][0]
+    assert crawling["cohort_blocked_s"][0] > free["cohort_blocked_s"][0] + 100.0
+    assert crawling["cohort_blocked_co2_g"][0] > free["cohort_blocked_co2_g"][0]
 
 
 def crawl(tensordict: TensorDictBase) -> TensorDictBase:

@@ -13,12 +13,12 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import EcoDrivingEnv, RewardConfig
 from izoo.envs.backend import episode_traffic
 from izoo.envs.config import SIMULATORS
+from izoo.envs.mdp.blocked_demand import NEVER, idle_rates
 from izoo.envs.mdp.pay import pay, reward_arrays, reward_terms, team_pay
 from izoo.envs.mdp.reward import REWARD_VECTOR
-from izoo.envs.mdp.share import HERE, OUTSIDE
+from izoo.envs.mdp.share import BLOCKED, HERE
 from izoo.envs.mdp.state import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
 from izoo.envs.mdp.units import units_of
-from izoo.envs.mdp.world import NEVER
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from tests.envs.worlds import crossing, defer, episode, play, short
@@ -215,30 +215,32 @@ def test_emission_is_the_surrogates(engine: str) -> None:
 
 
 @pytest.mark.parametrize(("engine", "burning"), [("combustion", [1.0, 1.0]), ("electric", [0.6, 0.0])])
-def test_who_stands_outside_burns_what_it_would_inside(engine: str, burning: list[float]) -> None:
+def test_blocked_vehicles_burn_what_they_would_inside(engine: str, burning: list[float]) -> None:
     """Electric CVs nothing; the unit, human driving, is the same."""
     found = []
     for adoption, share in zip((0.4, 1.0), burning, strict=True):
         context = crossing(engine=engine, adoption=adoption)
         road = read_road(build_net(context.intersection))
         traffic = episode_traffic(short(horizon_s=1000.0), context, road, 3)
-        own = units_of(context, road, traffic, load_weights(), 1000.0, 0.5)
-        human = units_of(context.replace(engine="combustion"), road, traffic, load_weights(), 1000.0, 0.5)
-        assert own.idle_gps == pytest.approx(share * human.idle_gps, rel=0.3), adoption
+        played, human = context, context.replace(engine="combustion")
+        idle_gps, human_gps = (idle_rates(each, road, traffic, load_weights()).sum() for each in (played, human))
+        assert idle_gps == pytest.approx(share * human_gps, rel=0.3), adoption
+        own, human = (units_of(each, road, traffic, load_weights(), 1000.0, 0.5) for each in (played, human))
         found.append((own.unit_g == human.unit_g).all() and own.fleet_g_per_step == human.fleet_g_per_step)
     assert all(found)
 
 
-def test_who_came_and_left_before_control_is_not_held_up() -> None:
+def test_vehicles_that_came_and_left_before_control_are_not_blocked() -> None:
     config = short(warmup_s=100.0, horizon_s=300.0, reward=RewardConfig.fuel_team())
     for simulator in SIMULATORS:
         env = EcoDrivingEnv(crossing(inflow_vph_per_lane=200.0, adoption=0.0), config=config, simulator=simulator)
         try:
             play(env, config.control_steps - 1, defer)
             run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
-            fate, outside, came = run.episode.awaited
+            fate, blocked, came = run.episode.awaited
             assert (came == 0).sum() > 5 and ((fate == HERE) == (came != NEVER)).all()
-            assert (fate == OUTSIDE).sum() == outside.sum() == 0
+            assert (fate == BLOCKED).sum() == blocked[:, 0].sum() > 0
+            assert not came[fate == BLOCKED].tolist().count(0)
         finally:
             env.close()
 

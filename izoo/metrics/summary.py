@@ -1,0 +1,277 @@
+"""What a table of episodes says: figures over intersections, differences between entries, and a verdict in words."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, Paired, by_intersection, context_matrix, of_policy, pair
+from izoo.metrics.statistics import MIN_INTERSECTIONS, SIGNIFICANCE, Estimate, difference, estimate, holm, pooled
+
+BLOCKS = ("unsaturated", "saturated", "all")
+"""Kinds of contexts, the main one first; saturated is where volume exceeds capacity."""
+NOTABLE = 1.0
+"""Per cent of CO2 from which an intersection counts as one that gains or loses."""
+Summary = dict[str, Any]
+
+
+def summarise(table: pd.DataFrame) -> Summary:
+    """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
+
+    Args:
+        table: rows of episodes of policies, with those of baselines. Of two simulators SUMO is summed up.
+
+    Returns:
+        ``task``, ``simulators`` (the first is the one summed up), ``n`` (numbers of contexts, intersections, episode
+        seeds per context and episodes; ``left_out``: names of contexts without demand), ``block`` (the main one),
+        ``entries`` by policy, ``pairwise`` differences of CO2 saved, and ``verdict``, a sentence. An entry has
+        ``train_seeds``; ``slower``: whether its delay is shown to be above that of uncommanded CVs; ``against`` by
+        baseline and block: ``intersections``, ``contexts``, ``figures`` (:class:`~izoo.metrics.statistics.Estimate`),
+        and of CO2 saved ``mean`` and ``median`` (per cent), ``gain_share`` and ``lose_share``; ``levels`` by block and
+        figure: every vehicle weighs the same, counts are per context.
+
+    Raises:
+        IzooError: a baseline lacks episodes of a policy.
+    """
+    simulators = sorted(table["simulator"].unique())  # "sumo" comes before "twin"
+    rows = table[table["simulator"] == simulators[0]] if simulators else table
+    names = list(dict.fromkeys(rows["policy"]))
+    without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
+    left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()
+    counted = rows[~rows["context_hash"].isin(without.index[without["cohort"] <= 0.0])]
+    pairs = {
+        name: {other: pair(rows, name, other) for other in BASELINES if other in names and name not in (other, HUMAN)}
+        for name in names
+    }
+    block = _main_block(counted)
+    entries = {name: _entry(rows, name, pairs[name], block) for name in names}
+    pairwise = _pairwise(pairs, block)
+    return {
+        "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
+        "simulators": simulators,
+        "n": {
+            "contexts": int(counted["context_hash"].nunique()),
+            "intersections": int(counted["intersection"].nunique()),
+            "eval_seeds": int(rows.groupby(["policy", "train_seed", "context_hash"])["seed"].nunique().max()),
+            "episodes": len(rows[["policy", "train_seed", "context_hash", "seed"]].drop_duplicates()),
+            "left_out": left_out,
+        },
+        "block": block,
+        "entries": entries,
+        "pairwise": pairwise,
+        "verdict": verdict(entries, pairwise, block),
+    }
+
+
+def generalisation_gap(test: Summary, train: Summary) -> dict[str, dict[str, float | None]]:
+    """Return by entry the CO2 saved on training contexts, on test contexts, and how much less that is (points)."""
+    gaps = {}
+    for name in test["entries"]:
+        if name in train["entries"]:
+            on_train, on_test = (_headline(s["entries"][name], s["block"]) for s in (train, test))
+            known = on_train["value"] is not None and on_test["value"] is not None
+            gap = on_train["value"] - on_test["value"] if known else None
+            gaps[name] = {"train": on_train["value"], "test": on_test["value"], "gap": gap}
+    return gaps
+
+
+def verdict(entries: Mapping[str, Summary], pairwise: list[Summary], block: str) -> str:
+    """Return in one sentence what an evaluation found: of several entries, what the best one saves and its margin.
+
+    Args:
+        entries, pairwise, block: as in :func:`summarise`.
+    """
+    compared = {name: entry for name, entry in entries.items() if name not in BASELINES and entry["against"]}
+    compared = compared or {name: entry for name, entry in entries.items() if entry["against"]}
+    if not compared:
+        return "Only baselines were played: there is nothing to compare."
+    values = {name: _headline(entry, block) for name, entry in compared.items()}
+    ranked = [name for name, found in values.items() if found["value"] is not None]
+    if not ranked:
+        return "Nothing can be said of CO2: no context has demand."
+    ranked.sort(key=lambda name: (compared[name]["slower"], -values[name]["value"]))
+    best = ranked[0]
+    # Slower entries stand in a group of their own.
+    group = [name for name in ranked if compared[name]["slower"] == compared[best]["slower"]]
+    return f"{_in_words(best, compared[best], block)}{_margin(best, group, pairwise)}."
+
+
+class _Words(NamedTuple):
+    """How an estimate is said: the amount with its interval, and whether it is shown to be above or below 0."""
+
+    amount: str
+    shown: str
+
+
+def _in_words(name: str, entry: Summary, block: str) -> str:
+    """Say what one entry saves, and what it does to the delay."""
+    baseline = next(iter(entry["against"]))
+    found = entry["against"][baseline][block]
+    saved, delay = (found["figures"][figure] for figure in ("co2_saved", "delay_change_s"))
+    other = {UNCOMMANDED: "uncommanded CVs", HUMAN: "human driving"}[baseline]
+    name = {UNCOMMANDED: "uncommanded driving"}.get(name, name)
+    kind = "" if block == "all" else f"{block} "
+    where = f"on {found['intersections']} {kind}intersection{'' if found['intersections'] == 1 else 's'}"
+    co2, time = _words(saved, "co2_saved"), _words(delay, "delay_change_s")
+    slower = f"slower: {time.amount} more delay per vehicle" if time.shown == "above" else ""
+    if co2.shown == "none":
+        burns = saved["value"] < 0.0
+        did = f"burns {co2.amount} more CO2 than" if burns else f"saves {co2.amount} CO2 over"
+        few = found["intersections"] < MIN_INTERSECTIONS
+        return f"{name} {did} {other} {where}" + (f", too few for an interval ({MIN_INTERSECTIONS})" if few else "")
+    if co2.shown == "open":
+        of = f"CO2 saved {_number(saved, 'co2_saved')}"
+        if slower:
+            more = f"{time.amount} more delay per vehicle"
+            return f"{name} is slower than {other} {where}: {more}; no saving is shown ({of})"
+        return f"No difference between {name} and {other} is shown {where} ({of})"
+    faster = f", and saves {time.amount} of delay per vehicle" if time.shown == "below" else ""
+    if co2.shown == "below":
+        return f"{name} burns {co2.amount} more CO2 than {other} {where}{f', and is {slower}' if slower else faster}"
+    tail = f", but is {slower}" if slower else faster or ", without more delay"
+    return f"{name} saves {co2.amount} CO2 over {other} {where}{tail}"
+
+
+def _margin(best: str, ranked: list[str], pairwise: list[Summary]) -> str:
+    """Say how far the best entry is ahead of the second, or which ones it cannot be told from.
+
+    Args:
+        ranked: the best and those that it is to be compared with, by CO2 saved.
+    """
+    ahead = {found["y"]: (1.0, found) for found in pairwise if found["x"] == best}
+    ahead |= {found["x"]: (-1.0, found) for found in pairwise if found["y"] == best}
+    others = [name for name in ranked if name in ahead]
+    alike = [name for name in others if ahead[name][1]["verdict"] == "indistinguishable"]
+    if alike:
+        listed = alike if len(alike) < 4 else [*alike[:2], f"{len(alike) - 2} more"]
+        return f"; indistinguishable from {' and '.join(filter(None, (', '.join(listed[:-1]), listed[-1])))}"
+    if not others:
+        return ""
+    sign, found = ahead[others[0]]
+    difference = found["difference"]
+    more = "more" if sign * difference["value"] > 0.0 else "less"
+    return f"; {_words(difference, 'co2_saved', 'points').amount} {more} than {others[0]}"
+
+
+def _words(found: Summary, figure: str, unit: str = "") -> _Words:
+    """Say the size of an estimate, without its sign."""
+    if found["value"] is None:
+        return _Words("nothing", "none")
+    digits, unit = FIGURES[figure].digits, unit or FIGURES[figure].unit
+    text = f"{abs(found['value']):.{digits}f} {unit}"
+    if found["low"] is None:
+        return _Words(text, "none")
+    ends = (found["low"], found["high"]) if found["value"] >= 0.0 else (-found["high"], -found["low"])
+    text += f" [{', '.join(f'{end:.{digits}f}' for end in ends)}]"
+    return _Words(text, "above" if found["low"] > 0.0 else "below" if found["high"] < 0.0 else "open")
+
+
+def _number(found: Summary, figure: str) -> str:
+    """The estimate with its sign and interval."""
+    text = _words(found, figure).amount
+    if found["value"] >= 0.0:
+        return text
+    digits = FIGURES[figure].digits
+    return f"{found['value']:.{digits}f} {FIGURES[figure].unit} [{found['low']:.{digits}f}, {found['high']:.{digits}f}]"
+
+
+def _main_block(counted: pd.DataFrame) -> str:
+    saturated = counted.groupby("context_hash")["volume_over_capacity"].max() > 1.0
+    return "all" if saturated.empty else "saturated" if saturated.all() else "unsaturated"
+
+
+def _entry(rows: pd.DataFrame, name: str, pairs: Mapping[str, Paired], block: str) -> Summary:
+    contexts, sums = of_policy(rows, name)
+    levels = {}
+    for kind, chosen in _blocks(contexts, (sums["cohort"] > 0).to_numpy()).items():
+        mean = sums[chosen].mean().to_frame().T
+        levels[kind] = {
+            key: _plain(float(figure.value(mean, mean)[0])) for key, figure in FIGURES.items() if not figure.paired
+        }
+    against = {other: _against(paired) for other, paired in pairs.items()}
+    delay = against.get(UNCOMMANDED, {}).get(block, {}).get("figures", {}).get("delay_change_s", {}).get("low")
+    return {
+        "train_seeds": int(contexts["train_seed"].nunique()),
+        "slower": bool(delay is not None and delay > 0.0),
+        "against": against,
+        "levels": levels,
+    }
+
+
+def _against(paired: Paired) -> Summary:
+    """Compare by block; see :func:`summarise`."""
+    values = {key: figure.value(paired.own, paired.baseline) for key, figure in FIGURES.items() if figure.paired}
+    found = {}
+    for kind, chosen in _blocks(paired.contexts).items():
+        contexts = paired.contexts[chosen]
+        pools = {key: by_intersection(contexts, value[chosen]) for key, value in values.items()}
+        saved, _, n = pools["co2_saved"]
+        found[kind] = {
+            "intersections": saved.shape[1],
+            "contexts": n,
+            "figures": {key: estimate(pool, count).to_dict() for key, (pool, _, count) in pools.items()},
+            "mean": _reduced(np.mean, saved),
+            "median": _reduced(np.median, saved),
+            "gain_share": _reduced(np.mean, saved > NOTABLE),
+            "lose_share": _reduced(np.mean, saved < -NOTABLE),
+        }
+    return found
+
+
+def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Summary]:
+    """Differences of CO2 saved between all entries, over the contexts that both have."""
+    matrices: dict[str, pd.DataFrame] = {}
+    places: dict[str, str] = {}
+    for name, compared in pairs.items():
+        if name in BASELINES or not compared:
+            continue
+        paired = next(iter(compared.values()))
+        chosen = _blocks(paired.contexts).get(block, np.zeros(len(paired.contexts), bool))
+        value = FIGURES["co2_saved"].value(paired.own, paired.baseline)
+        matrices[name] = context_matrix(paired.contexts[chosen], value[chosen])
+        places |= dict(paired.contexts[["context_hash", "intersection"]].itertuples(index=False, name=None))
+    found: list[tuple[str, str, Estimate]] = []
+    for x, y in itertools.combinations(matrices, 2):
+        shared = matrices[x].columns.intersection(matrices[y].columns)
+        groups = [places[key] for key in shared]
+        own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
+        found.append((x, y, difference(own, other, len(shared))))
+    corrected = holm([estimate.p for _, _, estimate in found])
+    return [
+        {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
+        for (x, y, each), p in zip(found, corrected, strict=True)
+    ]
+
+
+def _told_apart(value: float, p: float) -> str:
+    if not p < SIGNIFICANCE:
+        return "indistinguishable"
+    return "better" if value > 0.0 else "worse"
+
+
+def _blocks(contexts: pd.DataFrame, counted: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Masks ``[N]`` of the rows of each block; those without rows are left out, but for ``all``."""
+    saturated = contexts["saturated"].to_numpy(bool)
+    counted = np.ones(len(contexts), bool) if counted is None else counted
+    masks = dict(zip(BLOCKS, (counted & ~saturated, counted & saturated, counted), strict=True))
+    return {kind: mask for kind, mask in masks.items() if kind == "all" or mask.any()}
+
+
+def _headline(entry: Summary, block: str) -> Summary:
+    """CO2 saved over the first baseline in the main block; its value is ``None`` where there is nothing."""
+    against: Summary = next(iter(entry["against"].values()), {})
+    return against[block]["figures"]["co2_saved"] if block in against else {"value": None}
+
+
+def _reduced(statistic: Any, values: Any) -> float | None:
+    return float(statistic(values)) if values.size else None
+
+
+def _plain(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,374 @@
+"""Leaderboard files: one JSON file per entry, with the rows from which everything that is said of it is computed.
+
+A file follows ``leaderboard_schema.json`` beside this module. It holds the rows of the entry and of its baselines, column
+by column (:func:`packed`). That the rows were really measured, only playing the episodes again can show.
+
+A **leaderboard** (:func:`merge`) groups files by task and simulator, and ranks them by CO2 saved over uncommanded.
+Entries with a mark (another model of the simulation, missing episodes, a file that was changed) are listed without rank.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jsonschema import Draft202012Validator
+
+from izoo.console import counted
+from izoo.envs import MODEL_VERSION
+from izoo.errors import IzooError
+from izoo.files import read_text, write_text
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import BASELINES, PAIR, UNCOMMANDED, pair
+from izoo.metrics.paper_form import paper_form
+from izoo.metrics.statistics import MIN_TRAIN_SEEDS
+from izoo.metrics.summary import summarise
+from izoo.report import plots, tables
+from izoo.report.published import BENEFIT, paper_table
+from izoo.report.tables import SAVED, Table
+from izoo.results.schema import COLUMNS, FEATURES, IDENTITY
+from izoo.results.store import PolicyRecord, read_manifest, read_table
+from izoo.training.plots import Chart, save
+from izoo.training.plots import draw as draw_charts
+
+FORMAT, MERGED_FORMAT = "izoo-leaderboard-3", "izoo-leaderboard-merged-3"
+SCHEMA_FILE = "leaderboard_schema.json"
+FOLDER = "leaderboard"
+KEPT = (*IDENTITY, *FEATURES, *APPROACH_METRICS)
+PAPER_COLUMNS = (*IDENTITY, "crossed", "emission_g")
+"""Columns of superseded files."""
+DIGITS = 7
+LARGEST = 1e15
+"""No number of a row is larger, so that its powers are finite."""
+KEY = ("policy", "train_seed", *PAIR)
+NOT_RANKED = "not ranked"
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of a file."""
+    return json.loads((resources.files("izoo.report") / SCHEMA_FILE).read_text())
+
+
+def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
+    """Write the file of every entry of a results folder; return their paths.
+
+    Args:
+        folder: what :mod:`izoo.results.store` keeps.
+        out: where to; ``None``: ``leaderboard`` in that folder.
+    """
+    table, manifest, written = read_table(folder), read_manifest(folder), []
+    out = out or folder / FOLDER
+    out.mkdir(parents=True, exist_ok=True)
+    table = table[table["task"] == manifest.task]
+    for name in dict.fromkeys(table["policy"]):
+        if name in BASELINES:
+            continue
+        records = manifest.policies.get(name, {0: PolicyRecord()})
+        first = next(iter(records.values()))
+        about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}
+        about["weights"] = [record.weights for record in records.values() if record.weights]
+        rows = table[table["policy"].isin({name, *BASELINES})]
+        content = make_entry(about, manifest.task, manifest.model_version, manifest.versions, rows)
+        written.append(out / f"{name.replace('/', '_')}.json")
+        write_entry(written[-1], content)
+    return written
+
+
+def make_entry(
+    policy: Mapping[str, Any],
+    task: str,
+    model_version: int,
+    versions: Mapping[str, str],
+    rows: pd.DataFrame,
+    superseded: str = "",
+) -> dict[str, Any]:
+    """Return the content of a file.
+
+    Args:
+        policy: its record in the manifest, and its ``name``.
+        task: what was tested.
+        model_version: of the simulation that played.
+        versions: of packages.
+        rows: of the policy, human driving and uncommanded.
+        superseded: why its figures are of another measure; empty: they are not.
+    """
+    columns = PAPER_COLUMNS if superseded else KEPT
+    content = {"format": FORMAT, "policy": dict(policy), "task": task, "model_version": int(model_version)}
+    content |= {"versions": dict(versions), **({"superseded": superseded} if superseded else {})}
+    content["rows"] = packed(rows.reindex(columns=[name for name in columns if name in rows]))
+    return {**content, "hash": content_hash(content)}
+
+
+def packed(table: pd.DataFrame) -> dict[str, Any]:
+    """Return a table by column: its values, or where few differ ``values`` and the ``index`` of each row's."""
+    found: dict[str, Any] = {}
+    for name, column in table.items():
+        values = [_rounded(value) for value in column]
+        distinct = list(dict.fromkeys(values))
+        if 3 * len(distinct) < len(values) or any(isinstance(value, str) for value in distinct):
+            place = {value: k for k, value in enumerate(distinct)}
+            found[str(name)] = {"values": distinct, "index": [place[value] for value in values]}
+        else:
+            found[str(name)] = values
+    return found
+
+
+def unpacked(rows: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the table that :func:`packed` was given, its numbers to :data:`DIGITS` digits.
+
+    Raises:
+        IzooError: columns differ in length, an index leads nowhere, a number is not finite, or columns are missing.
+    """
+    found = {}
+    for name, column in rows.items():
+        if isinstance(column, Mapping):
+            if max(column["index"], default=0) >= max(len(column["values"]), 1):
+                raise IzooError(f"rows/{name}: an index is beyond the values.")
+            found[name] = [column["values"][k] for k in column["index"]]
+        else:
+            found[name] = column
+    if len({len(column) for column in found.values()}) > 1:
+        raise IzooError("rows: columns have different lengths.")
+    table = pd.DataFrame(found)
+    missing = [name for name in PAPER_COLUMNS if name not in table]
+    if missing:
+        raise IzooError(f"rows: the column(s) {', '.join(missing)} are missing.")
+    texts = [name for name in IDENTITY if any(isinstance(value, str) for value in table[name])]
+    for name in table.columns.difference(texts):
+        try:
+            numbers = table[name].astype(float)
+        except (TypeError, ValueError) as error:
+            raise IzooError(f"rows/{name}: {error}.") from error
+        if (numbers.abs() > LARGEST).any():
+            raise IzooError(f"rows/{name}: a number is beyond {LARGEST:g}.")
+        table[name] = table[name].astype("Int64") if name in {"seed", "train_seed", "context_id"} else numbers
+    if table.duplicated(list(KEY)).any():
+        raise IzooError("rows: an episode's approach is there twice.")
+    return table.reindex(columns=[name for name in COLUMNS if name in table or not name.startswith("episode_")])
+
+
+def content_hash(content: Mapping[str, Any]) -> str:
+    """SHA-256 of a file without its hash: keys sorted, no spaces, numbers as Python's ``repr`` writes them."""
+    kept = {key: value for key, value in content.items() if key != "hash"}
+    text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_entry(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a file, whole or not at all: a line per column."""
+    heads = [f"{json.dumps(key)}:{json.dumps(value)}" for key, value in content.items() if key != "rows"]
+    rows = [f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'), allow_nan=False)}" for k, v in content["rows"].items()]
+    write_text(path, "{" + ",\n".join([*heads, '"rows":{\n' + ",\n".join(rows) + "}"]) + "}\n")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file that was read, and what is to be said of it.
+
+    Attributes:
+        source: the file's name.
+        content: of the file, without its rows.
+        table: its rows.
+        marks: why it gets no rank; empty: nothing is wrong.
+        notes: what to know about it, without consequence for its rank.
+    """
+
+    source: str
+    content: Mapping[str, Any]
+    table: pd.DataFrame = field(repr=False)
+    marks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the policy."""
+        return str(self.content["policy"]["name"])
+
+    @property
+    def superseded(self) -> bool:
+        """Whether only the paper's form can be computed."""
+        return bool(self.content.get("superseded"))
+
+    @property
+    def simulator(self) -> str:
+        """What played: SUMO where it did."""
+        return "sumo" if "sumo" in set(self.table["simulator"]) else "twin"
+
+
+def read_entry(path: Path) -> Entry:
+    """Read a file and :func:`check` it.
+
+    Raises:
+        IzooError: it cannot be read, or does not follow the schema; the first place that does not is named.
+    """
+    try:
+        content = json.loads(read_text(path))
+        json.dumps(content, allow_nan=False)  # Python's JSON reads NaN, and 1e999 as infinity
+    except (OSError, ValueError, RecursionError) as error:
+        raise IzooError(f"cannot read {path}: {error}; give a leaderboard file.") from error
+    if isinstance(content, dict) and content.get("format") == "izoo-leaderboard-2":
+        raise IzooError(f"{path} is of an earlier version: python -m izoo.leaderboard convert {path} --out FOLDER.")
+    problems = sorted(Draft202012Validator(schema()).iter_errors(content), key=lambda error: list(map(str, error.path)))
+    if problems:
+        where = "/".join(str(part) for part in problems[0].absolute_path) or "the file"
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise IzooError(f"{path} is not a leaderboard file: {where}: {problems[0].message[:200]}{more}.")
+    try:
+        table = unpacked(content["rows"])
+    except IzooError as error:
+        raise IzooError(f"{path} is not a leaderboard file: {error}") from error
+    return check(content, table, str(path))
+
+
+def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry:
+    """Return a well-formed file with its marks and notes."""
+    marks, notes, policy = [], [], content["policy"]
+    if content_hash(content) != content["hash"]:
+        marks.append("the hash does not match: the file was changed after it was written")
+    if content.get("superseded"):
+        marks.append(f"superseded: {content['superseded']}")
+    elif content["model_version"] != MODEL_VERSION:
+        marks.append(f"model version {content['model_version']} of the simulation, not {MODEL_VERSION}")
+    mine = table[table["policy"] == policy["name"]]
+    seeds = mine["train_seed"].nunique()
+    if not content.get("superseded"):
+        wanted = len(table[list(PAIR)].drop_duplicates())
+        for name, there in {name: 1 for name in BASELINES} | {policy["name"]: max(seeds, 1)}.items():
+            lacking = there * wanted - int((table["policy"] == name).sum())
+            marks += [f"{counted(lacking, 'row')} {'is' if lacking == 1 else 'are'} missing of {name}"] if lacking else []
+    if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
+        notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
+    if set(table["simulator"]) == {"twin"}:
+        notes.append("played on the twin")
+    return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(marks), tuple(notes))
+
+
+def merge(found: Sequence[Entry]) -> dict[str, Any]:
+    """Return the leaderboard of several files.
+
+    Returns:
+        ``format``, and ``groups``: per task and simulator ``task``, ``simulator``, ``summary`` of the ranked entries
+        (:func:`izoo.metrics.summary.summarise`), ``entries`` (``name`` in the summary, ``rank`` or ``None``, ``source``,
+        ``policy``, ``model_version``, ``hash``, ``marks``, ``notes``; best first) and ``marked``: the summaries' entries
+        of those without rank. Superseded files form groups of their own, with ``paper`` in place of a summary.
+    """
+    groups: dict[tuple[str, str, bool], list[Entry]] = {}
+    for entry in found:
+        groups.setdefault((str(entry.content["task"]), entry.simulator, entry.superseded), []).append(entry)
+    merged = [_group(task, simulator, of, old) for (task, simulator, old), of in groups.items()]
+    return {"format": MERGED_FORMAT, "groups": merged}
+
+
+def board(group: Mapping[str, Any]) -> Table:
+    """Return a group of :func:`merge` as a table: ranked entries, slower ones, those that are not ranked."""
+    if "paper" in group:
+        return paper_table(group["paper"], f"{group['task']}: superseded; the paper's form, over human driving")
+    summary = group["summary"] or group["marked"][0]["summary"]
+    shown = tables.entries(summary)
+    groups = shown.groups if group["summary"] else ()
+    marked = tuple(tables.entry_row(alone["summary"], alone["name"]) for alone in group["marked"])
+    return Table(shown.title, shown.columns, (*groups, (NOT_RANKED, marked)))
+
+
+def draw(found: Sequence[Entry], path: Path, histograms: bool = False) -> None:
+    """Draw what entries saved, a panel per group of :func:`merge`, or a histogram over contexts per entry, as PNG."""
+    if histograms:
+        charts = [_histogram(entry) for entry in found if not _empty(entry)]
+    else:
+        charts = [plots.forest(board(group)) for group in merge(found)["groups"]]
+    save(draw_charts(charts, columns=2), path)
+
+
+def _histogram(entry: Entry) -> Chart:
+    title = f"{entry.name}: {entry.content['task']}"
+    if entry.superseded:
+        return plots.histogram(100.0 * paper_form(entry.table, entry.name)[0]["benefit"], title, "histogram", BENEFIT)
+    own = pair(entry.table[entry.table["simulator"] == entry.simulator], entry.name, UNCOMMANDED)
+    return plots.histogram(FIGURES[SAVED].value(own.own, own.baseline), title, "histogram")
+
+
+def _group(task: str, simulator: str, found: Sequence[Entry], old: bool) -> dict[str, Any]:
+    named = _named(found)
+    group: dict[str, Any] = {"task": task, "simulator": simulator}
+    if old:
+        group["paper"] = {name: paper_form(entry.table, entry.name)[1] for name, entry in named.items()}
+        return group | {"entries": [_line(name, entry, None) for name, entry in named.items()], "marked": []}
+    most = max((frozenset(_tested(entry)) for entry in found), key=len)
+    marked, ranked, parts = {}, {}, []
+    reference = None
+    for name, entry in named.items():
+        base = entry.table[entry.table["policy"].isin(BASELINES)]
+        reference = base if reference is None and not entry.marks else reference
+        more = [f"{counted(len(most - _tested(entry)), 'context')} fewer than others of the task"] if most - _tested(entry) else []
+        if reference is not None and not entry.marks and not _same(base, reference):
+            more.append("its baselines drove otherwise than those of the other files")
+        if entry.marks or more:
+            marked[name] = Entry(entry.source, entry.content, entry.table, (*entry.marks, *more), entry.notes)
+            continue
+        ranked[name] = entry
+        parts += [entry.table.assign(policy=entry.table["policy"].replace({entry.name: name}), task=task)]
+    summary = summarise(pd.concat(parts, ignore_index=True).drop_duplicates(list(KEY))) if parts else None
+    order = [name for name in tables.ranking(summary) if name in ranked] if summary else []
+    alone = [{"name": name, "summary": _renamed(summarise(e.table), e.name, name)} for name, e in marked.items() if not _empty(e)]
+    lines = [_line(name, ranked[name], k) for k, name in enumerate(order, 1)]
+    lines += [_line(name, entry, None) for name, entry in marked.items()]
+    return group | {"summary": summary, "entries": lines, "marked": alone}
+
+
+def _named(found: Sequence[Entry]) -> dict[str, Entry]:
+    """Entries by name; those that share one are numbered."""
+    named: dict[str, Entry] = {}
+    for entry in found:
+        name, number = entry.name, 2
+        while name in named or (number > 2 and name in BASELINES):
+            name, number = f"{entry.name} {number}", number + 1
+        named[name] = entry
+    return named
+
+
+def _renamed(summary: dict[str, Any], old: str, new: str) -> dict[str, Any]:
+    return {**summary, "entries": {new if name == old else name: of for name, of in summary["entries"].items()}}
+
+
+def _empty(entry: Entry) -> bool:
+    return entry.name not in set(entry.table["policy"]) or not set(BASELINES) <= set(entry.table["policy"])
+
+
+def _tested(entry: Entry) -> set[tuple[Any, ...]]:
+    mine = entry.table[entry.table["policy"] == entry.name]
+    return set(mine[["context_hash"]].drop_duplicates().itertuples(index=False, name=None))
+
+
+def _same(rows: pd.DataFrame, others: pd.DataFrame) -> bool:
+    """Whether baselines did the same in the episodes that two files share."""
+    both = rows.merge(others, on=list(KEY), suffixes=("", "_other"))
+    return all(
+        np.allclose(both[name].astype(float), both[f"{name}_other"].astype(float), rtol=1e-5, equal_nan=True)
+        for name in ("crossed", "cohort", "cohort_region_co2_g")
+        if f"{name}_other" in both
+    )
+
+
+def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
+    kept = {key: entry.content[key] for key in ("policy", "model_version", "hash")}
+    marks = {"marks": list(entry.marks), "notes": list(entry.notes)}
+    return {"name": name, "rank": rank, "source": entry.source, **kept, **marks}
+
+
+def _rounded(value: Any) -> Any:
+    if value is None or value is pd.NA or value != value:
+        return None
+    if isinstance(value, str):
+        return value
+    number = float(f"{float(value):.{DIGITS}g}")
+    return int(number) if number.is_integer() and abs(number) < 2**53 else number

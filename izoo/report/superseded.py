@@ -1,0 +1,97 @@
+"""The one converter for leaderboard files of the format ``izoo-leaderboard-2``: rows of the paper's form."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from izoo.errors import IzooError
+from izoo.files import read_text
+from izoo.metrics.pairing import HUMAN, UNCOMMANDED
+from izoo.report.leaderboard import PAPER_COLUMNS, make_entry, write_entry
+
+OLD_FORMAT = "izoo-leaderboard-2"
+WHY = "figures of an earlier measure; a row is the mean over {seeds} episode seeds"
+TASK = ["context_hash", "approach"]
+UNTRAINED = "_untrained"
+Rows = list[dict[str, Any]]
+
+
+def convert(paths: Sequence[Path], out: Path) -> list[Path]:
+    """Write files of the format before this one in the present format into ``out``, in the folders they lie in.
+
+    Rows are means over episode seeds, so that CO2 is the product of its mean per vehicle that crossed and their mean
+    number. Rows of uncommanded are those of a file among ``paths`` that was played in the same episodes; where there
+    is none, the file has none.
+
+    Raises:
+        IzooError: a file cannot be read, or is of another format.
+    """
+    old = {path: _read(path) for path in paths}
+    uncommanded = [
+        (content, _side(content, UNCOMMANDED, "policy"))
+        for content in old.values()
+        if content["policy"]["name"] == UNCOMMANDED
+    ]
+    human = [_human(content) for content, _ in uncommanded]
+    written, common = [], os.path.commonpath([path.parent for path in paths])
+    for path, content in old.items():
+        driving = _human(content)
+        beside = next((rows for own, (_, rows) in zip(human, uncommanded, strict=True) if _covers(own, driving)), {})
+        written.append(out / path.relative_to(common))
+        written[-1].parent.mkdir(parents=True, exist_ok=True)
+        write_entry(written[-1], _converted(content, driving, beside))
+    return written
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(read_text(path))
+        if content["format"] != OLD_FORMAT:
+            raise IzooError(f"{path} is of the format {str(content['format'])[:40]!r}, not {OLD_FORMAT!r}.")
+        for row in content["rows"]:
+            float(row["throughput_policy"]), float(row["throughput_baseline"]), row["emission_policy_g"], *map(row.get, TASK)
+        return content
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise IzooError(f"cannot read {path}: {type(error).__name__}: {error}; give a file of {OLD_FORMAT}.") from error
+
+
+def _converted(content: Mapping[str, Any], human: Mapping[Any, Any], uncommanded: Mapping[Any, Any]) -> dict[str, Any]:
+    policy, protocol = content["policy"], content["protocol"]
+    rows = _side(content, policy["name"], "policy") | human
+    if policy["name"] != UNCOMMANDED:
+        approaches = {key[2:] for key in human}
+        rows |= {key: row for key, row in uncommanded.items() if key[2:] in approaches}
+    untrained = policy["name"].endswith(UNTRAINED)
+    about = {**policy, "kind": "untrained" if untrained else policy["kind"], "weights": []}
+    task = f"{protocol['title']}, {protocol['scale']}" + (f", {protocol['env']}" if "env" in protocol else "")
+    table = pd.DataFrame(list(rows.values())).reindex(columns=list(PAPER_COLUMNS)).assign(task=task)
+    why = WHY.format(seeds=len(content["eval_seeds"]))
+    return make_entry(about, task, 0, content["versions"], table, why)
+
+
+def _side(content: Mapping[str, Any], name: str, side: str) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Rows of a policy, or of its baseline, by policy, training seed, context and approach."""
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in content["rows"]:
+        crossed, grams = row[f"throughput_{side}"], row[f"emission_{side}_g"]
+        seed = row["train_seed"] if side == "policy" else 0
+        about = {key: row[key] for key in ("context", "context_hash", "intersection", "approach", "demand")}
+        sums = {"crossed": crossed, "emission_g": crossed * (grams or 0.0)}
+        played = {"policy": name, "train_seed": seed, "simulator": content.get("simulator", "sumo"), "seed": 0}
+        found.setdefault((name, seed, row["context_hash"], row["approach"]), {**played, **about, **sums})
+    return found
+
+
+def _human(content: Mapping[str, Any]) -> dict[tuple[Any, ...], dict[str, Any]]:
+    return _side(content, HUMAN, "baseline")
+
+
+def _covers(own: Mapping[Any, Any], other: Mapping[Any, Any]) -> bool:
+    """Whether human driving did the same in all episodes of the other file."""
+    return all(key in own and abs(own[key]["crossed"] - row["crossed"]) < 1e-9 for key, row in other.items())

@@ -1,0 +1,347 @@
+"""Summaries as tables: one model, written for the console, in Markdown and in HTML.
+
+Columns and formats of figures come from :data:`izoo.metrics.figures.FIGURES`; nothing else declares them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from izoo.console import counted, plain
+from izoo.metrics.figures import FIGURES, HEADLINE, Figure
+from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
+from izoo.metrics.summary import BLOCKS
+
+FIRST_ROWS = 6
+SAVED = HEADLINE[0]
+BESIDE = ("unserved",)
+"""Levels that stand in the row of an entry; all others are shown on request."""
+SLOWER = "slower"
+WIDTH = 80
+ABREAST = 6
+"""Policies that stand side by side in a table of levels."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A number of a table.
+
+    Attributes:
+        value: what is shown; ``None``: nothing is known.
+        low, high: ends of its interval; ``None``: it has none.
+        unit, digits: how it is written.
+        signed: whether a gain has a plus.
+        note: what stands in the place of an interval.
+    """
+
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    digits: int = 1
+    signed: bool = False
+    note: str = ""
+
+    @property
+    def number(self) -> str:
+        """The value with its unit."""
+        if self.value is None:
+            return "-"
+        text = self._round(self.value)
+        return f"{'+' if self.signed and float(text) > 0 else ''}{text}{self.unit and ' ' + self.unit}"
+
+    @property
+    def interval(self) -> str:
+        """The ends, or the note, in brackets; empty where there are none."""
+        if self.note:
+            return f"({self.note})"
+        return "" if self.low is None or self.high is None else f"[{self._round(self.low)}, {self._round(self.high)}]"
+
+    def __str__(self) -> str:
+        return f"{self.number} {self.interval}".rstrip()
+
+    def _round(self, value: float) -> str:
+        return f"{round(value, self.digits) + 0.0:.{self.digits}f}"  # no "-0.0"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row: its label, and a cell or a word per further column."""
+
+    label: str
+    cells: tuple[Cell | str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        title: above it.
+        columns: headings, that of the labels first.
+        groups: heading (may be empty) and rows of each group; empty groups are not shown.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    groups: tuple[tuple[str, tuple[Row, ...]], ...]
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows."""
+        return [row for _, rows in self.groups for row in rows]
+
+    def rich(self, width: int = WIDTH) -> RichTable:
+        """Return the table for a terminal; intervals stand below their values where a line would be too long."""
+        words = [[row.label, *map(str, row.cells)] for row in self.rows]
+        wide = sum(max((len(line[k]) for line in words), default=0) + 1 for k in range(len(self.columns))) > width
+        shown = RichTable(title=Text(plain(self.title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        shown.padding = (0, 1, 0, 0)
+        for k, heading in enumerate(self.columns):
+            heading = plain(heading).replace(", ", ",\n") if wide else plain(heading)
+            shown.add_column(Text(heading), justify="right" if k else "left", overflow="fold", no_wrap=k > 0)
+        for heading, rows in self.groups:
+            if heading and rows:
+                shown.add_row(Text(plain(heading), style="italic"))
+            for row in rows:
+                cells = [f"{c.number}\n{c.interval}" if wide and isinstance(c, Cell) else str(c) for c in row.cells]
+                shown.add_row(Text(plain(row.label)), *(Text(_lines(cell).rstrip()) for cell in cells))
+            shown.add_section()
+        return shown
+
+    def markdown(self) -> str:
+        """Return the table in Markdown, without its title."""
+        lines = [_line(self.columns), "|---" * len(self.columns) + "|"]
+        for heading, rows in self.groups:
+            lines += [_line([f"*{_marked(heading)}*", *[""] * (len(self.columns) - 1)])] if heading and rows else []
+            lines += [_line([_marked(row.label), *map(str, row.cells)]) for row in rows]
+        return "\n".join(lines)
+
+    def html(self) -> str:
+        """Return the table in HTML, escaped."""
+        head = "".join(f'<th scope="col">{_escaped(heading)}</th>' for heading in self.columns)
+        body = ""
+        for heading, rows in self.groups:
+            if heading and rows:
+                body += f'<tr class="group"><th colspan="{len(self.columns)}">{_escaped(heading)}</th></tr>'
+            for row in rows:
+                cells = "".join(f"<td>{_small(cell)}</td>" for cell in row.cells)
+                body += f'<tr><th scope="row">{_escaped(row.label)}</th>{cells}</tr>\n'
+        caption = f"<caption>{_escaped(self.title)}</caption>" if self.title else ""
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table>"
+
+
+def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
+    """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
+    console = console or Console()
+    for table in headline(summary), *(details(summary) if verbose else ()):
+        console.print(table.rich(console.width))
+    console.print(counts(summary), highlight=False, markup=False)
+    console.print(Text(plain(summary["verdict"])))
+
+
+def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
+    """Return what :func:`print_summary` prints, in Markdown."""
+    parts = []
+    for table in headline(summary), *(details(summary) if verbose else ()):
+        parts += [f"{_marked(table.title)}:", table.markdown()]
+    return "\n\n".join([*parts, _marked(counts(summary)), _marked(summary["verdict"])]) + "\n"
+
+
+def headline(summary: Mapping[str, Any]) -> Table:
+    """Return the first table: figures of the only entry, or a row per entry."""
+    names = compared(summary)
+    if len(names) > 1:
+        return entries(summary)
+    if not names:
+        return Table("No policy beside the baselines", ("figure",), ())
+    return _of_entry(summary, names[0], HEADLINE, FIRST_ROWS)
+
+
+def entries(summary: Mapping[str, Any]) -> Table:
+    """Return a row per entry with the main figures of the main block, best first; slower entries stand apart."""
+    first, slower = (
+        tuple(entry_row(summary, name) for name in ranking(summary) if is_slower(summary, name) == k)
+        for k in (False, True)
+    )
+    title = f"{summary['task'] or 'Entries'}: {summary['block']} intersections, over {UNCOMMANDED} but for one column"
+    return Table(title, entry_columns(), (("", first), (SLOWER, slower)))
+
+
+def ranking(summary: Mapping[str, Any]) -> list[str]:
+    """Return the entries by CO2 saved over uncommanded, slower ones last."""
+
+    def place(name: str) -> tuple[bool, float]:
+        saved = _cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]).value
+        return is_slower(summary, name), math.inf if saved is None else -saved
+
+    return sorted(summary["entries"], key=place)
+
+
+def is_slower(summary: Mapping[str, Any], name: str) -> bool:
+    """Whether the delay of an entry is shown to be above that of uncommanded."""
+    return bool(summary["entries"][name].get("slower"))
+
+
+def entry_columns() -> tuple[str, ...]:
+    """Headings of :func:`entries`."""
+    paired = [FIGURES[f].label for f in HEADLINE if FIGURES[f].paired]
+    return ("entry", *paired, f"{FIGURES[SAVED].label}, over {HUMAN}", "gain, lose", *(FIGURES[f].label for f in BESIDE))
+
+
+def entry_row(summary: Mapping[str, Any], name: str) -> Row:
+    """Return the row of an entry in :func:`entries`."""
+    entry, block = summary["entries"][name], summary["block"]
+    cells: list[Cell | str] = [_cell(entry, f, UNCOMMANDED, block) for f in HEADLINE if FIGURES[f].paired]
+    cells += [_cell(entry, SAVED, HUMAN, block), _shares(entry, block)]
+    label = name + (f" ({entry['train_seeds']} seeds)" if entry.get("train_seeds", 0) > 1 else "")
+    return Row(label, (*cells, *(_cell(entry, f, UNCOMMANDED, block) for f in BESIDE)))
+
+
+def details(summary: Mapping[str, Any]) -> list[Table]:
+    """Return what the headline leaves out: every figure of every entry, and the differences between entries."""
+    tables = [_of_entry(summary, name, tuple(FIGURES)) for name in compared(summary)]
+    names = sorted(summary["entries"], key=BASELINES.__contains__)
+    tables += [_levels(summary, names[k : k + ABREAST]) for k in range(0, len(names), ABREAST)]
+    return [*tables, *([pairwise(summary)] if summary["pairwise"] else [])]
+
+
+def pairwise(summary: Mapping[str, Any]) -> Table:
+    """Return the differences between entries, with p-values after Holm's correction."""
+    figure, rows = FIGURES[SAVED], []
+    for pair in summary["pairwise"]:
+        p = pair["p_holm"]
+        words = ("-" if p is None else f"{p:.3f}" if p >= 0.001 else "< 0.001", pair["verdict"])
+        points = _estimate(pair["difference"], figure, "points" if figure.unit == "%" else figure.unit)
+        rows.append(Row(f"{pair['x']} - {pair['y']}", (points, *words)))
+    title = f"Differences in {figure.label}, {summary['block']} intersections"
+    return Table(title, ("pair", "difference", "p (Holm)", "verdict"), (("", tuple(rows)),))
+
+
+def compared(summary: Mapping[str, Any]) -> list[str]:
+    """Names of the entries that are no baselines."""
+    return [name for name in summary["entries"] if name not in BASELINES]
+
+
+def counts(summary: Mapping[str, Any]) -> str:
+    """Say on what the figures rest."""
+    n, played = summary["n"], {"sumo": "SUMO", "twin": "the twin"}
+    text = f"{counted(n['contexts'], 'context')} on {counted(n['intersections'], 'intersection')}, "
+    text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
+    text += f"played on {' and '.join(played.get(name, name) for name in summary['simulators'])}. "
+    text += "Interquartile means over intersections; brackets: 95 % intervals."
+    if any(entry.get("slower") for entry in summary["entries"].values()):
+        text += f" Slower: the delay is shown to be above that of {UNCOMMANDED}."
+    if n["left_out"]:
+        some, more = ", ".join(n["left_out"][:3]), ", ..." if len(n["left_out"]) > 3 else ""
+        text += f" Without demand, and left out: {len(n['left_out'])} ({some}{more})."
+    return text
+
+
+def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], most: int | None = None) -> Table:
+    """Return figures of an entry, over each baseline and as levels, with and without saturation."""
+    entry = summary["entries"][name]
+    blocks = [b for b in BLOCKS if any(b in of and of[b]["intersections"] for of in entry["against"].values())]
+    blocks = [b for b in blocks if b != "all"] or blocks
+    paired = [f for f in figures if FIGURES[f].paired]
+    against = [b for b in BASELINES if b in entry["against"]]
+    rows: list[tuple[str, list[Cell | str]]] = [
+        (f"{FIGURES[f].label}, over {b}", [_cell(entry, f, b, block) for block in blocks])
+        for b in against
+        for f in paired
+        if most is None or b == against[0] or f == SAVED
+    ]
+    for f in (f for f in figures if not FIGURES[f].paired and most is not None):
+        rows.append((FIGURES[f].label, [_beside(summary, name, f, block) for block in blocks]))
+    if most is None:
+        for b in against:
+            for key in ("mean", "median"):
+                label = f"{FIGURES[SAVED].label}, over {b}: {key}"
+                rows.append((label, [_plain(entry["against"][b].get(block, {}).get(key)) for block in blocks]))
+            label = f"intersections that gain, lose over 1 %, over {b}"
+            rows.append((label, [_shares(entry, block, b) for block in blocks]))
+    lines = tuple(Row(label, tuple(cells)) for label, cells in rows[:most])
+    found = [entry["against"][b] for b in against]
+    n = [max((of[block]["intersections"] for of in found if block in of), default=0) for block in blocks]
+    headings = (f"{block} (n = {number})" for block, number in zip(blocks, n, strict=True))
+    return Table(f"{name}{_task(summary)}", ("figure", *headings), (("", lines),))
+
+
+def _levels(summary: Mapping[str, Any], names: Sequence[str]) -> Table:
+    """Return the levels of policies side by side, in the main block."""
+    figures = [f for f in FIGURES if not FIGURES[f].paired]
+    rows = [Row(FIGURES[f].label, tuple(_level(summary, name, f, summary["block"]) for name in names)) for f in figures]
+    return Table(f"Levels, {summary['block']} intersections", ("figure", *names), (("", tuple(rows)),))
+
+
+def _beside(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
+    """A level of an entry, with that of the uncommanded CVs."""
+    own, other = (_level(summary, policy, figure, block) for policy in (name, UNCOMMANDED))
+    return dataclasses.replace(own, note="" if other.value is None else f"{UNCOMMANDED} {other.number}")
+
+
+def _task(summary: Mapping[str, Any]) -> str:
+    return f" on {summary['task']}" if summary.get("task") else ""
+
+
+def _cell(entry: Mapping[str, Any], figure: str, baseline: str, block: str) -> Cell:
+    """A figure of an entry over a baseline, or its level where it compares with nothing."""
+    declared = FIGURES[figure]
+    if not declared.paired:
+        return Cell(entry["levels"].get(block, {}).get(figure), unit=declared.unit, digits=declared.digits)
+    found = entry["against"].get(baseline, {}).get(block, {}).get("figures", {}).get(figure)
+    return Cell(unit=declared.unit) if found is None else _estimate(found, declared)
+
+
+def _estimate(found: Mapping[str, Any], figure: Figure, unit: str | None = None) -> Cell:
+    ends = found["value"], found.get("low"), found.get("high")
+    return Cell(*ends, figure.unit if unit is None else unit, figure.digits, figure.paired)
+
+
+def _level(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
+    value = summary["entries"].get(name, {}).get("levels", {}).get(block, {}).get(figure)
+    return Cell(value, unit=FIGURES[figure].unit, digits=FIGURES[figure].digits)
+
+
+def _plain(value: float | None) -> Cell:
+    figure = FIGURES[SAVED]
+    return Cell(value, unit=figure.unit, digits=figure.digits, signed=True)
+
+
+def _shares(entry: Mapping[str, Any], block: str, baseline: str = UNCOMMANDED) -> str:
+    found = entry["against"].get(baseline, {}).get(block, {})
+    shares = [found.get(name) for name in ("gain_share", "lose_share")]
+    return "-" if None in shares else ", ".join(f"{100.0 * share:.0f} %" for share in shares)  # type: ignore[operator]
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _lines(text: str) -> str:
+    return "\n".join(plain(line) for line in text.split("\n"))
+
+
+def _marked(text: str) -> str:
+    """Text in which Markdown obeys nothing that somebody wrote into a name."""
+    return "".join(f"\\{c}" if c in "\\`*_[]<>|#" else c for c in plain(text))
+
+
+def _escaped(text: str) -> str:
+    return html.escape(plain(text))
+
+
+def _small(cell: Cell | str) -> str:
+    if isinstance(cell, str):
+        return _escaped(cell)
+    return _escaped(cell.number) + (f"<small>{_escaped(cell.interval)}</small>" if cell.interval else "")

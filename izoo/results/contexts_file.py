@@ -1,0 +1,66 @@
+"""The contexts of a results folder, so that its episodes can be played again."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from izoo.contexts.context import Context
+from izoo.contexts.population import DriverPopulation
+from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
+from izoo.errors import IzooError
+from izoo.files import read_bytes, write_bytes
+
+CONTEXTS_FILE = "contexts.json.gz"
+
+
+def add_contexts(folder: Path, contexts: Iterable[Context]) -> None:
+    """Add contexts to those that a results folder already has."""
+    old = read_contexts(folder) if (folder / CONTEXTS_FILE).exists() else {}
+    every = old | {context.content_hash: context for context in contexts}
+    if len(every) > len(old):
+        content = [dataclasses.asdict(every[key]) for key in sorted(every)]
+        write_bytes(folder / CONTEXTS_FILE, gzip.compress(json.dumps(content).encode(), mtime=0))
+
+
+def read_contexts(folder: Path) -> dict[str, Context]:
+    """Return the contexts of a results folder by content hash.
+
+    Raises:
+        IzooError: the file is missing or cannot be read.
+    """
+    path = folder / CONTEXTS_FILE
+    try:
+        found = [context_from_dict(entry) for entry in json.loads(gzip.decompress(read_bytes(path)))]
+    except FileNotFoundError:
+        raise IzooError(f"{folder} has no {CONTEXTS_FILE}, so its episodes cannot be played again.") from None
+    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise IzooError(f"{path} cannot be read; remove it and evaluate again.") from error
+    return {context.content_hash: context for context in found}
+
+
+def context_from_dict(fields: Mapping[str, Any]) -> Context:
+    """Rebuild a context from ``dataclasses.asdict``, also after a way through JSON; its hash stays the same."""
+    drivers = fields.get("drivers")
+    population = None if drivers is None else DriverPopulation(**drivers)
+    return Context(**{**fields, "intersection": _spec(fields["intersection"]), "drivers": population})
+
+
+def _spec(fields: Mapping[str, Any]) -> IntersectionSpec:
+    legs = []
+    for leg in fields["legs"]:
+        approach = leg["approach"]
+        if approach is not None:
+            approach = Approach(**{**approach, "lanes": tuple(approach["lanes"])})
+        legs.append(Leg(**{**leg, "approach": approach}))
+    plan = fields["signal_plan"]
+    if plan is not None:
+        phases = tuple(SignalPhase(p["duration_s"], tuple(tuple(s) for s in p["states"])) for p in plan["phases"])
+        plan = SignalPlan(phases, plan["offset_s"])
+    changes = {"legs": tuple(legs), "signal_plan": plan, "imputed": tuple(fields["imputed"])}
+    return IntersectionSpec(**{**fields, **changes, "ghosts": GhostSpec(**fields["ghosts"])})

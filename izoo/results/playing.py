@@ -1,0 +1,216 @@
+"""Episodes of a policy in an environment: the one loop that plays them, and what was measured."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import cloudpickle
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
+from izoo.envs.mdp.frame import TEAM_REWARD
+from izoo.errors import IzooError
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.results.schema import EPISODE_COLUMNS, Row, features, scored_approaches
+from izoo.results.store import Key
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+Series = dict[str, NDArray[np.float32]]
+INIT = "is_init"
+"""Key ``[*B, 1]``, as of TorchRL's ``InitTracker``: whether an episode begins."""
+RECORDS = (TEAM_REWARD,)
+"""What can be recorded per decision."""
+_SEED_MASK = 2**63 - 1
+
+
+class Measured(NamedTuple):
+    """What an episode came to.
+
+    Attributes:
+        rows: per scored approach ``approach``, features, sums and counts; without the columns of identity.
+        series: what was recorded, ``[T]`` per name, one value per decision.
+    """
+
+    rows: list[Row]
+    series: Series
+
+
+@dataclass(frozen=True)
+class Job:
+    """An episode to play: key of the policy among those given, its name, the context as it is played, the seed."""
+
+    key: Key
+    name: str
+    context: Context
+    seed: int
+
+    @property
+    def id(self) -> tuple[Key, str, int]:
+        """What tells it from other jobs."""
+        return self.key, self.context.content_hash, self.seed
+
+    def __str__(self) -> str:
+        return f"policy {self.name}, context {self.context.name}, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all episodes of a rollout share.
+
+    Attributes:
+        policies: packed (:func:`izoo.results.policies.pack`), by key.
+        config: the environment; it emits what is recorded.
+        simulator: ``sumo`` or ``twin``.
+        workers: processes, or threads on the twin.
+        record: of :data:`RECORDS`.
+        side_by_side: episodes that a batch holds.
+        surrogate: what computes CO2 in a batch (:class:`~izoo.envs.TwinEnv`).
+    """
+
+    policies: Mapping[Key, bytes]
+    config: EnvConfig
+    simulator: str = "sumo"
+    workers: int = 2
+    record: tuple[str, ...] = ()
+    side_by_side: int = 64
+    surrogate: str = "compiled"
+
+
+class EpisodeFailed(RuntimeError):
+    """An episode raised an exception or lost its process; the message names its policy, context and seed."""
+
+
+def run_episode(
+    env: EcoDrivingEnv, policy: Policy, context: Context, seed: int, record: Sequence[str] = ()
+) -> Measured:
+    """Play one episode.
+
+    Stochastic policies act by their mode, and the default generators of torch, numpy and Python are seeded from the
+    context and the seed, so that rows depend on neither the worker nor the order.
+
+    Args:
+        env: its frames hold the metrics, whether it emits them or not.
+        policy: reads ``("agents", "observation")`` and ``("agents", "mask")``, writes ``("agents", "action")``.
+        context, seed: what is played.
+        record: of :data:`RECORDS`, which ``env`` emits.
+    """
+    with _seeded((int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK):
+        (series,) = play(env, policy, env.reset(context=context, seed=seed), record)
+    return measured(env, context, series)
+
+
+def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase, record: Sequence[str] = ()) -> list[Series]:
+    """Step from a reset until all episodes have ended; return what was recorded, per environment.
+
+    The policy finds ``is_init``, true in the first step alone, and what it has written before: at the root, or under
+    ``"next"``, as TorchRL's recurrent modules do. One with a method ``bind`` is called as ``policy.bind(env)``.
+    """
+    act = policy.bind(env) if hasattr(policy, "bind") else policy
+    begins = torch.ones(*env.batch_size, 1, dtype=torch.bool)
+    goes_on = ~begins
+    tensordict.set(INIT, begins)
+    kept: dict[str, list[NDArray[np.float32]]] = {name: [] for name in record}
+    lengths = np.zeros(env.batch_size.numel(), int)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        while True:
+            lengths += env.frames["done"][:, 0] == 0
+            result = act(tensordict)
+            if result is None or ("agents", "action") not in result.keys(include_nested=True):
+                raise IzooError(
+                    "the policy wrote no ('agents', 'action'); it must return the TensorDict with that key."
+                )
+            written = result.get("next", None)
+            following = env.step_lean(result)
+            for name in record:
+                kept[name].append(env.frames[name][:, 0].copy())
+            if following.get("done").all():
+                break
+            if written is not None:
+                following.update(written.exclude(*following.keys(True, True)))
+            following.set(INIT, goes_on)
+            tensordict = step_mdp(result, exclude_action=True)
+    whole = {name: np.stack(values, 1) for name, values in kept.items()}
+    return [{name: values[k, :length] for name, values in whole.items()} for k, length in enumerate(lengths)]
+
+
+def measured(env: EcoDrivingBase, context: Context, series: Series, index: int = 0) -> Measured:
+    """Return what the episode that has ended in an environment came to.
+
+    Args:
+        env: the environments.
+        context: which was played.
+        series: what was recorded.
+        index: which environment.
+    """
+    road = env.backend.scene(index).road
+    approaches: list[list[float]] = env.frames["approach_metrics"][index].tolist()
+    whole = dict(zip(EPISODE_COLUMNS, env.frames["episode_metrics"][index].tolist(), strict=True))
+    rows = []
+    for leg in scored_approaches(context):
+        sums = dict(zip(APPROACH_METRICS, approaches[road.approaches.index(leg)], strict=True))
+        rows.append({"approach": leg, **features(context, road, leg), **sums, **whole})
+    return Measured(rows, series)
+
+
+@dataclass
+class Player:
+    """An environment of one intersection and the packed policies; each episode gets a fresh copy of its policy.
+
+    Attributes:
+        beat: called before every decision, if given.
+    """
+
+    setup: Setup
+    beat: Callable[[], Any] | None = None
+    _env: EcoDrivingEnv | None = field(default=None, init=False)
+
+    def play(self, job: Job) -> Measured:
+        """Play an episode."""
+        if self._env is None:
+            self._env = EcoDrivingEnv(config=self.setup.config, simulator=self.setup.simulator)
+        policy: Policy = cloudpickle.loads(self.setup.policies[job.key])
+        act = policy if self.beat is None else _Beating(policy, self.beat)
+        return run_episode(self._env, act, job.context, job.seed, self.setup.record)
+
+    def close(self) -> None:
+        """End the simulation."""
+        if self._env is not None:
+            self._env.close(raise_if_closed=False)
+
+
+class _Beating:
+    """A policy that tells its parent process, from decision to decision, that it goes on."""
+
+    def __init__(self, policy: Policy, beat: Callable[[], Any]) -> None:
+        self.policy, self.beat = policy, beat
+        if hasattr(policy, "bind"):
+            self.bind = lambda env: _Beating(policy.bind(env), beat)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.beat()
+        return self.policy(tensordict)
+
+
+@contextlib.contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Seed what a policy may draw from by default, and leave it as it was found."""
+    of_numpy, of_python = np.random.get_state(), random.getstate()  # noqa: NPY002 - what policies draw from
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            np.random.seed(seed % 2**32)  # noqa: NPY002
+            random.seed(seed)
+            yield
+    finally:
+        np.random.set_state(of_numpy)  # noqa: NPY002
+        random.setstate(of_python)

@@ -1,0 +1,113 @@
+"""What can be evaluated: scripted drivers, TorchRL modules, and callables, each with a name and a record."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import hashlib
+import importlib
+import inspect
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cloudpickle
+import torch
+from torch import Tensor, nn
+
+from izoo import zoo
+from izoo.algos.registry import cap_share
+from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError, unknown_choice
+from izoo.files import expanded
+from izoo.results.playing import Policy
+from izoo.results.store import PolicyRecord, own_settings
+from izoo.zoo.shelf import WEIGHTS
+
+HUMAN, UNCOMMANDED = "human", "uncommanded"
+BASELINES = (HUMAN, UNCOMMANDED)
+"""Drivers that command nothing: their episodes can be cached."""
+
+
+class NamedPolicy(NamedTuple):
+    """A policy, its name in tables, and what a manifest says of it."""
+
+    name: str
+    policy: Policy
+    record: PolicyRecord
+
+
+def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) -> NamedPolicy:
+    """Return the policy that ``policy`` means: a driver's name, ``zoo:NAME``, the path of a file ``NAME.pt`` that
+    ``python -m izoo.zoo export`` wrote, ``module:function``, or the policy itself.
+
+    Raises:
+        IzooError: no such driver, policy or function.
+    """
+    own = own_settings(config)
+    if not isinstance(policy, str):
+        if not callable(policy):
+            raise IzooError(f"a {type(policy).__name__} is not a policy; give a driver's name, a module or a callable.")
+        name = name or "policy"
+        if name in BASELINES and not isinstance(policy, UncommandedDriver):
+            raise IzooError(f"{name!r} is the name of a baseline; give the policy another name.")
+        weights = weights_hash(policy)
+        return NamedPolicy(name, policy, PolicyRecord("trained" if weights else "scripted", weights, env=own))
+    shipped = zoo.named(policy)
+    if shipped:
+        trained = zoo.load(shipped)
+        trained.check_observed(config)
+        source = str(expanded(policy).absolute()) if Path(policy).suffix == WEIGHTS else policy
+        record = PolicyRecord("trained", weights_hash(trained.policy), source, trained.algo.name, env=own)
+        return NamedPolicy(name or trained.name, trained.policy, record)
+    zoo.check_exported(policy)
+    if ":" in policy:
+        found = as_policy(import_policy(policy), config, name or policy.rpartition(":")[2])
+        return found._replace(record=PolicyRecord(found.record.kind, found.record.weights, policy, env=own))
+    if policy not in DRIVERS and cap_share(policy) is None:
+        raise unknown_choice("policy", policy, [*DRIVERS, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])
+    record = PolicyRecord(source=policy, env=None if policy in BASELINES else own)
+    return NamedPolicy(name or policy, make_driver(policy, config), record)
+
+
+def import_policy(reference: str) -> Policy:
+    """Import ``module:function``; a class is called without arguments."""
+    module_name, _, attribute = reference.partition(":")
+    if not module_name or module_name.startswith(".") or not all(map(str.isidentifier, attribute.split("."))):
+        raise IzooError(
+            f"{reference!r} is not a policy: it is written module:function, such as mine:drive for the function drive "
+            "of mine.py, whose folder is on PYTHONPATH."
+        )
+    try:
+        found: Any = functools.reduce(getattr, attribute.split("."), importlib.import_module(module_name))
+    except (ImportError, AttributeError) as error:
+        raise IzooError(f"cannot import the policy {reference!r}: {error}. It is written module:function.") from error
+    policy: Any = found() if inspect.isclass(found) else found
+    if not callable(policy):
+        raise IzooError(f"the policy {reference!r} is a {type(policy).__name__}; name a function, a module or a class.")
+    return policy
+
+
+def weights_hash(policy: Any) -> str | None:
+    """Return the SHA-256 of a module's state: names, types, shapes and bytes; ``None`` where it has none."""
+    tensors = policy.state_dict() if isinstance(policy, nn.Module) else {}
+    digest = hashlib.sha256()
+    for name, value in sorted(tensors.items()):
+        if isinstance(value, Tensor):
+            digest.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
+            # As bytes, since NumPy has no bfloat16.
+            digest.update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest() if tensors else None
+
+
+def pack(name: str, policy: Policy) -> bytes:
+    """Serialise a policy for workers; modules travel on the CPU, and are to evaluate, not to train.
+
+    Raises:
+        IzooError: it holds something that cannot be sent.
+    """
+    policy = copy.deepcopy(policy).to("cpu").eval() if isinstance(policy, nn.Module) else policy
+    try:
+        return cloudpickle.dumps(policy)
+    except Exception as error:
+        raise IzooError(f"policy {name!r} cannot be sent to worker processes: {error}") from error

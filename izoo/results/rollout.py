@@ -1,0 +1,320 @@
+"""From a list of plays (policy, context, seed) to rows of the table, and :func:`evaluate_policy`, the door to it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import itertools
+import os
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence, Sized
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from izoo.algos.scripted import RandomDriver, make_driver
+from izoo.console import Progress
+from izoo.contexts.context import Context
+from izoo.envs.config import SIMULATORS, EnvConfig
+from izoo.errors import IzooError, check_choice, check_range
+from izoo.files import expanded
+from izoo.results.cache import EpisodeCache, baseline_context
+from izoo.results.playing import RECORDS, Job, Measured, Policy, Series, Setup
+from izoo.results.policies import BASELINES, HUMAN, as_policy, pack
+from izoo.results.schema import Row, identity
+from izoo.results.selection import EpisodeSeeds
+from izoo.results.store import Key, PolicyRecord, Store
+from izoo.zoo.shelf import WEIGHTS
+
+DRAIN_S = 600.0
+"""How long evaluated episodes are played out after their horizon, at most."""
+SIDE_BY_SIDE = 64
+"""Episodes that are played at once on the twin."""
+EXECUTORS = {
+    "processes": "izoo.results.processes:Processes",
+    "batch": "izoo.results.batch:Batch",
+    "ray": "izoo.results.on_ray:OnRay",
+}
+"""What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """An episode to play.
+
+    Attributes:
+        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
+        train_seed: which of its training seeds; 0 where nothing was trained.
+        context: it is evaluated in; human drivers are alone in it.
+        seed: of the episode.
+    """
+
+    policy: str
+    train_seed: int
+    context: Context
+    seed: int
+
+
+class Played(NamedTuple):
+    """An episode that was played.
+
+    Attributes:
+        play: what was asked for.
+        rows: of the table, one per scored approach.
+        series: what was recorded, ``[decisions]`` float32 by name.
+    """
+
+    play: Play
+    rows: list[Row]
+    series: Series
+
+
+def rollout(
+    plays: Iterable[Play],
+    policies: Mapping[Key, Policy],
+    config: EnvConfig,
+    *,
+    task: str = "",
+    simulator: str = "sumo",
+    executor: str | None = None,
+    workers: int = 2,
+    record: Sequence[str] = (),
+    cache: Path | str | None = None,
+    progress: bool = True,
+    side_by_side: int = SIDE_BY_SIDE,
+    surrogate: str = "compiled",
+) -> Generator[Played, None, None]:
+    """Play episodes and yield them as they end; those of baselines come from the cache where it has them.
+
+    Args:
+        plays: what to play; ``batch`` takes from an iterator no more than it plays, and one block ahead.
+        policies: by name, or by name and training seed; baselines need not be given. Each episode (``batch``: each
+            block) is played by a fresh copy, a module in evaluation mode.
+        config: the environment; what it emits is chosen here.
+        task: column ``task`` of the rows.
+        simulator: ``sumo`` or ``twin``.
+        executor: one of :data:`EXECUTORS`; ``None``: ``batch`` on the twin, for policies that draw no random numbers,
+            and otherwise ``processes``.
+        workers: processes (0: this one plays), or threads of ``batch``.
+        record: what to record per decision: ``team_reward``.
+        cache: folder of the baselines' episodes; ``None``: in the user's cache.
+        progress: show a bar with the time left.
+        side_by_side: episodes of a block of ``batch``.
+        surrogate: what computes CO2 in a batch (:class:`~izoo.envs.TwinEnv`).
+
+    Raises:
+        IzooError: bad input.
+        EpisodeFailed: an episode raised or lost its process.
+    """
+    check_choice("simulator", simulator, SIMULATORS)
+    check_range("num_workers", workers, 0, 1024)
+    for name in record:
+        check_choice("record", name, RECORDS)
+    executor = executor_for(simulator, policies, executor)
+    named: dict[Key, Policy] = {**{name: make_driver(name, config) for name in BASELINES}, **policies}
+    packed = {key: pack(key if isinstance(key, str) else key[0], policy) for key, policy in named.items()}
+    emitting = dataclasses.replace(config, emit=tuple(record))
+    setup = Setup(packed, emitting, simulator, workers, tuple(record), side_by_side, surrogate)
+    if executor == "batch" and isinstance(plays, Sequence):
+        plays = sorted(plays, key=lambda play: (play.policy, play.train_seed))
+    module, _, name = EXECUTORS[executor].partition(":")
+    player = getattr(importlib.import_module(module), name)(setup)
+    total = len(plays) if isinstance(plays, Sized) else 0
+    bar = Progress(total, unit="episodes", shown=progress)
+    return _Rollout(setup, task, EpisodeCache(cache, setup), player).stream(plays, bar)
+
+
+def executor_for(simulator: str, policies: Mapping[Key, Policy], executor: str | None = None) -> str:
+    """Return what plays the episodes of policies.
+
+    Raises:
+        IzooError: ``executor`` is unknown, or cannot play them.
+    """
+    draws = any(isinstance(policy, RandomDriver) for policy in policies.values())
+    if executor is None:
+        return "batch" if simulator == "twin" and not draws else "processes"
+    check_choice("executor", executor, EXECUTORS)
+    if executor == "batch" and simulator != "twin":
+        raise IzooError(f"executor=batch plays on the twin, but simulator is {simulator}; choose simulator=twin.")
+    if executor == "batch" and draws:
+        raise IzooError("executor=batch cannot play a policy that draws random numbers; choose executor=processes.")
+    return executor
+
+
+def evaluate_policy(
+    policy: str | Policy,
+    contexts: Sequence[Context],
+    seeds: Sequence[int] | EpisodeSeeds,
+    config: EnvConfig | None = None,
+    *,
+    name: str | None = None,
+    task: str = "",
+    train_seed: int = 0,
+    simulator: str = "sumo",
+    workers: int = 2,
+    executor: str | None = None,
+    out: Path | str | None = None,
+    baselines: Sequence[str] = BASELINES,
+    record: PolicyRecord | None = None,
+    cache: Path | str | None = None,
+    progress: bool = True,
+) -> pd.DataFrame:
+    """Play a policy and its baselines in every context with every seed.
+
+    Args:
+        policy: a scripted driver's name, ``zoo:NAME``, the path of an exported policy, ``module:function``, a
+            TensorDict module, or a callable of TensorDicts.
+        contexts: the contexts; repeated ones are played once.
+        seeds: episode seeds, the same in all contexts or each intersection's own.
+        config: the environment. Where its ``drain_s`` is 0, episodes are played out for :data:`DRAIN_S`.
+        name: the policy's name in the table.
+        task: what is tested, such as ``salt_lake_city test``.
+        train_seed: which training seed the policy is of.
+        simulator, workers, executor, cache, progress: as for :func:`rollout`.
+        out: results folder (:class:`~izoo.results.store.Store`). Episodes that are already there are not played again;
+            those of other weights under the same name are replaced. ``None`` writes nothing.
+        baselines: what to play beside the policy.
+        record: what the manifest says of the policy, where it is more than can be seen of it.
+
+    Returns:
+        The table, including what earlier evaluations left in ``out`` (:mod:`izoo.results.schema`).
+
+    Raises:
+        IzooError: bad input, or a folder written with other settings.
+        EpisodeFailed: an episode raised or lost its process; finished ones are kept in ``out``.
+    """
+    config = evaluated(config or EnvConfig())
+    if not contexts or not len(seeds):
+        raise IzooError("an evaluation needs one or more contexts and one or more seeds.")
+    chosen = as_policy(policy, config, name)
+    drivers = list(dict.fromkeys([*baselines, *([chosen.name] if chosen.name in BASELINES else [])]))
+    records: dict[Key, PolicyRecord] = {driver: PolicyRecord(source=driver) for driver in drivers}
+    own: Key = (chosen.name, train_seed)
+    policies = {own: chosen.policy} if chosen.name not in BASELINES else {}
+    if policies:
+        records[own] = _record(chosen.record, record, out)
+    executor = executor_for(simulator, policies, executor)
+    check_range("num_workers", workers, 0, 1024)
+    if simulator == "twin":
+        from izoo.envs.twin.twin_backend import check_settings  # it compiles, and most evaluations need none
+
+        check_settings(config)
+    every = list({context.content_hash: context for context in contexts}.values())
+    keys = [key if isinstance(key, tuple) else (key, 0) for key in records]
+    store = Store(out, task=task, config=config)
+    with store.open(records):
+        store.keep_contexts(every)
+        plays = [
+            Play(*key, context, seed)
+            for context in every
+            for seed in seeds_of(seeds, context)
+            for key in keys
+            if (*key, simulator, context.content_hash, seed) not in store.done
+        ]
+        options: dict[str, Any] = {"executor": executor, "workers": workers, "cache": cache, "progress": progress}
+        with contextlib.closing(rollout(plays, policies, config, task=task, simulator=simulator, **options)) as playing:
+            for played in playing:
+                store.add(played.rows)
+    return store.table
+
+
+def evaluated(config: EnvConfig) -> EnvConfig:
+    """Return the environment of evaluated episodes: played out after their horizon."""
+    return config if config.drain_s else dataclasses.replace(config, drain_s=DRAIN_S)
+
+
+def seeds_of(seeds: Sequence[int] | EpisodeSeeds, context: Context) -> list[int]:
+    """Return the seeds of a context, each once."""
+    return list(dict.fromkeys(seeds.of(context) if isinstance(seeds, EpisodeSeeds) else map(int, seeds)))
+
+
+def _record(seen: PolicyRecord, given: PolicyRecord | None, out: Path | str | None) -> PolicyRecord:
+    """Return what is known of a policy; the path of a file is given relative to the results folder."""
+    record = dataclasses.replace(given or seen, weights=seen.weights, env=seen.env)
+    if out is None or record.source is None or Path(record.source).suffix != WEIGHTS:
+        return record
+    path = expanded(record.source)
+    # A link as the last part stays: it may come to mean another file, and then that one is asked for.
+    source = os.path.relpath(path.parent.resolve() / path.name, Path(out).resolve())
+    return dataclasses.replace(record, source=source)
+
+
+@dataclass
+class _Block:
+    """A part of the plays: what the cache has of it, and what is to be played, each for one or more plays."""
+
+    kept: list[Played] = field(default_factory=list)
+    jobs: list[Job] = field(default_factory=list)
+    waiting: dict[tuple[Any, ...], list[Play]] = field(default_factory=dict)
+
+
+@dataclass
+class _Rollout:
+    """Plays block after block.
+
+    Attributes:
+        setup, task, cache: of :func:`rollout`.
+        player: the executor.
+    """
+
+    setup: Setup
+    task: str
+    cache: EpisodeCache
+    player: Any
+
+    def stream(self, plays: Iterable[Play], bar: Progress) -> Generator[Played, None, None]:
+        """Yield what was played; the next block is looked up before one is played."""
+        with bar, contextlib.closing(self.player):
+            blocks = map(self._look_up, self._parts(plays))
+            block, done = next(blocks, None), 0
+            while block is not None:
+                ahead = next(blocks, None)
+                for played in itertools.chain(block.kept, self._play(block, ahead)):
+                    yield played
+                    done += 1
+                    bar.update(done)
+                block = ahead
+
+    def _play(self, block: _Block, ahead: _Block | None) -> Iterator[Played]:
+        if not block.jobs:
+            return
+        for job, found in self.player.play(block.jobs, ahead.jobs if ahead else []):
+            if job.name in BASELINES:
+                self.cache.put(job.name, job.context, job.seed, found)
+            for play in block.waiting[job.id]:
+                yield self._played(play, found)
+
+    def _parts(self, plays: Iterable[Play]) -> Iterator[list[Play]]:
+        if self.player.size is None:
+            yield list(plays)
+            return
+        for _, own in itertools.groupby(plays, key=lambda play: (play.policy, play.train_seed)):
+            while part := list(itertools.islice(own, self.player.size)):
+                yield part
+
+    def _look_up(self, part: Sequence[Play]) -> _Block:
+        block = _Block()
+        for play in part:
+            context = baseline_context(play.context) if play.policy == HUMAN else play.context
+            if play.policy in BASELINES:
+                found = self.cache.get(play.policy, context, play.seed, self.setup.record)
+                if found is not None:
+                    block.kept.append(self._played(play, found))
+                    continue
+            own = (play.policy, play.train_seed)
+            key: Key = own if own in self.setup.policies else play.policy
+            job = Job(key, play.policy, context, play.seed)
+            # Contexts that differ only in what concerns CVs share their human episodes.
+            if job.id not in block.waiting:
+                block.jobs.append(job)
+            block.waiting.setdefault(job.id, []).append(play)
+        return block
+
+    def _played(self, play: Play, found: Measured) -> Played:
+        rows = []
+        for row in found.rows:
+            whose = play.policy, play.train_seed, self.setup.simulator
+            rows.append({**identity(*whose, play.context, play.seed, row["approach"], self.task), **row})
+        return Played(play, rows, found.series)

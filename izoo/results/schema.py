@@ -1,0 +1,119 @@
+"""The columns of the table, declared once. A row is one approach of one episode of one policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pandas as pd
+
+from izoo.contexts.context import Context
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+from izoo.networks.road import RoadNet
+from izoo.results.saturation import volume_over_capacity
+
+Row = dict[str, Any]
+IDENTITY = (
+    "task",
+    "policy",
+    "train_seed",
+    "simulator",
+    "context",
+    "context_hash",
+    "context_id",
+    "intersection",
+    "city",
+    "approach",
+    "seed",
+    "demand",
+    "hour",
+    "season",
+    "engine",
+    "adoption",
+    "cv_vehicle",
+    "temperature_c",
+    "humidity_pct",
+)
+"""Which episode a row belongs to. ``train_seed`` is 0 where nothing was trained; ``demand`` is ``one`` (approach) or
+``all``; the context is the one that is evaluated, also in rows of human driving, so that rows pair up."""
+FEATURES = (
+    "flow_vph_per_lane",
+    "lane_count",
+    "lane_length_m",
+    "speed_limit_mps",
+    "grade",
+    "green_share",
+    "cycle_s",
+    "volume_over_capacity",
+)
+"""What the approach is like; ``green_share`` is the mean over its movements."""
+EPISODE_COLUMNS = tuple(f"episode_{name}" for name in EPISODE_METRICS)
+COLUMNS = (*IDENTITY, *FEATURES, *APPROACH_METRICS, *EPISODE_COLUMNS)
+EPISODE = ("policy", "train_seed", "simulator", "context_hash", "seed")
+KEY = (*EPISODE, "approach")
+"""No two rows agree on these."""
+WHOLE = ("train_seed", "context_id", "seed")
+TEXT = tuple(name for name in IDENTITY if name not in {*WHOLE, "adoption", "temperature_c", "humidity_pct"})
+
+
+def identity(
+    policy: str, train_seed: int, simulator: str, context: Context, seed: int, approach: str, task: str = ""
+) -> Row:
+    """Return the columns :data:`IDENTITY` of a row."""
+    return {
+        "task": task,
+        "policy": policy,
+        "train_seed": train_seed,
+        "simulator": simulator,
+        "context": context.name,
+        "context_hash": context.content_hash,
+        "context_id": context.context_id,
+        "intersection": context.intersection.name,
+        "city": context.intersection.city,
+        "approach": approach,
+        "seed": seed,
+        "demand": "all" if context.approach is None else "one",
+        "hour": context.hour,
+        "season": context.season,
+        "engine": context.engine,
+        "adoption": context.adoption,
+        "cv_vehicle": context.cv_vehicle,
+        "temperature_c": context.temperature_c,
+        "humidity_pct": context.humidity_pct,
+    }
+
+
+def scored_approaches(context: Context) -> tuple[str, ...]:
+    """Approaches that get a row: the one with demand, or all."""
+    return context.intersection.approach_names if context.approach is None else (context.approach,)
+
+
+def features(context: Context, road: RoadNet, approach: str) -> dict[str, float]:
+    """Return the columns :data:`FEATURES` of a row."""
+    p = road.approaches.index(approach)
+    served = road.movement_turn[p] >= 0
+    green = float(road.clock.green_s[p][served].mean()) if served.any() else 0.0
+    return {
+        "flow_vph_per_lane": context.flow_vph_per_lane(approach),
+        "lane_count": float(road.lane_count[p]),
+        "lane_length_m": float(road.lane_length_m[p]),
+        "speed_limit_mps": float(road.speed_limit_mps[p]),
+        "grade": float(road.grade[p]),
+        "green_share": green / float(road.clock.cycle_s),
+        "cycle_s": float(road.clock.cycle_s),
+        "volume_over_capacity": volume_over_capacity(context, road, p),
+    }
+
+
+def make_table(rows: Iterable[Row]) -> pd.DataFrame:
+    """Return rows as a table with all columns in order, sorted by policy, training seed, context, seed and approach."""
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS))
+    for column in TEXT:
+        table[column] = table[column].astype(object).where(table[column].notna(), None)
+    table["task"] = table["task"].fillna("")
+    for column in WHOLE:
+        table[column] = table[column].astype("Int64")
+    numbers = [column for column in COLUMNS if column not in TEXT and column not in WHOLE]
+    table[numbers] = table[numbers].astype(float)
+    order = ["policy", "train_seed", "simulator", "context", "context_hash", "seed", "approach"]
+    return table.sort_values(order, kind="stable", ignore_index=True)

@@ -1,0 +1,323 @@
+"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import importlib.metadata
+import io
+import json
+import platform
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+import izoo
+import izoo.envs
+from izoo.conf.mapping import from_mapping
+from izoo.contexts.context import Context
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
+from izoo.files import claimed, read_text, write_json, write_text
+from izoo.results.contexts_file import add_contexts
+from izoo.results.schema import COLUMNS, EPISODE, KEY, TEXT, WHOLE, Row, make_table
+
+FORMAT = "izoo-results-1"
+ROWS_FILE, MANIFEST_FILE = "rows.csv", "manifest.json"
+EARLIER = ("evaluation.csv", "evaluation.json", "results.json")
+"""Files of earlier versions."""
+INDIFFERENT = ("emit", "recycle_episodes", "watchdog_s", "gui")
+"""Settings of an environment that change no number."""
+SHARED = ("step_s", "horizon_s", "warmup_s", "drain_s", "num_approaches", "late_vehicle")
+"""Settings that all rows of a folder share; the others belong to a policy."""
+Key = str | tuple[str, int]
+"""A policy's name, or its name and training seed."""
+
+
+@dataclass(frozen=True)
+class PolicyRecord:
+    """What is known of a policy, per training seed.
+
+    Attributes:
+        kind: what it is.
+        weights: SHA-256 of its weights (:func:`izoo.results.policies.weights_hash`), if it has any.
+        source: what it can be made from again: a driver's name, ``zoo:NAME``, ``module:function``, or the path of a
+            checkpoint or exported policy, relative to the results folder where it is written.
+        algo, frames: how it was trained, and on how many environment steps.
+        env: settings of the environment that belong to it, such as what it observes.
+    """
+
+    kind: Literal["scripted", "trained", "untrained"] = "scripted"
+    weights: str | None = None
+    source: str | None = None
+    algo: str | None = None
+    frames: int | None = None
+    env: dict[str, Any] | None = None
+
+    def is_same(self, other: PolicyRecord) -> bool:
+        """Return whether it is the same policy: same weights, or without any the same source."""
+        return self.weights == other.weights and (self.weights is not None or self.source == other.source)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a results folder was played with.
+
+    Attributes:
+        task: what was tested.
+        model_version: :data:`izoo.envs.MODEL_VERSION`.
+        env: settings of the environment; of a policy's own, those of its record hold.
+        versions: of izoo, Python and packages.
+        policies: by name and training seed.
+        complete: false while episodes are missing.
+    """
+
+    task: str = ""
+    model_version: int = 0
+    env: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    policies: dict[str, dict[int, PolicyRecord]] = field(default_factory=dict)
+    complete: bool = False
+
+    def config(self, policy: str, train_seed: int = 0) -> EnvConfig:
+        """Return the environment that a policy was played in."""
+        record = self.policies.get(policy, {}).get(train_seed, PolicyRecord())
+        return from_mapping(EnvConfig, {**self.env, **(record.env or {})})
+
+
+class Store:
+    """A results folder, or a table in memory alone.
+
+    Args:
+        path: the folder; ``None`` keeps rows in memory.
+        task: what is tested.
+        config: the environment.
+
+    Attributes:
+        done: :data:`~izoo.results.schema.EPISODE` of the episodes that are there.
+    """
+
+    def __init__(self, path: Path | str | None, *, task: str = "", config: EnvConfig | None = None) -> None:
+        self.path = None if path is None else Path(path)
+        env = settings(config or EnvConfig())
+        self.manifest = Manifest(task, model_version(), env, versions())
+        self.done: set[tuple[Any, ...]] = set()
+        self._rows: list[Row] = []
+
+    @contextlib.contextmanager
+    def open(self, policies: Mapping[Key, PolicyRecord] | None = None) -> Iterator[Store]:
+        """Read what is there and keep other processes out; the folder is complete once the block ends without an error.
+
+        Args:
+            policies: those about to be played (:meth:`admit`).
+
+        Raises:
+            IzooError: the folder was written with other settings or by another version, or another process works in it.
+        """
+        with contextlib.nullcontext() if self.path is None else claimed(self.path):
+            if self.path is not None:
+                self._read(self.path)
+            self.admit(policies or {})
+            yield self
+            self._update(complete=True)
+
+    def admit(self, policies: Mapping[Key, PolicyRecord]) -> None:
+        """Name policies that are about to be played; rows of other weights under the same name are dropped.
+
+        Raises:
+            IzooError: a policy was played here with other settings of its own.
+        """
+        known = {name: dict(seeds) for name, seeds in self.manifest.policies.items()}
+        stale = set()
+        for key, record in policies.items():
+            name, train_seed = key if isinstance(key, tuple) else (key, 0)
+            old = known.get(name, {}).get(train_seed)
+            if old is not None and old.env and record.env:
+                check_same(old.env, record.env, f"{self.path} holds {name}")
+            if old is not None and not old.is_same(record):
+                stale.add((name, train_seed))
+            known.setdefault(name, {})[train_seed] = record
+        if stale:
+            self._rows = [row for row in self._rows if (row["policy"], row["train_seed"]) not in stale]
+            self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
+            if self.path is not None:
+                write_text(self.path / ROWS_FILE, _lines([dict(zip(COLUMNS, COLUMNS, strict=True)), *self._rows]))
+        self._update(policies=known, complete=False)
+
+    def keep_contexts(self, contexts: Iterable[Context]) -> None:
+        """Keep contexts, so that their episodes can be played again."""
+        if self.path is not None:
+            add_contexts(self.path, contexts)
+
+    def add(self, rows: list[Row]) -> None:
+        """Append the rows of one episode, all of them or none."""
+        self._rows.extend(rows)
+        self.done |= {tuple(row[column] for column in EPISODE) for row in rows}
+        if self.path is not None:
+            with (self.path / ROWS_FILE).open("a", encoding="utf-8", newline="") as file:
+                header = [] if file.tell() else [dict(zip(COLUMNS, COLUMNS, strict=True))]
+                file.write(_lines([*header, *rows]))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """All rows, those of earlier evaluations too."""
+        return make_table(self._rows)
+
+    def _read(self, path: Path) -> None:
+        _refuse_earlier(path)
+        if not (path / MANIFEST_FILE).exists():
+            if (path / ROWS_FILE).exists():
+                raise IzooError(f"{path} has a {ROWS_FILE} without its {MANIFEST_FILE}; choose another folder.")
+            return
+        old, new = read_manifest(path), self.manifest
+        shared = {name: new.env[name] for name in SHARED}
+        check_same(
+            {**{name: old.env.get(name) for name in SHARED}, "model_version": old.model_version}
+            | {"sumo": old.versions.get("sumo")},
+            {**shared, "model_version": new.model_version, "sumo": new.versions["sumo"]},
+            f"{path} holds results",
+        )
+        self.manifest = dataclasses.replace(old, versions=new.versions)
+        if (path / ROWS_FILE).exists():
+            whole, self._rows = _read_rows(path / ROWS_FILE)
+            if not whole:
+                write_text(path / ROWS_FILE, _lines([dict(zip(COLUMNS, COLUMNS, strict=True)), *self._rows]))
+            self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
+
+    def _update(self, **changes: Any) -> None:
+        self.manifest = dataclasses.replace(self.manifest, **changes)
+        if self.path is not None:
+            write_json(self.path / MANIFEST_FILE, {"format": FORMAT, **dataclasses.asdict(self.manifest)})
+
+
+def read_table(folder: Path | str) -> pd.DataFrame:
+    """Return the table of a results folder.
+
+    Raises:
+        IzooError: it is none, an earlier version wrote it, or its table cannot be read.
+    """
+    folder = Path(folder)
+    read_manifest(folder)
+    if not (folder / ROWS_FILE).exists():
+        raise IzooError(f"{folder} has no episodes yet; run the evaluation again.")
+    return make_table(_read_rows(folder / ROWS_FILE)[1])
+
+
+def read_manifest(folder: Path | str) -> Manifest:
+    """Return the manifest of a results folder.
+
+    Raises:
+        IzooError: as :func:`read_table`.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise IzooError(f"{folder}: no such results folder.")
+    _refuse_earlier(folder)
+    path = folder / MANIFEST_FILE
+    try:
+        content = json.loads(read_text(path))
+        if content.pop("format") != FORMAT:
+            raise IzooError(f"{path} is of another version of izoo; evaluate again into another folder.")
+        policies = {
+            name: {int(seed): PolicyRecord(**record) for seed, record in seeds.items()}
+            for name, seeds in content.pop("policies").items()
+        }
+        return Manifest(**content, policies=policies)
+    except FileNotFoundError:
+        raise IzooError(f"{folder} is not a results folder: it has no {MANIFEST_FILE}.") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise IzooError(f"{path} cannot be read ({error}); evaluate again into another folder.") from error
+
+
+def settings(config: EnvConfig, names: Iterable[str] | None = None) -> dict[str, Any]:
+    """Return the settings that change numbers, or those of ``names``, as plain values for JSON."""
+    values = json.loads(json.dumps(dataclasses.asdict(config)))
+    return {
+        name: value
+        for name, value in values.items()
+        if name not in INDIFFERENT and (names is None or name in tuple(names))
+    }
+
+
+def own_settings(config: EnvConfig) -> dict[str, Any]:
+    """Return the settings that belong to a policy: what it observes, how long its decisions hold, its reward."""
+    return {name: value for name, value in settings(config).items() if name not in SHARED}
+
+
+def check_same(stored: Mapping[str, Any], wanted: Mapping[str, Any], what: str) -> None:
+    """Raise :class:`IzooError` naming the (nested) settings in which two mappings differ.
+
+    Args:
+        stored, wanted: the settings.
+        what: the beginning of the sentence, such as ``FOLDER holds results``.
+    """
+    old, new = _flat(stored), _flat(wanted)
+    changed = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
+    if changed:
+        listed = ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in changed)
+        raise IzooError(f"{what} with other settings ({listed}); choose another folder.")
+
+
+def model_version() -> int:
+    """Return the version of the simulated model: numbers of different ones are never mixed."""
+    return int(getattr(izoo.envs, "MODEL_VERSION", 0))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of izoo, Python and the packages that simulate and learn."""
+    packages = {"sumo": "libsumo", "torch": "torch", "torchrl": "torchrl"}
+    found = {name: importlib.metadata.version(package) for name, package in packages.items()}
+    return {"izoo": izoo.__version__, "python": platform.python_version(), **found}
+
+
+def _refuse_earlier(folder: Path) -> None:
+    if not (folder / MANIFEST_FILE).exists() and any((folder / name).exists() for name in EARLIER):
+        raise IzooError(f"{folder} was written by an earlier version of izoo; evaluate again into another folder.")
+
+
+def _lines(rows: Iterable[Row]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([row[column] for column in COLUMNS] for row in rows)
+    return text.getvalue()
+
+
+def _read_rows(path: Path) -> tuple[bool, list[Row]]:
+    """Return whether a table is whole, and its rows; of one that was cut short the last episode is left out."""
+    try:
+        text = read_text(path)
+        whole = text.endswith("\n")
+        raw = pd.read_csv(
+            io.StringIO(text[: text.rfind("\n") + 1]),
+            float_precision="round_trip",
+            dtype={**dict.fromkeys(TEXT, str), **dict.fromkeys(WHOLE, "Int64")},
+            keep_default_na=False,  # a policy may be called "null", an intersection "NA"
+            na_values=[""],
+        )
+    except (OSError, ValueError) as error:
+        raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; evaluate into another folder.") from error
+    missing = [column for column in COLUMNS if column not in raw]
+    if missing:
+        raise IzooError(
+            f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
+        )
+    if not whole and len(raw):
+        last = raw[list(EPISODE)].iloc[-1]
+        raw = raw[(raw[list(EPISODE)] != last).any(axis=1)]
+    raw = raw.drop_duplicates(list(KEY), keep="last")[list(COLUMNS)].astype(object)
+    return whole, raw.where(raw.notna(), None).to_dict("records")
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:12]}..."

@@ -1,0 +1,99 @@
+"""Tables of results with chosen numbers, and folders of them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from izoo.envs.config import EnvConfig
+from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+from izoo.results.schema import COLUMNS
+from izoo.results.store import PolicyRecord, Store
+
+BURNED_G, DELAY_S, COHORT = 200.0, 20.0, 40
+
+
+def row(policy: str, place: int, saved: float, slower_s: float, train_seed: int, seed: int) -> dict[str, object]:
+    """A row of an intersection in which a policy saves a share of the CO2, and adds a delay."""
+    wobble = 0.01 * np.sin(7.0 * place + train_seed)
+    grams = BURNED_G * (1.0 + 0.1 * place) * (1.0 - saved * (1.0 + wobble) - (wobble if saved else 0.0))
+    sums = dict.fromkeys(APPROACH_METRICS, 1.0) | {
+        "cohort": float(COHORT),
+        "cohort_left": COHORT - 1.0,
+        "cohort_region_co2_g": COHORT * grams,
+        "cohort_blocked_co2_g": 0.0,
+        "cohort_region_delay_s": COHORT * (DELAY_S + slower_s * (1.0 + wobble)),
+        "cohort_blocked_s": 0.0,
+        "crossed": COHORT - 2.0,
+        "entered": float(COHORT),
+        "emission_g": (COHORT - 2.0) * 0.4 * grams,
+        "vehicle_steps": 100.0 * COHORT,
+        "agent_steps": 30.0 * COHORT,
+    }
+    return {
+        "task": "town test",
+        "policy": policy,
+        "train_seed": train_seed,
+        "simulator": "sumo",
+        "context": f"town/{place}/A",
+        "context_hash": hashlib.sha256(str(place).encode()).hexdigest(),
+        "context_id": place,
+        "intersection": f"town/{place}",
+        "city": "town",
+        "approach": "A",
+        "seed": seed,
+        "demand": "one",
+        "hour": "",
+        "season": "winter",
+        "engine": "combustion",
+        "adoption": 1 / 3,
+        "cv_vehicle": "",
+        "temperature_c": 5.0,
+        "humidity_pct": 50.0,
+        "flow_vph_per_lane": 300.0 + 20.0 * place,
+        "lane_count": 1.0,
+        "lane_length_m": 200.0,
+        "speed_limit_mps": 15.0,
+        "grade": 0.0,
+        "green_share": 0.4,
+        "cycle_s": 60.0,
+        "volume_over_capacity": 0.5 if place % 4 else 1.5,
+        **sums,
+        **{f"episode_{name}": 0.0 for name in EPISODE_METRICS},
+    }
+
+
+def table(policies: Mapping[str, tuple[float, float, int]], places: int = 12, seeds: int = 1) -> pd.DataFrame:
+    """Rows of policies, human driving and uncommanded.
+
+    Args:
+        policies: by name: share of CO2 saved over uncommanded, delay added in s, training seeds.
+    """
+    every = {"human": (-0.1, 1.0, 1), "uncommanded": (0.0, 0.0, 1), **policies}
+    rows = [
+        row(name, place, saved, slower_s, train_seed, seed)
+        for name, (saved, slower_s, train_seeds) in every.items()
+        for train_seed in range(train_seeds)
+        for place in range(places)
+        for seed in range(1, seeds + 1)
+    ]
+    return pd.DataFrame(rows)[list(COLUMNS)]
+
+
+def folder(path: Path, made: pd.DataFrame, complete: bool = True) -> Path:
+    """A folder of results with these rows."""
+    keys = made[["policy", "train_seed"]].drop_duplicates().itertuples(index=False, name=None)
+    records = {key: PolicyRecord("trained" if key[0] == "ppo" else "scripted") for key in keys}
+    store = Store(path, task="town test", config=EnvConfig())
+    try:
+        with store.open(records):
+            store.add(made.to_dict("records"))
+            if not complete:
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        pass
+    return path

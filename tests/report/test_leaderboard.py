@@ -1,0 +1,220 @@
+"""Leaderboard files: written from rows, checked, ranked, converted from the format before, and refused in one sentence."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from jsonschema import Draft202012Validator
+from matplotlib import image
+
+from izoo import leaderboard as command
+from izoo.envs import MODEL_VERSION
+from izoo.errors import IzooError
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.metrics.paper_form import paper_form
+from izoo.metrics.summary import summarise
+from izoo.report import leaderboard
+from izoo.report.leaderboard import board, check, content_hash, make_entry, merge, read_entry, unpacked, write_entry
+from izoo.report.superseded import convert
+from tests.report.made_tables import folder, table
+
+DATA = Path(__file__).parent / "data"
+PPO = (0.06, -1.0, 4)
+
+
+def content(made: pd.DataFrame | None = None, **policy: Any) -> dict[str, Any]:
+    made = table({"ppo": PPO}) if made is None else made
+    return make_entry({"name": "ppo", "kind": "trained", **policy}, "town test", MODEL_VERSION, {"izoo": "1"}, made)
+
+
+def sealed(changed: dict[str, Any]) -> dict[str, Any]:
+    """The content with the hash that belongs to it, as someone who tampers would write it."""
+    return {**changed, "hash": content_hash(changed)}
+
+
+def marks(changed: dict[str, Any]) -> tuple[str, ...]:
+    return check(changed, unpacked(changed["rows"]), "file").marks
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    return folder(tmp_path / "results", table({"ppo": PPO, "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}))
+
+
+def test_an_entry_survives_its_file(results: Path) -> None:
+    paths = leaderboard.write_entries(results)
+    assert [path.name for path in paths] == ["ppo.json", "glide.json", "cap_0.6.json"]
+    entry = read_entry(paths[0])
+    assert entry.marks == () and entry.notes == ()
+    made = table({"ppo": PPO})
+    found, wanted = (summarise(rows)["entries"]["ppo"] for rows in (entry.table, made))
+    for key, estimate in wanted["against"]["uncommanded"]["unsaturated"]["figures"].items():
+        assert found["against"]["uncommanded"]["unsaturated"]["figures"][key]["value"] == pytest.approx(
+            estimate["value"], rel=1e-5, abs=1e-5
+        )
+    assert set(APPROACH_METRICS) <= set(entry.table)
+
+
+def test_files_are_ranked_and_slower_entries_come_last(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    leaderboard.write_entries(results)
+    out = results / "board.json"
+    assert command.main(["validate", str(results / "leaderboard")]) == 0
+    assert command.main(["merge", str(results / "leaderboard"), "--out", str(out)]) == 0
+    assert command.main(["merge", str(results / "leaderboard"), "--out", str(out)]) == 0, "it may be written again"
+    (group,) = json.loads(out.read_text())["groups"]
+    assert [(line["name"], line["rank"]) for line in group["entries"]] == [("ppo", 1), ("glide", 2), ("cap_0.6", 3)]
+    assert [row.label for _, rows in board(group).groups for row in rows][-1] == "cap_0.6"
+    assert "slower" in capsys.readouterr().out
+    assert command.main(["table", str(results / "leaderboard")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("| entry | CO2 saved |") and printed.rstrip().endswith(group["summary"]["verdict"])
+    assert command.main(["merge", str(out), "--out", str(results / "leaderboard" / "ppo.json")]) == 2
+    for words in ([], ["--histograms"]):
+        picture = results / "all.png"
+        assert command.main(["draw", str(results / "leaderboard"), "--out", str(picture), *words]) == 0
+        assert image.imread(picture).shape[2] == 4
+
+
+def test_what_is_wrong_with_a_file_is_a_mark() -> None:
+    honest = content()
+    assert marks(honest) == ()
+    renamed = {**honest, "policy": {**honest["policy"], "frames": 1}}
+    assert marks(renamed) == ("the hash does not match: the file was changed after it was written",)
+    other = sealed({**honest, "model_version": MODEL_VERSION + 1})
+    assert marks(other) == (f"model version {MODEL_VERSION + 1} of the simulation, not {MODEL_VERSION}",)
+    made = table({"ppo": PPO})
+    few = made.drop(made.index[(made["policy"] == "ppo") & (made["context_id"] == 3)])
+    assert marks(content(few)) == ("4 rows are missing of ppo",)
+    assert marks(content(made[made["policy"] != "human"])) == ("12 rows are missing of human",)
+    few = check(content(table({"ppo": (0.06, -1.0, 2)})), table({"ppo": (0.06, -1.0, 2)}), "file")
+    assert few.marks == () and few.notes == ("2 training seeds of 4",)
+    twin = content(made.assign(simulator="twin"))
+    assert check(twin, unpacked(twin["rows"]), "file").notes == ("played on the twin",)
+
+
+def test_entries_that_cannot_be_compared_are_listed_without_rank() -> None:
+    made = table({"ppo": PPO})
+    contents = {
+        "good": content(),
+        "small": content(table({"ppo": PPO}, places=8), name="ppo"),
+        "other": content(made.assign(cohort_region_co2_g=1.1 * made["cohort_region_co2_g"])),
+    }
+    found = [check(of, unpacked(of["rows"]), name) for name, of in contents.items()]
+    (group,) = merge(found)["groups"]
+    assert [(line["name"], line["source"], line["rank"]) for line in group["entries"]] == [
+        ("ppo", "good", 1),
+        ("ppo 2", "small", None),
+        ("ppo 3", "other", None),
+    ]
+    assert [line["marks"] for line in group["entries"]] == [
+        [],
+        ["4 contexts fewer than others of the task"],
+        ["its baselines drove otherwise than those of the other files"],
+    ]
+    assert [row.label for row in board(group).groups[-1][1]] == ["ppo 2 (4 seeds)", "ppo 3 (4 seeds)"]
+    json.dumps(group, allow_nan=False)
+
+
+def _column(name: str, values: Any) -> Any:
+    return lambda of: {**of, "rows": {**of["rows"], name: values}}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda of: {**of, "format": "other"}, "format: "),
+        (lambda of: {**of, "policy": {"name": "x"}}, "policy: 'kind' is a required property"),
+        (lambda of: {**of, "rows": {k: v for k, v in of["rows"].items() if k != "crossed"}}, "'crossed' is a required"),
+        (_column("crossed", [1.0, "many"]), "rows/crossed"),
+        (_column("crossed", [1.0]), "columns have different lengths"),
+        (_column("crossed", [1e300] * 72), "rows/crossed: a number is beyond"),
+        (_column("policy", {"values": ["ppo"], "index": [7] * 72}), "rows/policy: an index is beyond the values"),
+        (_column("policy", {"values": ["ppo"], "index": [0] * 72}), "an episode's approach is there twice"),
+        (_column("crossed", {"values": ["a"], "index": [0] * 72}), "rows/crossed: could not convert"),
+        (lambda of: {**of, "format": "izoo-leaderboard-2"}, "python -m izoo.leaderboard convert"),
+    ],
+)
+def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(sealed(change(content()))))
+    assert command.main(["merge", str(path), "--out", str(tmp_path / "board.json")]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and "bad.json" in error
+    assert not (tmp_path / "board.json").exists()
+
+
+@pytest.mark.parametrize("word", ["NaN", "1e999", "{"])
+def test_what_is_not_json_is_refused(word: str, tmp_path: Path) -> None:
+    write_entry(tmp_path / "bad.json", content())
+    text = (tmp_path / "bad.json").read_text()
+    (tmp_path / "bad.json").write_text(text.replace('"model_version":', f'"model_version":{word}', 1))
+    with pytest.raises(IzooError, match="cannot read"):
+        read_entry(tmp_path / "bad.json")
+    Draft202012Validator.check_schema(leaderboard.schema())
+
+
+HOSTILE = "[red]ppo[/red] [/nonsense] \x1b[2J\x1b]0;mine\x07\u202eoppo [link=http://x]"
+
+
+def test_names_and_tasks_are_shown_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither Rich nor the terminal obeys what somebody wrote into a file."""
+    made = table({HOSTILE: PPO}).assign(task=HOSTILE)
+    write_entry(tmp_path / "h.json", make_entry({"name": HOSTILE, "kind": "trained"}, HOSTILE, MODEL_VERSION, {}, made))
+    assert command.main(["validate", str(tmp_path)]) == 0
+    assert command.main(["merge", str(tmp_path), "--out", str(tmp_path / "leaderboard")]) == 0
+    assert command.main(["table", str(tmp_path)]) == 0
+    shown = capsys.readouterr()
+    assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
+    assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out
+
+
+def test_old_files_become_rows_of_the_papers_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every benefit of every approach, and all aggregates of the paper's form, are those of the old files."""
+    for path in DATA.glob("*.gz"):
+        (tmp_path / path.stem).write_bytes(gzip.decompress(path.read_bytes()))
+    assert command.main(["convert", str(tmp_path), "--out", str(tmp_path / "new")]) == 0
+    for path in sorted(tmp_path.glob("*.json")):
+        old, entry = json.loads(path.read_text()), read_entry(tmp_path / "new" / path.name)
+        assert entry.content["model_version"] == 0 and entry.marks[0].startswith("superseded")
+        rows, found = paper_form(entry.table, entry.name)
+        of = rows.set_index(["train_seed", "context_hash", "approach"])["benefit"]
+        for row in old["rows"]:
+            value = of[row["train_seed"], row["context_hash"], row["approach"]]
+            assert value == pytest.approx(row["benefit_exact"], abs=1e-6, nan_ok=True)
+        stated = old["aggregates"]["all"]
+        for part, name, key in (
+            ("exact", "mean", "mean"),
+            ("exact", "ratio_of_sums", "ratio_of_sums"),
+            ("exact", "share_gated", "share_gated"),
+            ("throughput", "mean", "throughput_mean"),
+            ("throughput", "share_kept", "share_kept"),
+        ):
+            assert found[key] == pytest.approx(stated[part][name]["value"], abs=1e-6)
+        assert (tmp_path / "new" / path.name).stat().st_size < path.stat().st_size / 3
+    assert set(entry.table["policy"]) == {"human", "uncommanded"}
+    both = read_entry(tmp_path / "new" / "ppo.json").table
+    assert set(both["policy"]) == {"ppo", "human", "uncommanded"}
+    capsys.readouterr()
+    assert command.main(["table", str(tmp_path / "new")]) == 0
+    assert capsys.readouterr().out.startswith("| entry | benefit, ratio of sums |")
+    with pytest.raises(IzooError, match="give a file of izoo-leaderboard-2"):
+        convert([_written(tmp_path / "cut.json", "{}")], tmp_path / "other")
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_shipped_files_are_superseded_and_whole() -> None:
+    paths = sorted((Path(leaderboard.__file__).parents[1] / "docs" / "leaderboard").rglob("*.json"))
+    assert len(paths) == 123
+    found = [read_entry(path) for path in paths[::10]]
+    assert all(entry.superseded and len(entry.marks) == 1 for entry in found)
+    assert np.isfinite([of["ratio_of_sums"] for g in merge(found)["groups"] for of in g["paper"].values()]).all()
