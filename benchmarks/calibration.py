@@ -209,10 +209,10 @@ def read_set(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
 
     try:
         found = json.loads(read_text(path))
-        check_same(dict(found["settings"]), settings, f"{path} was made")
-        {name: found[name] for name in SHOWN}
+        made_with = {"settings": dict(found["settings"]), **{name: found[name] for name in SHOWN}}["settings"]
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise IzooError(f"cannot read {path}: {error!r}; remove it, and it is made anew.") from error
+    check_same(made_with, settings, f"{path} was made")
     return found
 
 

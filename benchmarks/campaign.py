@@ -123,7 +123,7 @@ class Campaign:
                 self.runs.take_over(Path(self.config.trained_in))
             self._do(self.jobs())
         self._draw_curves()
-        found = summaries(self.store.table)
+        found = summaries(self.store.table, self.tests)
         write_summaries(self.folder, found)
         return found
 
@@ -175,9 +175,9 @@ class Campaign:
 
     def _evaluate(self, job: Job) -> None:
         policy = self._admit(job)
-        if self.config.select == "best" and job.entry.kind == "trained":
-            if checkpoint.best_of(self.runs.run_dir(job.key)) is None:
-                print("The run was too short to be validated: its last weights are tested.", flush=True)
+        wants_best = self.config.select == "best" and job.entry.kind == "trained"
+        if wants_best and checkpoint.best_of(self.runs.run_dir(job.key)) is None:
+            print("The run was too short to be validated: its last weights are tested.", flush=True)
         for task, plays in self._plays(job).items():
             play(
                 self.store,

@@ -193,7 +193,8 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     """
     if exact.empty:
         return pd.DataFrame()
-    groups = exact.assign(lanes=np.where(exact["lanes"] == 1, "1", "2+")).groupby(["policy", "demand", "lanes"], sort=False)
+    kinds = np.where(exact["lanes"] == 1, "1", "2+")
+    groups = exact.assign(lanes=kinds).groupby(["policy", "demand", "lanes"], sort=False)
     summed = groups.agg(
         episodes=("seed", "size"),
         parted=("parted", "count"),
@@ -245,10 +246,10 @@ def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
     """Return a row per policy: how far CO2 and delay of its approaches are apart, and what it saves on either side."""
     saved = gained.groupby("policy")[["sumo", "twin"]].mean()
     rows = []
-    for row in rungs(compared, ["policy"]).itertuples():
-        both = saved.loc[row.policy] if row.policy in saved.index else (None, None)
-        co2 = (_share(row.co2_mean_abs), _share(row.co2_own), _share(row.co2_bias, "+"))
-        rows.append((row.policy, row.approaches, *co2, _number(row.delay_s, "+.2f"), *(_number(x, "+.1f") for x in both)))
+    for r in rungs(compared, ["policy"]).itertuples():
+        both = saved.loc[r.policy] if r.policy in saved.index else (None, None)
+        apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
+        rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
     columns = ("policy", "approaches", "CO2, mean|d|", "SUMO itself", "bias", "delay, s", "saves %, SUMO", "twin")
     return _table("The twin against SUMO, per approach", columns, rows)
 
@@ -258,7 +259,8 @@ def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
     (row,) = rungs(compared.assign(every=0), ["every"]).itertuples()
     own = "" if np.isnan(row.co2_own) else f" (SUMO is {row.co2_own:.1%} from itself where one vehicle comes late)"
     order = "rank the same on both" if same_order(gained) else "do not rank the same on both"
-    return f"CO2 per vehicle on the twin is {row.co2_mean_abs:.1%} from SUMO's, the mean over approaches{own}; policies {order}."
+    far = f"CO2 per vehicle on the twin is {row.co2_mean_abs:.1%} from SUMO's on average over approaches"
+    return f"{far}{own}; policies {order}."
 
 
 def tables(found: Ladder) -> list[Table]:
@@ -296,16 +298,13 @@ def tables(found: Ladder) -> list[Table]:
 
 
 def _aggregates(title: str, summed: pd.DataFrame) -> list[Table]:
-    co2 = [
-        (*_about(r), r.approaches, *map(_share, (r.co2_mean_abs, r.co2_median_abs)), _share(r.co2_bias, "+"))
-        + (_share(r.co2_worst), f"{r.co2_wide}" + (f" ({r.co2_beyond})" if r.co2_beyond < r.co2_wide else ""))
-        for r in summed.itertuples()
-    ]
-    others = [
-        (*_about(r), *(_number(x, f"{sign}.2f") for x, sign in ((r.delay_s, "+"), (r.delay_mean_abs_s, ""))))
-        + tuple(_share(x, "+") for x in (r.crossed, r.stopped))
-        for r in summed.itertuples()
-    ]
+    co2, others = [], []
+    for r in summed.itertuples():
+        wide = f"{r.co2_wide}" + (f" ({r.co2_beyond})" if r.co2_beyond < r.co2_wide else "")
+        shares = _share(r.co2_mean_abs), _share(r.co2_median_abs), _share(r.co2_bias, "+"), _share(r.co2_worst)
+        co2.append((*_about(r), r.approaches, *shares, wide))
+        delay = _number(r.delay_s, "+.2f"), _number(r.delay_mean_abs_s, ".2f")
+        others.append((*_about(r), *delay, _share(r.crossed, "+"), _share(r.stopped, "+")))
     about = ("policy", "CVs", "demand", "lanes")
     return [
         _table(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),

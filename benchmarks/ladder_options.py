@@ -10,8 +10,8 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
-from izoo.metrics.pairing import HUMAN
 from izoo.files import expanded
+from izoo.metrics.pairing import HUMAN
 from izoo.zoo import shelf
 
 

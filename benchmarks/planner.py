@@ -37,7 +37,7 @@ LEAST_GAIN = 1e-3
 
 
 def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
-    """Play what the folder ``out`` does not hold yet, print what was found, and return all rows of these options.
+    """Play what the folder ``out`` does not hold yet, print what was found, and return all rows.
 
     Raises:
         IzooError: ``out`` is no folder of this command, or was made with other options.
@@ -73,13 +73,12 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
             for part in shown(todo, env, task):
                 own = {"record": ("team_reward",), "progress": False, **options}
                 play(store, part, {PLANNER: Planning(config)}, env, "twin", **own)
-    table = store.table[store.table["task"].isin(tasks.values())]
-    found = summaries(table)
+    table, found = store.table, summaries(store.table, tasks.values())
     if folder is not None:
         write_summaries(folder, found)
     if config.verbose:
         show(found, verbose=True)
-    print_gains(table)
+    print_gains(table, list(tasks.values()))
     return table
 
 
@@ -203,24 +202,27 @@ class Planner:
         return state.set(("agents", "defer"), defer)
 
 
-def print_gains(table: pd.DataFrame) -> None:
-    """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in a sentence."""
+def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
+    """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
     from rich.console import Console
 
     from izoo.benchmarks.comparing import figure
     from izoo.metrics.summary import summarise
     from izoo.report.tables import Row, Table
 
+    figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
     console, rows, said = Console(), [], []
-    for task, part in table.groupby("task", sort=False):
+    for task in tasks:
+        part = table[table["task"] == task]
         said.append(f"{figure(summarise(part), PLANNER)} with {task}")
         for kind, lanes in (("one lane", part["lane_count"] <= 1), ("several lanes", part["lane_count"] > 1)):
             if lanes.any():
                 summary = summarise(part[lanes])
-                cells = [figure(summary, name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
+                cells = (figure(summary, name, key) for name, key in figures)
                 rows.append(Row(f"{task}, {kind}", (str(summary["n"]["contexts"]), *cells)))
-    columns = ("", "contexts", *(f"{name}, {what}" for name in ("glide", PLANNER) for what in ("CO2 saved", "delay")))
-    console.print(Table("What there is to gain, over uncommanded CVs", columns, (("", tuple(rows)),)).rich(console.width))
+    columns = ("", "contexts", *(f"{name}, {'CO2 saved' if key == 'co2_saved' else 'delay'}" for name, key in figures))
+    shown = Table("What there is to gain, over uncommanded CVs", columns, (("", tuple(rows)),))
+    console.print(shown.rich(console.width))
     print(f"The planner saves {', '.join(said)}: at least so much is there to gain.")
 
 

@@ -39,7 +39,8 @@ def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     if chart is not None:
         save(draw([chart]), folder / PLOT_FILE)
     print(f"\nResults: {folder}, {PLOT_FILE}", flush=True)
-    show([{**summary, "verdict": f"{summary['verdict'][:-1]}; {front_in_words(summary)}."} for summary in found], config.verbose)
+    verdict = f"{found[0]['verdict'][:-1]}; {front_in_words(found[0])}."
+    show([{**found[0], "verdict": verdict}, *found[1:]], config.verbose)
     return folder
 
 

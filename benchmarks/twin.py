@@ -89,7 +89,11 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
 
 def play_all(
-    config: LadderConfig, policies: Sequence[NamedPolicy], contexts: Sequence[Context], seeds: EpisodeSeeds, late: int = 0
+    config: LadderConfig,
+    policies: Sequence[NamedPolicy],
+    contexts: Sequence[Context],
+    seeds: EpisodeSeeds,
+    late: int = 0,
 ) -> pd.DataFrame:
     """Play every policy on SUMO and the twin, or on SUMO with a ``late`` vehicle; return the rows of these episodes.
 
@@ -162,10 +166,10 @@ def compare_steps(
 
     env, own = dataclasses.replace(env, drain_s=0.0), json.dumps(settings(env), sort_keys=True)
     plays = {
-        ("steps", policy.name, policy.record.weights, own, context.content_hash, seeds.of(context)[0]): (policy, context)
+        ("steps", each.name, each.record.weights, own, context.content_hash, seeds.of(context)[0]): (each, context)
         for context in contexts
         if context.demand_approaches
-        for policy in policies
+        for each in policies
     }
     todo = [key for key in plays if key not in kept.rows]
     if todo:
