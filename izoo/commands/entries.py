@@ -16,7 +16,7 @@ TRAIN = OptionCommand(
         "izoo.train resume=runs/RUN total_frames=500000",
     ),
     config="izoo.conf.train_options:TrainConfig",
-    work="izoo.training.loop:train",
+    work="izoo.commands.training:train",
     check="izoo.commands.given_paths:check_train",
     recipes=True,
 )
@@ -26,7 +26,7 @@ EVALUATE = OptionCommand(
     examples=(
         "izoo.evaluate run=runs/RUN",
         "izoo.evaluate run=runs/RUN contexts=dataset contexts.path=DATASET seeds=5 num_workers=8",
-        "izoo.evaluate policy=glide contexts=pcg num_contexts=32",
+        "izoo.evaluate policy=glide contexts=pcg num_contexts=32 simulator=twin",
         "izoo.evaluate policy=mine.pt contexts=city contexts.city=atlanta",
         "izoo.evaluate policy=my_package.drivers:calm out=results/calm",
     ),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +18,15 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.playing import Policy
-from izoo.evaluation.policies import as_candidate
-from izoo.evaluation.runner import evaluate_policy
-from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
-from izoo.evaluation.show import print_summary
-from izoo.evaluation.summary import summarise
+from izoo.metrics.summary import summarise
+from izoo.report.tables import print_summary
+from izoo.results.playing import Policy
+from izoo.results.policies import as_policy
+from izoo.results.rollout import evaluate_policy, evaluated
+from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
+from izoo.results.store import PolicyRecord, read_table
 from izoo.training import checkpoint, runs
+from izoo.training.last_comparison import EVALUATIONS
 
 
 @dataclass(frozen=True)
@@ -35,42 +38,52 @@ class Subject:
     contexts: ContextsConfig
     env: EnvConfig
     folder: Path
-    source: str | Path
+    record: PolicyRecord
+    train_seed: int = 0
 
 
 def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
-    """Evaluate as ``config`` says, print the summary, and return the folder of the results.
+    """Evaluate as ``config`` says, print the summary, and return the results folder.
 
     Args:
         config: the options.
         given: names of the options that were written on the command line; matters where a run is given.
     """
     subject = resolve(config, given)
-    contexts = choose_contexts(subject.contexts.build(), config.num_contexts, config.seed)
+    source = subject.contexts.build()
+    contexts = choose_contexts(source, config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
-    out = Path(config.out) if config.out else subject.folder / "evaluations" / _label(subject, config, contexts)
+    out = Path(config.out) if config.out else subject.folder / EVALUATIONS / _label(subject, config, contexts)
     where = "" if config.simulator == "sumo" else " on the twin"
     what = f"contexts={subject.contexts.name}, {describe(contexts, seeds, subject.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
+    size = len(source) if isinstance(source, Sized) else len(contexts)
+    if size > len(contexts):
+        print(f"These are {len(contexts)} of {size:,} contexts; num_contexts=null plays all of them.", flush=True)
+    with contextlib.suppress(IzooError):  # nothing is there yet, or what is there will be refused
+        there = read_table(out)
+        episodes = there[there["policy"] == subject.name].groupby(["context_hash", "seed"]).ngroups
+        print(f"{counted(episodes, 'episode')} of {subject.name} are there already, and not played again.", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,
         seeds,
         subject.env,
-        num_workers=config.num_workers,
-        executor=config.executor,
-        simulator=config.simulator,
-        out_dir=out,
         name=subject.name,
-        uncommanded=config.uncommanded,
+        task=_task(subject.contexts),
+        train_seed=subject.train_seed,
+        simulator=config.simulator,
+        workers=config.num_workers,
+        executor=config.executor,
+        out=out,
+        record=subject.record,
         cache=config.cache,
-        source=subject.source,
     )
     others = len(set(table["context_hash"]) - {context.content_hash for context in contexts})
     if others:
         print(f"{counted(others, 'other context')} of earlier evaluations in {out}: they are in the summary as well.")
-    print_summary(summarise(table, config.simulator))
     print(f"Results: {out}", flush=True)
+    print_summary(summarise(table), verbose=config.verbose)
     return out
 
 
@@ -80,6 +93,8 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     Raises:
         IzooError: neither or both of ``run`` and ``policy``, or a run that observes something else than ``env`` says.
     """
+    if "env.drain_s" in given and not config.env.drain_s:
+        raise IzooError("env.drain_s is 0, but evaluated episodes are played out; give a time, such as 600.")
     if (config.run is None) == (config.policy is None):
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
@@ -87,13 +102,13 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
         shipped = zoo.named(config.policy)
         if shipped:
             found = zoo.load(shipped)
-            name, env = found.name, with_given(found.env, env, given, "env")
-        policy = as_candidate(config.policy, env, name).policy
-        return Subject(name, policy, config.contexts, env, Path.cwd(), config.policy)
+            name, env = found.name, evaluated(with_given(found.env, env, given, "env"))
+        found_policy = as_policy(config.policy, env, name)
+        return Subject(name, found_policy.policy, config.contexts, env, Path.cwd(), found_policy.record)
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
-    algorithm, trained, _ = runs.load_algorithm(path)
-    env = with_given(zoo.full_episodes(trained.env), config.env, given, "env")
+    algorithm, trained, state = runs.load_algorithm(path)
+    env = evaluated(with_given(zoo.full_episodes(trained.env), config.env, given, "env"))
     there, given_names = observation_names(trained.env), observation_names(env)
     if there != given_names:
         changed = [f"+{name}" for name in given_names if name not in there]
@@ -108,7 +123,14 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
     contexts = config.contexts if changed or "contexts" in given else trained.contexts
     runs.check_drivers(folder, trained, contexts)
     name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
-    return Subject(name, algorithm.policy.eval(), contexts, env, folder, path)
+    record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
+    return Subject(name, algorithm.policy.eval(), contexts, env, folder, record, trained.seed)
+
+
+def _task(contexts: ContextsConfig) -> str:
+    """Name what is tested: the contexts, their place and split."""
+    parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
+    return " ".join(str(part) for part in parts if part)
 
 
 def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:

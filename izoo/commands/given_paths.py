@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from izoo.conf.report_options import ReportConfig
     from izoo.conf.train_options import CollectConfig, TrainConfig
 
-MANIFEST = "evaluation.json"
-"""As :data:`izoo.evaluation.table.MANIFEST_FILE`, which is slow to import."""
+MANIFESTS = ("manifest.json", "evaluation.json")
+"""As :data:`izoo.results.store.MANIFEST_FILE`, which is slow to import; the second one is of an earlier version."""
 RESULTS = "give one that izoo.evaluate, izoo.train or a benchmark has written"
 
 
@@ -117,7 +117,7 @@ def _check_run(folder: Path) -> None:
 
 def _check_results(folder: Path) -> None:
     """Refuse a folder that holds other things than an evaluation, beside which its files would be hard to tell."""
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / MANIFEST).is_file():
+    if folder.is_dir() and any(folder.iterdir()) and not any((folder / name).is_file() for name in MANIFESTS):
         raise IzooError(
             f"out={folder} holds other things than an evaluation; choose a new folder, or one that izoo.evaluate wrote."
         )

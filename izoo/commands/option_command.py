@@ -62,7 +62,7 @@ class OptionCommand:
 
     def main(self, argv: Sequence[str] | None = None) -> int:
         """Run the command and return its exit code (:func:`izoo.console.exit_code`)."""
-        words = list(sys.argv[1:] if argv is None else argv)
+        words = ["verbose=true" if word == "-v" else word for word in (sys.argv[1:] if argv is None else argv)]
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer

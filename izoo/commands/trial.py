@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
+from izoo.algos.scripted import make_driver
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.context import Context
 from izoo.contexts.spec import IntersectionSpec
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError, check_range
-from izoo.evaluation.playing import run_episode
-from izoo.evaluation.policies import as_candidate
 from izoo.files import CACHE_ENV
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
+from izoo.results.playing import run_episode
 
 PER_CITY = 10
 
@@ -99,7 +99,7 @@ def run(specs: Sequence[IntersectionSpec], horizon_s: float, seed: int, progress
     """
     config = EnvConfig(horizon_s=horizon_s, emit=("metrics",))
     report = TrialReport(intersections=len(specs))
-    driver = as_candidate("random", config).policy
+    driver = make_driver("random", config)
     before = os.environ.get(CACHE_ENV)
     env = EcoDrivingEnv(config=config)
     with tempfile.TemporaryDirectory(prefix="izoo-trial-") as folder:
@@ -148,7 +148,7 @@ def _play(env: EcoDrivingEnv, driver: object, context: Context, seed: int, repor
     report.episodes += 1
     start = time.perf_counter()
     try:
-        rows = run_episode(env, driver, "random", context, seed)  # type: ignore[arg-type]
+        rows = run_episode(env, driver, context, seed).rows  # type: ignore[arg-type]
     except Exception as error:
         report.failures[context.name] = f"{type(error).__name__}: {error}"
         return

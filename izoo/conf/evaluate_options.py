@@ -6,12 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.algos.registry import DRIVER_NAMES
+from izoo.algos.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import check_choice, check_range, check_types
 from izoo.files import expanded
+
+DRAIN_S = 600.0
+"""How long evaluated episodes are played out after their horizon, at most."""
 
 
 @dataclass(frozen=True)
@@ -22,39 +25,40 @@ class EvaluateConfig:
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
-            ``glide``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
+            ``glide``, ``cap_0.6``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
             ``python -m izoo.zoo export`` wrote (``FILE.pt``), or ``module:function``.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
+            Episodes are played out after their horizon for ``env.drain_s`` at most.
         num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
-        seeds: paired episodes per context; 3 or more for the tested gate to mean something.
+        seeds: paired episodes per context.
         seed: base of the episode seeds and of the drawn contexts.
         out: folder of the results; an evaluation that was interrupted goes on there. null: a folder named after the
             options, in ``evaluations`` of the run's folder or of the current one.
         simulator: what plays the episodes: ``sumo``, which is what counts, or ``twin``, its compiled copy.
-        num_workers: worker processes, each with one simulator; with ``together``, threads.
-        executor: where they are: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS
-            names, or else one on this machine). ``together``: episodes are played side by side on the twin, for
-            policies that act on a batch as on each of its rows, and draw no random numbers.
-        uncommanded: also play the controlled vehicles that nobody commands.
-        cache: folder of the cached human episodes; null: the user's cache folder.
+        num_workers: worker processes, each with one simulator; with ``batch``, threads.
+        executor: ``processes`` of this machine, or those of a ``ray`` cluster (the one that RAY_ADDRESS names, or else
+            one on this machine). ``batch``: episodes side by side on the twin, for policies that act on a batch as on
+            each of its rows, and draw no random numbers. null: ``batch`` on the twin, and otherwise ``processes``.
+        cache: folder of the cached episodes of baselines; null: the user's cache folder.
+        verbose: print every table; ``-v`` is short for it.
     """
 
     run: str | None = None
     checkpoint: str = "last"
     policy: str | None = None
     contexts: ContextsConfig = field(default_factory=CityContexts)
-    env: EnvConfig = field(default_factory=EnvConfig)
-    num_contexts: int | None = None
+    env: EnvConfig = field(default_factory=lambda: EnvConfig(drain_s=DRAIN_S))
+    num_contexts: int | None = 16
     seeds: int = 3
     seed: int = 0
     out: str | None = None
     simulator: Literal["sumo", "twin"] = "sumo"
     num_workers: int = 2
-    executor: Literal["processes", "ray", "together"] = "processes"
-    uncommanded: bool = True
+    executor: Literal["processes", "batch", "ray"] | None = None
     cache: str | None = None
+    verbose: bool = False
 
     def __post_init__(self) -> None:
         check_types("", self)
@@ -78,5 +82,5 @@ def check_episodes(config: Any) -> None:
 
 def check_policy(what: str, policy: str) -> None:
     """Raise :class:`IzooError` unless a policy is a driver's name, or looks like ``FILE.pt`` or ``module:function``."""
-    if ":" not in policy and Path(policy).suffix != ".pt":
-        check_choice(what, policy, [*DRIVER_NAMES, "zoo:NAME", "FILE.pt", "module:function"])
+    if ":" not in policy and Path(policy).suffix != ".pt" and cap_share(policy) is None:
+        check_choice(what, policy, [*DRIVER_NAMES, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])

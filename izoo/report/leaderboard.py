@@ -70,9 +70,7 @@ def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
     out = out or folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     table = table[table["task"] == manifest.task]
-    for name in dict.fromkeys(table["policy"]):
-        if name in BASELINES:
-            continue
+    for name in sorted(set(table["policy"]) - set(BASELINES)):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))
         about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}
@@ -243,7 +241,7 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
     seeds = mine["train_seed"].nunique()
     if not content.get("superseded"):
         wanted = len(table[list(PAIR)].drop_duplicates())
-        for name, there in {name: 1 for name in BASELINES} | {policy["name"]: max(seeds, 1)}.items():
+        for name, there in ({name: 1 for name in BASELINES} | {policy["name"]: max(seeds, 1)}).items():
             lacking = there * wanted - int((table["policy"] == name).sum())
             marks += [f"{counted(lacking, 'row')} {'is' if lacking == 1 else 'are'} missing of {name}"] if lacking else []
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:

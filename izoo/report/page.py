@@ -140,6 +140,7 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "name": evaluation.name,
         "verdict": summary["verdict"],
         "counts": tables.counts(summary),
+        "cautions": tables.cautions(summary),
         "headline": tables.headline(summary).html(),
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],

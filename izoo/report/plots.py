@@ -134,8 +134,8 @@ def to_plotly(chart: Chart) -> dict[str, Any]:
 
 def _trace(series: Series, across: bool) -> dict[str, Any]:
     x, y = _short(series.x), _short(series.y)
-    if series.kind == "band":
-        area = {"x": [*x, *x[::-1]], "y": [*_short(series.low or ()), *_short(series.high or ())[::-1]], "fill": "toself"}
+    if series.kind == "band" and series.low is not None and series.high is not None:
+        area = {"x": [*x, *x[::-1]], "y": [*_short(series.low), *_short(series.high)[::-1]], "fill": "toself"}
         quiet = {"fillcolor": series.colour, "line": {"width": 0}, "opacity": 0.18, "hoverinfo": "skip"}
         return {"type": "scatter", "mode": "lines", **area, **quiet}
     if series.kind == "bars":

@@ -86,4 +86,4 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: s
 
 
 def _percent(share: float | None, key: str) -> Cell:
-    return Cell(None if share is None else 100.0 * share, unit="%", signed=key in SIGNED)
+    return Cell(None if share is None else 100.0 * share, unit="%", digits=2, signed=key in SIGNED)

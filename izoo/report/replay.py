@@ -26,8 +26,8 @@ from izoo.report.recording import Recorder, geometry
 from izoo.report.report_data import TRAIN_FOLDER, Evaluation
 from izoo.report.tables import SAVED
 from izoo.results.contexts_file import read_contexts
-from izoo.results.episode import run_episode
-from izoo.results.policies import Policy, as_policy, weights_hash
+from izoo.results.playing import Policy, run_episode
+from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import PolicyRecord
 from izoo.training import checkpoint, runs
 
@@ -145,7 +145,7 @@ class Player:
             self.__exit__()
             self._env, self._simulator = EcoDrivingEnv(config=config, simulator=simulator), simulator
         content: dict[str, Any] = {"frame_s": config.decision_s, "warmup_s": config.warmup_s}
-        content["baseline"] = self._play(UNCOMMANDED, as_policy(UNCOMMANDED, config), context, scene, 0)
+        content["baseline"] = self._play(UNCOMMANDED, as_policy(UNCOMMANDED, config).policy, context, scene, 0)
         content["policy"] = self._play(scene.policy, self._policy(scene, config), context, scene, scene.train_seed)
         content["net"] = geometry(self._env.road)
         return gzip.compress(json.dumps(content, separators=(",", ":")).encode(), mtime=0)
@@ -153,12 +153,13 @@ class Player:
     def _play(self, name: str, policy: Policy, context: Context, scene: Scene, train_seed: int) -> dict[str, Any]:
         assert self._env is not None
         env, recorder = self._env, Recorder()
+        act = policy.bind(env) if hasattr(policy, "bind") else policy
 
         def watched(tensordict: TensorDictBase) -> TensorDictBase:
             recorder.take(env.scene())
-            return policy(tensordict)
+            return act(tensordict)
 
-        rows = run_episode(env, watched, name, context, scene.seed)
+        rows = run_episode(env, watched, context, scene.seed).rows
         table = scene.evaluation.table
         key = {"policy": name, "train_seed": train_seed, "context_hash": context.content_hash, "seed": scene.seed}
         wanted = table[(table[list(key)] == list(key.values())).all(axis=1)].set_index("approach")
@@ -190,7 +191,7 @@ class Player:
         if source and not places:
             if ":" in source and not zoo.named(source) and not self._imports:
                 raise IzooError(f"the policy is the code {source}; imports=true allows to import it.")
-            yield as_policy(source, config)
+            yield as_policy(source, config).policy
             return
         if not places:
             raise IzooError(f"the folder does not say what the policy {scene.policy} was made from.")

@@ -146,8 +146,8 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
     console = console or Console()
     for table in headline(summary), *(details(summary) if verbose else ()):
         console.print(table.rich(console.width))
-    console.print(counts(summary), highlight=False, markup=False)
-    console.print(Text(plain(summary["verdict"])))
+    for text in (counts(summary), *cautions(summary), summary["verdict"]):
+        console.print(Text(plain(text)))
 
 
 def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
@@ -155,7 +155,7 @@ def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
     parts = []
     for table in headline(summary), *(details(summary) if verbose else ()):
         parts += [f"{_marked(table.title)}:", table.markdown()]
-    return "\n\n".join([*parts, _marked(counts(summary)), _marked(summary["verdict"])]) + "\n"
+    return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
 
 
 def headline(summary: Mapping[str, Any]) -> Table:
@@ -246,6 +246,16 @@ def counts(summary: Mapping[str, Any]) -> str:
         some, more = ", ".join(n["left_out"][:3]), ", ..." if len(n["left_out"]) > 3 else ""
         text += f" Without demand, and left out: {len(n['left_out'])} ({some}{more})."
     return text
+
+
+def cautions(summary: Mapping[str, Any]) -> list[str]:
+    """Say of which policies figures are in part those of the simulator's driver."""
+    shares = {name: _level(summary, name, "nan_share", "all") for name in compared(summary)}
+    return [
+        f"{name}: {share.number} of its commands were NaN; the simulator drove those vehicles."
+        for name, share in shares.items()
+        if share.value
+    ]
 
 
 def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], most: int | None = None) -> Table:

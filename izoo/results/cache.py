@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from izoo.contexts.context import Context
+from izoo.envs.model_version import MODEL_VERSION
 from izoo.files import cache_root, replacing
 from izoo.results.playing import Measured, Setup
 from izoo.results.schema import COLUMNS
-from izoo.results.store import model_version, settings, versions
+from izoo.results.store import settings, versions
 
 UNSEEN = ("observed", "neighbours", "sensor_range_m")
 """Settings that do not concern a driver that commands nothing."""
@@ -40,7 +41,7 @@ class EpisodeCache:
         self.folder = cache_root() / "baselines" if folder is None else Path(folder)
         env = {name: value for name, value in settings(setup.config).items() if name not in UNSEEN}
         surrogate = setup.surrogate if setup.simulator == "twin" else ""
-        known = [env, setup.simulator, surrogate, model_version(), versions()["sumo"], COLUMNS]
+        known = [env, setup.simulator, surrogate, MODEL_VERSION, versions()["sumo"], COLUMNS]
         self._known = json.dumps(known, sort_keys=True)
 
     def get(self, driver: str, context: Context, seed: int, record: Sequence[str] = ()) -> Measured | None:

@@ -20,13 +20,10 @@ from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import expanded
+from izoo.metrics.pairing import BASELINES
 from izoo.results.playing import Policy
 from izoo.results.store import PolicyRecord, own_settings
 from izoo.zoo.shelf import WEIGHTS
-
-HUMAN, UNCOMMANDED = "human", "uncommanded"
-BASELINES = (HUMAN, UNCOMMANDED)
-"""Drivers that command nothing: their episodes can be cached."""
 
 
 class NamedPolicy(NamedTuple):

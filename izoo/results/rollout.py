@@ -15,21 +15,21 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from izoo.algos.scripted import RandomDriver, make_driver
+from izoo.conf.evaluate_options import DRAIN_S
 from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs.config import SIMULATORS, EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
+from izoo.metrics.pairing import BASELINES, HUMAN
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.playing import RECORDS, Job, Measured, Policy, Series, Setup
-from izoo.results.policies import BASELINES, HUMAN, as_policy, pack
+from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import Key, PolicyRecord, Store
 from izoo.zoo.shelf import WEIGHTS
 
-DRAIN_S = 600.0
-"""How long evaluated episodes are played out after their horizon, at most."""
 SIDE_BY_SIDE = 64
 """Episodes that are played at once on the twin."""
 EXECUTORS = {

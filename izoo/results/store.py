@@ -17,10 +17,10 @@ from typing import Any, Literal
 import pandas as pd
 
 import izoo
-import izoo.envs
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError
 from izoo.files import claimed, read_text, write_json, write_text
 from izoo.results.contexts_file import add_contexts
@@ -104,7 +104,7 @@ class Store:
     def __init__(self, path: Path | str | None, *, task: str = "", config: EnvConfig | None = None) -> None:
         self.path = None if path is None else Path(path)
         env = settings(config or EnvConfig())
-        self.manifest = Manifest(task, model_version(), env, versions())
+        self.manifest = Manifest(task, MODEL_VERSION, env, versions())
         self.done: set[tuple[Any, ...]] = set()
         self._rows: list[Row] = []
 
@@ -260,11 +260,6 @@ def check_same(stored: Mapping[str, Any], wanted: Mapping[str, Any], what: str) 
     if changed:
         listed = ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in changed)
         raise IzooError(f"{what} with other settings ({listed}); choose another folder.")
-
-
-def model_version() -> int:
-    """Return the version of the simulated model: numbers of different ones are never mixed."""
-    return int(getattr(izoo.envs, "MODEL_VERSION", 0))
 
 
 def versions() -> dict[str, str]:

@@ -27,8 +27,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.envs.twin.twin_backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
-from izoo.evaluation import ray_cluster as cluster
 from izoo.gpu import check_gpu
+from izoo.results import ray_cluster as cluster
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.past import EpisodePast

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,16 @@ PLOT_EVERY_S = 60.0
 """Seconds between two drawings of the learning curve while training: each takes half a second."""
 
 
-def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
+Show = Callable[[dict[str, Any]], None]
+
+
+def train(config: TrainConfig, given: frozenset[str] = frozenset(), show: Show | None = None) -> Path:
     """Train as ``config`` says and return the run folder.
 
     Args:
         config: the options.
         given: names of the options that were written on the command line; matters when resuming.
+        show: called with the summary of the comparison that ends the run; ``None`` prints its verdict.
 
     Raises:
         IzooError: the options, or the run that is resumed, cannot be used; a new run leaves nothing behind.
@@ -60,7 +64,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
                 session.begin()
             else:
                 session.restore(state, path)
-            session.run()
+            session.run(show)
         return run_dir
     # Contexts are read before the folder is made, so that bad input leaves nothing behind.
     learner_device(config.device)
@@ -69,7 +73,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
     with runs.created(config) as run_dir, _room(run_dir):
         session = Session(config, run_dir, source)
         session.begin()
-        session.run()
+        session.run(show)
     return run_dir
 
 
@@ -210,8 +214,11 @@ class Session:
             self.first_episode += pasts.next_episode
         print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
 
-    def run(self) -> None:
+    def run(self, show: Show | None = None) -> None:
         """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate.
+
+        Args:
+            show: called with the summary of the evaluation; ``None`` prints its verdict.
 
         Raises:
             UnfinishedError: the last weights could not be saved.
@@ -248,8 +255,10 @@ class Session:
             raise KeyboardInterrupt
         found = self._compare()
         print(f"Run folder: {self.run_dir}", flush=True)
-        if found:
-            print(found, flush=True)
+        if found and show is not None:
+            show(found)
+        elif found:
+            print(found["verdict"], flush=True)
 
     def _say_where_it_stopped(self) -> None:
         if self.batches == 0:
@@ -425,9 +434,8 @@ class Session:
             plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
             self._plotted_s = self.seconds
 
-    def _compare(self) -> str:
-        """Return in words how the policy compares with human driving; empty where it is not to be compared."""
+    def _compare(self) -> dict[str, Any]:
+        """Return the summary of the comparison with the baselines; empty where there is to be none."""
         if self.config.evaluation.contexts == 0 or self.batches == 0:
-            return ""
-        played = self.first_episode + self.episodes + num_envs(self.config)
-        return compare(self.config, self.learner.policy, self.run_dir, self.source, self.draws, played)
+            return {}
+        return compare(self.config, self.learner.policy, self.run_dir, self.source, self.frames)

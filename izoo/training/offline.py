@@ -27,10 +27,10 @@ from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError, check_range
-from izoo.evaluation.playing import Policy
-from izoo.evaluation.policies import import_policy
 from izoo.files import NO_ROOM, ensure_empty, expanded, write_json
 from izoo.gpu import check_gpu
+from izoo.results.playing import Policy
+from izoo.results.policies import import_policy
 from izoo.training import runs
 from izoo.training.shards import ShardStorage, as_they_are, check_files, reserve
 

@@ -22,9 +22,9 @@ SHOWN = (
     ("return", "return {:.1f}"),
     ("emission_g_per_vehicle", "{:.1f} g/veh"),
     ("throughput_veh_per_episode", "{:.0f} veh/episode"),
-    ("co2_saved_over_uncommanded", "{:+.1%} CO2 saved over uncommanded"),
-    ("validation_benefit", "validation {:+.1%}{}"),
-    ("validation_benefit_over_uncommanded", "({:+.1%}{} over uncommanded)"),
+    ("co2_saved", "{:+.1f} % CO2 saved"),
+    ("validation_co2_saved", "validation {:+.1f} %{}"),
+    ("validation_delay_change_s", "delay {:+.1f} s{}"),
 )
 """Numbers that are shown while a run trains, and how; some with their interval."""
 WANDB_HOST = "api.wandb.ai"
@@ -128,9 +128,9 @@ def in_short(latest: Mapping[str, float]) -> str:
 
 
 def _interval(latest: Mapping[str, float], name: str) -> str:
-    """Return the interval of a share in %, with a blank before it, or nothing where there is none."""
+    """Return the interval of a figure, with a blank before it, or nothing where there is none."""
     ends = [latest.get(f"{name}_{end}") for end in ("low", "high")]
-    return "" if None in ends else " [{:.1f}, {:.1f}]".format(*(100.0 * end for end in ends if end is not None))
+    return "" if None in ends else " [{:.1f}, {:.1f}]".format(*ends)
 
 
 def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:

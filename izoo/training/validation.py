@@ -1,5 +1,5 @@
-"""Periodic validation: another process (:mod:`izoo.training.validating`) compares the run's weights with human driving
-while training goes on.
+"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validating`) plays the run's weights
+and the baselines.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, MixedContexts
@@ -20,16 +20,23 @@ from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError
-from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
+from izoo.metrics.figures import FIGURES, HEADLINE
+from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
 from izoo.metrics.statistics import SIGNIFICANCE, fall_p_value
+from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import checkpoint
 from izoo.training.records import MetricsTable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
 """Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
 PROCESS = "izoo.training.validating"
-POLICY, APPROACHES = "policy", "approaches_benefit"
+POLICY, CONTEXTS = "policy", "contexts_saved"
+LOGGED = tuple(f"{name}{end}" for name in (*HEADLINE, "co2_saved_over_human") for end in ("", "_low", "_high"))
+"""Columns that go into the run's own table as well, as ``validation_NAME``."""
 _PATIENCE_S = 0.2
 
 
@@ -91,21 +98,16 @@ class Validator:
             )
             self._begin()
             return {}
-        approaches = result.pop(APPROACHES, None)
+        contexts = result.pop(CONTEXTS, None)
         row = {name: value for name, value in result.items() if value is not None}
-        row["best"] = float(self._is_best(row, approaches))
+        row["best"] = float(self._is_best(row, contexts))
         self.table.append(row)
         if row["best"]:
             checkpoint.make_best(self._validating)
         else:
             self._validating.unlink(missing_ok=True)
         self._begin()
-        names = [
-            f"{name}{end}"
-            for name in ("benefit", "benefit_over_uncommanded", "throughput_kept")
-            for end in ("", "_low", "_high")
-        ]
-        logged = {f"validation_{name}": row[name] for name in names if name in row}
+        logged = {f"validation_{name}": row[name] for name in LOGGED if name in row}
         return {"validation_frames": row["frames"], **logged}
 
     @property
@@ -159,23 +161,29 @@ class Validator:
     def _result_of(self, frames: int) -> Path:
         return self.run_dir / RESULT_FOLDER / f"step-{frames:012d}.json"
 
-    def _is_best(self, row: dict[str, float], approaches: dict[str, Any] | None = None) -> bool:
-        """Whether weights take the place of the best: nothing shows that they are worse than those with most benefit.
+    def _is_best(self, row: dict[str, float], contexts: dict[str, Any] | None = None) -> bool:
+        """Whether weights take the place of the best: they are not shown to be slower than uncommanded CVs, nor to save
+        less CO2 than the weights that save most without being slower. The first ones are the best until then.
 
         Args:
             row: of the table.
-            approaches: intersection and benefit by approach; without them, the mean decides.
+            contexts: intersection and CO2 saved by context; without them, the figure over all of them decides.
         """
-        if "benefit" not in row or row.get("nan_share"):  # the simulator drove those whose action was NaN
+        if "co2_saved" not in row or row.get("nan_share"):  # the simulator drove those whose action was NaN
             return False
-        frames, earlier = self.table.series("benefit")
-        if checkpoint.best_of(self.run_dir) is None or not earlier:
+        saved, slower = (dict(zip(*self.table.series(name), strict=True)) for name in ("co2_saved", "slower"))
+        if checkpoint.best_of(self.run_dir) is None or not saved:
             return True  # a run that was resumed further back forgets a later best
-        highest = max(range(len(earlier)), key=lambda k: (earlier[k], frames[k]))
-        before = _read_result(self._result_of(int(frames[highest]))) or {}
-        if not approaches or not before.get(APPROACHES):
-            return row["benefit"] >= earlier[highest]
-        return not shown_worse(approaches, before[APPROACHES], len(earlier))
+        if row.get("slower"):
+            return False
+        earlier = {frames: value for frames, value in saved.items() if not slower.get(frames)}
+        if not earlier:
+            return True
+        highest = max(earlier, key=lambda frames: (earlier[frames], frames))
+        before = _read_result(self._result_of(highest)) or {}
+        if not contexts or not before.get(CONTEXTS):
+            return row["co2_saved"] >= earlier[highest]
+        return not shown_worse(contexts, before[CONTEXTS], len(earlier))
 
     def _close_log(self) -> None:
         if self._log is not None:
@@ -184,14 +192,14 @@ class Validator:
 
 
 def shown_worse(new: dict[str, Any], old: dict[str, Any], chosen_of: int) -> bool:
-    """Whether the benefits of new weights are lower than those of old ones, by a paired t-test over intersections.
+    """Whether new weights save less CO2 than old ones, by a paired t-test over intersections.
 
     The highest of many results is high by luck too. So the significance is shared out among all that the old weights
     were chosen from (Bonferroni): where all of them and the new ones are equally good, the new ones are taken for worse
     in one run of twenty at most.
 
     Args:
-        new, old: intersection and benefit by approach.
+        new, old: intersection and CO2 saved by context.
         chosen_of: the old weights are the best of so many.
     """
     shared = [key for key in new if key in old]
@@ -212,59 +220,57 @@ def held_out(config: ContextsConfig) -> ContextSource:
 
 
 def validate(path: Path) -> dict[str, Any]:
-    """Compare a checkpoint's policy with human driving in the validation contexts; return a row of the table.
+    """Play a checkpoint's policy and the baselines in the validation contexts; return a row of the table.
 
-    Beside it, under :data:`APPROACHES`, the intersection and the benefit of every approach.
-
-    ``benefit`` is the mean over approaches of the exactly gated benefit over human driving (of electric vehicles: over
-    uncommanded ones); ``benefit_unsaturated`` leaves saturated approaches out; ``benefit_over_uncommanded`` has no
-    gate. Shares and benefits are fractions. Beside each stand the ends of its interval over intersections, ``NAME_low``
-    and ``NAME_high``; where there are too few intersections for one, they are ``None``.
+    Figures of :data:`~izoo.metrics.figures.HEADLINE`, of the unsaturated contexts if there are any: those that compare
+    do so with uncommanded CVs, and ``NAME_low`` and ``NAME_high`` are the ends of their intervals over intersections
+    (``None`` where there are too few for one). ``co2_saved_over_human`` compares with human driving. ``slower``: 1
+    where the delay is shown to be higher than that of uncommanded CVs. Under :data:`CONTEXTS`: the intersection and the
+    CO2 saved of every context.
     """
-    from izoo.evaluation import approach_table, evaluate_policy, summarise
+    from izoo.results import evaluate_policy, summarise
     from izoo.training import runs
 
     started = time.perf_counter()
     algorithm, config, state = runs.load_algorithm(path)
     runs.check_drivers(checkpoint.run_of(path), config)
     options = config.validation
-    contexts = choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED)
-    seeds = EpisodeSeeds(VALIDATION_SEED, options.seeds)
     table = evaluate_policy(
         algorithm.policy.eval(),
-        contexts,
-        seeds,
+        choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED),
+        EpisodeSeeds(VALIDATION_SEED, options.seeds),
         config.env,
-        num_workers=0,
-        progress=False,
         name=POLICY,
-        executor="together" if options.simulator == "twin" else "processes",
         simulator=options.simulator,
+        workers=0,
+        progress=False,
     )
     summary = summarise(table)
-    entry = summary["policies"][POLICY]
-    compared = approach_table(table, POLICY, entry["headline"]).query("left_out == ''")
-    main, human, uncommanded = (entry["against"][baseline] for baseline in (entry["headline"], "human", "uncommanded"))
-    figures = {
-        "benefit": main["all"]["exact"]["mean"],
-        "benefit_iqm": main["all"]["exact"]["iqm"],
-        "benefit_unsaturated": main["unsaturated"]["exact"]["mean"],
-        "benefit_over_uncommanded": uncommanded["all"]["ungated"]["mean"],
-        "benefit_ungated": main["all"]["ungated"]["mean"],
-        "throughput_kept": human["all"]["throughput"]["share_kept"],
-    }
+    entry, block = summary["entries"][POLICY], summary["block"]
+    beside, human = (entry["against"][baseline][block] for baseline in (UNCOMMANDED, HUMAN))
+    figures = {**beside["figures"], "co2_saved_over_human": human["figures"]["co2_saved"]}
     ends = {"": "value", "_low": "low", "_high": "high"}
+    compared = {f"{name}{end}": found[part] for name, found in figures.items() for end, part in ends.items()}
     return {
         "frames": state["frames"],
-        **{f"{name}{end}": found[part] for name, found in figures.items() for end, part in ends.items()},
-        "nan_share": summary["scores"][POLICY]["nan_share"],
-        "emission_g_per_vehicle": summary["scores"][POLICY]["emission_g_per_vehicle"],
-        "approaches": main["all"]["exact"]["mean"]["n"],
-        "saturated": len(main["saturated"]),
+        **compared,
+        **{name: entry["levels"][block][name] for name in HEADLINE if name not in figures},
+        "slower": float(entry["slower"]),
+        "nan_share": entry["levels"]["all"]["nan_share"],
+        "intersections": beside["intersections"],
         "seconds": time.perf_counter() - started,
-        APPROACHES: {
-            f"{row.context_hash} {row.approach}": [row.intersection, row.benefit_exact] for row in compared.itertuples()
-        },
+        CONTEXTS: saved_by_context(table, block),
+    }
+
+
+def saved_by_context(table: pd.DataFrame, block: str) -> dict[str, list[Any]]:
+    """Return intersection and CO2 saved over uncommanded CVs (per cent) by context, of a block of contexts."""
+    contexts, own, baseline = pair(table, POLICY, UNCOMMANDED)
+    values = FIGURES["co2_saved"].value(own, baseline)
+    return {
+        row.context_hash: [row.intersection, float(value)]
+        for row, value in zip(contexts.itertuples(), values, strict=True)
+        if block == "all" or row.saturated == (block == "saturated")
     }
 
 

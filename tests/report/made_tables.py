@@ -33,6 +33,7 @@ def row(policy: str, place: int, saved: float, slower_s: float, train_seed: int,
         "emission_g": (COHORT - 2.0) * 0.4 * grams,
         "vehicle_steps": 100.0 * COHORT,
         "agent_steps": 30.0 * COHORT,
+        "nan_actions": 0.0,
     }
     return {
         "task": "town test",
@@ -84,11 +85,11 @@ def table(policies: Mapping[str, tuple[float, float, int]], places: int = 12, se
     return pd.DataFrame(rows)[list(COLUMNS)]
 
 
-def folder(path: Path, made: pd.DataFrame, complete: bool = True) -> Path:
+def folder(path: Path, made: pd.DataFrame, task: str = "town test", complete: bool = True) -> Path:
     """A folder of results with these rows."""
     keys = made[["policy", "train_seed"]].drop_duplicates().itertuples(index=False, name=None)
     records = {key: PolicyRecord("trained" if key[0] == "ppo" else "scripted") for key in keys}
-    store = Store(path, task="town test", config=EnvConfig())
+    store = Store(path, task=task, config=EnvConfig())
     try:
         with store.open(records):
             store.add(made.to_dict("records"))

@@ -49,8 +49,8 @@ def results(tmp_path: Path) -> Path:
 
 def test_an_entry_survives_its_file(results: Path) -> None:
     paths = leaderboard.write_entries(results)
-    assert [path.name for path in paths] == ["ppo.json", "glide.json", "cap_0.6.json"]
-    entry = read_entry(paths[0])
+    assert [path.name for path in paths] == ["cap_0.6.json", "glide.json", "ppo.json"]
+    entry = read_entry(paths[-1])
     assert entry.marks == () and entry.notes == ()
     made = table({"ppo": PPO})
     found, wanted = (summarise(rows)["entries"]["ppo"] for rows in (entry.table, made))

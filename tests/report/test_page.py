@@ -1,45 +1,48 @@
-"""The page of real results: whole, self-contained, and honest about what it lacks."""
+"""The page of a folder of results: whole, safe, and refused in one sentence where the folder is something else."""
 
 from __future__ import annotations
 
 import base64
-import dataclasses
 import gzip
+import html
 import json
 import re
-import shutil
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from izoo.conf.compose import compose_config
 from izoo.conf.report_options import ReportConfig
-from izoo.evaluation.table import FEATURES
-from izoo.report import COMMAND, main
-from izoo.reporting.material import Entry, Evaluated, Material, collect
-from izoo.reporting.page import render
-from izoo.reporting.results import EntryRecord, RunRecord, read_results, write_results
-from izoo.reporting.scored import improvement, score
-from tests.evaluation.test_summary import make_table
-from tests.reporting.made_results import METRICS, benchmark, rename_policy
+from izoo.metrics.figures import FIGURES
+from izoo.report import tables
+from izoo.report.__main__ import COMMAND, main
+from izoo.report.report_data import collect
+from tests.report.made_tables import folder, table
 
-VOID = {"meta", "link", "input"}
+SEVERAL = {"ppo": (0.06, -1.0, 4), "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}
 HOSTILE = "<script>alert(1)</script>"
+METRICS = (
+    "frames,seconds,return,emission_g_per_vehicle,throughput_veh_per_episode,co2_saved\n"
+    "1000,10,-30.5,90,40,-3\n2000,20,-28,85.5,41,1\n3000,30,-27.5,84,41,2\n"
+)
+VALIDATION = "frames,co2_saved,co2_saved_low,co2_saved_high\n1000,0.5,,\n3000,2.5,1.0,4.0\n"
 
 
-class Balance(HTMLParser):
-    """Raises where tags do not nest; counts the elements."""
+class Tags(HTMLParser):
+    """Elements that are open, and how many there are of each."""
+
+    VOID = frozenset({"meta", "link", "input", "img", "br"})
 
     def __init__(self) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.count: dict[str, int] = {}
+        self.count: Counter[str] = Counter()
 
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.count[tag] = self.count.get(tag, 0) + 1
-        if tag not in VOID:
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.count[tag] += 1
+        if tag not in self.VOID:
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -47,309 +50,148 @@ class Balance(HTMLParser):
 
 
 def content_of(page: Path) -> dict:
-    """What the page's scripts draw."""
     packed = re.search(r'id="content-pack">([^<]*)<', page.read_text())
     assert packed is not None
     return json.loads(gzip.decompress(base64.b64decode(packed[1])))
 
 
-def test_page_of_an_evaluation(page: Path, evaluation: Path) -> None:
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a benchmark with two training runs, and its page."""
+    path = folder(tmp_path_factory.mktemp("made") / "board", table(SEVERAL))
+    for seed in (0, 1):
+        run = path / "train" / "ppo" / f"seed{seed}"
+        run.mkdir(parents=True)
+        (run / "metrics.csv").write_text(METRICS)
+        (run / "validation.csv").write_text(VALIDATION)
+    assert main([str(path)]) == 0
+    return path
+
+
+def test_the_page_is_whole_and_needs_nothing_else(results: Path) -> None:
+    page = results / "report.html"
     text = page.read_text()
-    parser = Balance()
+    parser = Tags()
     parser.feed(text)
     assert parser.open == []
-    assert parser.count["script"] == 5  # the library, the content, two replays, and the program
     assert not re.search(r"""<[^>]*\s(src|href)=["'](?!#|data:)""", text)
     assert page.stat().st_size < 3_000_000
     content = content_of(page)
-    assert content["rows"]["policy"] == ["glide"] * 2 + ["uncommanded"] * 2
-    assert [scene["which"] for scene in content["scenes"]] == ["best", "worst"]
-    assert {"forest", "profiles", "histogram-0", "histogram-1", "published"} == set(content["figures"])
-    assert all(figure["alt"] for figure in content["figures"].values())
-    assert "-1.85 %" in text
-    assert "248 of 1048" in text
-    for words in (
-        "whole region: mean",
-        "region, over uncommanded",
-        "demand served",
-        "kept out",
-        "fewer than 6 intersections",
-    ):
-        assert words in text
+    places = set(re.findall('data-figure="([^"]*)"', text))
+    assert places == set(content["figures"])
+    assert {"forest", "profiles", "tradeoff", "histogram-0", "curve-return", "curve-validation-co2-saved"} <= places
+    assert re.findall('role="img" aria-label="([^"]+)"', text)
+    assert set(content["rows"]["policy"]) == {*SEVERAL, "uncommanded"} and len(content["rows"]["policy"]) == 48
 
 
-def test_the_same_results_give_the_same_page(page: Path, evaluation: Path, tmp_path: Path, capsys) -> None:
-    again = tmp_path / "new" / "page.html"
-    assert main([str(evaluation), f"out={again}"]) == 0
-    assert again.read_bytes() == page.read_bytes()
-    assert "Replaying" not in capsys.readouterr().out  # they lie in the folder
+def test_the_page_says_what_the_tables_say(results: Path) -> None:
+    text = (results / "report.html").read_text()
+    (evaluation,) = collect(results).evaluations
+    assert html.escape(evaluation.summary["verdict"]) in text
+    assert tables.headline(evaluation.summary).html() in text
+    assert all(figure.label in text for figure in FIGURES.values())
+    rows = content_of(results / "report.html")["rows"]
+    saved = [v for v, name in zip(rows["co2_saved"], rows["policy"], strict=True) if name == "cap_0.6"]
+    assert 7.0 < sum(saved) / len(saved) < 9.0
+    assert "published" not in content_of(results / "report.html")["figures"], "the protocol is not the paper's"
 
 
-def test_names_from_files_stay_text(evaluation: Path, tmp_path: Path) -> None:
-    folder = rename_policy(evaluation, tmp_path / "results", "glide", HOSTILE)
-    assert main([str(folder), f"title={HOSTILE}", "replay=false"]) == 0
-    text = (folder / "report.html").read_text()
+def test_published_figures_stand_beside_the_papers_protocol(tmp_path: Path) -> None:
+    made = folder(tmp_path / "results", table(SEVERAL).assign(task="salt_lake_city, paper"), "salt_lake_city, paper")
+    assert main([str(made), "replay=false"]) == 0
+    text = (made / "report.html").read_text()
+    assert "DDPG, Salt Lake City" in text and "-1.85 %" in text and 'data-figure="published"' in text
+
+
+def test_the_same_results_give_the_same_page(results: Path, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        assert main([str(results), f"out={tmp_path / name}.html", "replay=false"]) == 0
+    assert (tmp_path / "one.html").read_bytes() == (tmp_path / "two.html").read_bytes()
+
+
+def test_names_from_files_stay_text(tmp_path: Path) -> None:
+    path = folder(tmp_path / "results", table({HOSTILE: (0.06, -1.0, 1), "glide": (0.0, 0.0, 1)}))
+    assert main([str(path), f"title={HOSTILE}", "replay=false"]) == 0
+    text = (path / "report.html").read_text()
     assert HOSTILE not in text
     assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;</h1>" in text
-    figures = json.dumps(content_of(folder / "report.html")["figures"]["forest"]["data"])
-    assert "<script" not in figures
+    assert "<script" not in json.dumps(content_of(path / "report.html")["figures"])
 
 
-def test_page_of_a_benchmark(evaluation: Path, tmp_path: Path) -> None:
-    folder = benchmark(evaluation, tmp_path / "results")
-    assert main([str(folder)]) == 0
-    text = (folder / "report.html").read_text()
-    assert "<h1>here -&gt; there</h1>" in text
-    assert "best of 2 seeds (the paper&#39;s form)" in text
-    # Weights that are not there cannot be replayed, which is said; scripted drivers can.
-    assert "holds no checkpoint" in text
-    content = content_of(folder / "report.html")
-    assert {scene["name"] for scene in content["scenes"]} == {"glide"}
-    assert {"curve-validation-0", "curve-return", "histogram-0-best"} <= set(content["figures"])
-    rows = content["rows"]
-    runs = dict(zip(rows["policy"], rows["runs"], strict=True))
-    assert runs == {"ppo": 2, "glide": 1, "uncommanded": 1}
-    ours = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "ppo"]
-    glide = [b for name, b in zip(rows["policy"], rows["benefit_ungated"], strict=True) if name == "glide"]
-    # One run emits as glide does, the other nine tenths of it; the mean of both is shown.
-    assert ours == pytest.approx([1.0 - 0.95 * (1.0 - b) for b in glide], abs=1e-5)
+def test_the_page_says_where_commands_were_nan(tmp_path: Path) -> None:
+    """What the simulator drove in a policy's place must not pass for its benefit."""
+    made = table({"glide": (0.03, 0.0, 1)})
+    made.loc[made["policy"] == "glide", "nan_actions"] = made["agent_steps"] / 2
+    path = folder(tmp_path / "results", made)
+    assert main([str(path), "replay=false"]) == 0
+    assert "glide: 50.00 % of its commands were NaN" in (path / "report.html").read_text()
 
 
-def test_weights_before_training_are_neither_replayed_nor_chosen_from(evaluation: Path, tmp_path: Path) -> None:
-    """``ppo_untrained`` has a run per training seed, like ``ppo``, but nothing that was trained."""
-    folder = benchmark(evaluation, tmp_path / "results")
-    runs = []
-    for seed in (0, 1):
-        where = f"evaluation/ppo_untrained/seed{seed}"
-        rename_policy(evaluation, folder / where, "glide", "ppo_untrained")
-        runs.append(RunRecord(seed, "done", where))
-    results = read_results(folder)
-    untrained = EntryRecord("ppo_untrained", "scripted", "ppo", "direct", tuple(runs))
-    write_results(folder, dataclasses.replace(results, entries=(untrained, *results.entries)))
-    assert main([str(folder)]) == 0
-    text = (folder / "report.html").read_text()
-    assert text.count("<small>best of 2 seeds (the paper&#39;s form)</small>") == 1  # of ppo
-    assert "No replay of ppo_untrained" not in text and "No replay of ppo:" in text
-    content = content_of(folder / "report.html")
-    assert {scene["name"] for scene in content["scenes"]} == {"glide"}
-    lines = {trace["name"]: trace["line"]["dash"] for trace in content["figures"]["profiles"]["data"]}
-    assert [lines[name] for name in lines if name.startswith(("ppo_untrained", "uncommanded"))] == ["dot", "dot"]
-
-
-def test_the_headline_says_where_commands_were_nan(evaluation: Path, tmp_path: Path) -> None:
-    """What SUMO drove in a policy's place must not pass for its benefit."""
-    folder = benchmark(evaluation, tmp_path / "all")
-    assert 'class="warning" role="note"' not in render(collect(folder), replay=False)
-    path = folder / "evaluation/ppo/seed1/evaluation.csv"
-    table = pd.read_csv(path, dtype={"seed": str})
-    own = table["policy"] == "ppo"
-    table.loc[own, "nan_actions"] = table.loc[own, "agent_steps"] // 2
-    table.to_csv(path, index=False)
-    commands = 2 * table.loc[own, "agent_steps"].sum()
-    share = f"{100 * table.loc[own, 'nan_actions'].sum() / commands:.3g} %"
-    text = render(collect(folder), replay=False)
-    warnings = re.findall(r'class="warning" role="note">([^<]*)<', text)
-    assert warnings == [f"ppo: {share} of its commands were NaN; SUMO drove those vehicles."]
-    assert re.findall(r"<small>([^<]*)of its commands NaN</small>", text) == [f"{share} "]
-
-
-def test_page_of_a_run_without_evaluation(tmp_path: Path) -> None:
+def test_tasks_of_a_table_and_evaluations_of_a_run_are_told_apart(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    run.mkdir()
+    for name, task in (("last", "town test"), ("other", "town test, human vehicles")):
+        folder(run / "evaluations" / name, table({"ppo": (0.06, -1.0, 1)}).assign(task=task), task)
     (run / "config.yaml").write_text("seed: 0\n")
     (run / "metrics.csv").write_text(METRICS)
-    assert main([str(run)]) == 0
-    text = (run / "report.html").read_text()
-    assert "No evaluation yet" in text
-    assert 'data-figure="curve-return"' in text
+    found = collect(run)
+    assert [each.name for each in found.evaluations] == ["last", "other"] and list(found.curves) == ["run"]
+    both = table({"ppo": (0.06, -1.0, 1)})
+    made = folder(tmp_path / "both", both)
+    with (made / "rows.csv").open("a") as file:
+        file.write(both.assign(task="another").to_csv(index=False, header=False))
+    assert main([str(run), "replay=false"]) == 0
 
 
-def test_page_of_a_run_with_the_evaluation_that_ended_it(evaluation: Path, tmp_path: Path) -> None:
-    run = Path(shutil.copytree(evaluation, tmp_path / "run"))
-    (run / "config.yaml").write_text("seed: 0\n")
-    (run / "metrics.csv").write_text(METRICS)
-    material = collect(run)
-    assert {entry.name for entry in material.entries} == {"glide", "uncommanded"}
-    assert [curve.name for curve in material.curves] == ["run"]
-    shutil.copytree(evaluation, run / "evaluations" / "other")
-    manifest = run / "evaluations" / "other" / "evaluation.json"
-    content = json.loads(manifest.read_text())
-    content["settings"]["env"]["horizon_s"] = 77.0
-    manifest.write_text(json.dumps(content))
-    material = collect(run)
-    scored = {entry.name: score(entry) for entry in material.entries}
-    assert scored.keys() >= {"glide on training contexts", "glide on other", "uncommanded on other"}
-    assert "; 77 s" in dict(material.facts)["episode"], "the facts of each evaluation are stated"
-    # Policies of one evaluation are paired, those of different ones are not.
-    assert improvement(scored["glide on other"], scored["uncommanded on other"]) is not None
-    assert improvement(scored["glide on other"], scored["glide on training contexts"]) is None
-
-
-def made(table: pd.DataFrame) -> Material:
-    """Return what a report is made of, from an evaluation's table."""
-    table = table.assign(**{name: 1.0 for name in FEATURES if name not in table})
-    names = [name for name in dict.fromkeys(table["policy"]) if name != "human"]
-    entries = []
-    for name in names:
-        rows = table[table["policy"].isin(["human", "uncommanded", name])]
-        entries.append(Entry(name, name, "test", (Evaluated(0, Path("nowhere"), rows),)))
-    return Material("title", "evaluation", tuple(entries))
-
-
-def test_measured_quantities_are_those_of_the_episodes_that_all_policies_have() -> None:
-    """Human driving too: elsewhere it burns twice as much, and the policy, which was not there, would seem to save."""
-    table = make_table()
-    elsewhere = table["context"].str.startswith("town/5")
-    table.loc[elsewhere, "emission_g"] *= 2.0
-    table = table[~elsewhere | (table["policy"] != "ppo")]
-    there = table[(table["policy"] == "human") & ~elsewhere]
-    shared, every = (
-        f"{t['emission_g'].sum() / t['crossed'].sum():.4g}" for t in (there, table.query("policy == 'human'"))
-    )
-    text = render(made(table), replay=False)
-    assert f"<td>{shared}</td>" in text and f"<td>{every}</td>" not in text
-
-
-def test_policies_without_a_common_episode_stand_in_tables_of_their_own() -> None:
-    table = make_table()
-    first = table["context"].str.startswith("town/0")
-    table = table[(table["policy"] != "ppo") | first]
-    table = table[(table["policy"] != "uncommanded") | ~first]
-    table = pd.concat([table, table[table["policy"] == "uncommanded"].assign(policy="mine")])  # beside it
-    text = render(made(table), replay=False)
-    part = text[text.index("Everything that was measured") :]
-    part = part[: part.index("</details>")]
-    assert part.count("<table>") == 2 and part.count(">human<") == 2
-
-
-def test_benefits_of_electric_vehicles_are_over_human_driving_as_well() -> None:
-    material = made(make_table("electric"))
-    ppo = score(next(entry for entry in material.entries if entry.name == "ppo")).summary["all"]
-    assert ppo["ungated"]["mean"]["value"] == pytest.approx(0.1)
-    assert ppo["over_uncommanded"]["mean"]["value"] == pytest.approx(1.0 - 0.9 / 0.97)
-    words = "Controlled vehicles are electric"
-    assert words in render(material, replay=False)
-    assert words not in render(made(make_table()), replay=False)
-
-
-def test_paired_seeds_are_those_of_all_evaluations(evaluation: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    shutil.copytree(evaluation, run / "evaluations" / "other")
-    (run / "config.yaml").write_text("seed: 0\n")
-    shutil.copytree(evaluation, run, dirs_exist_ok=True)
-    table = pd.read_csv(run / "evaluation.csv", dtype={"seed": str})
-    table[table["seed"] == table["seed"].iloc[0]].to_csv(run / "evaluation.csv", index=False)
-    assert "1 to 2 paired seeds each" in render(collect(run), replay=False)
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new"),
-    [
-        ("train/ppo/seed0/metrics.csv", "-30.5", "many"),
-        ("train/ppo/seed0/metrics.csv", "1000,10", "soon,10"),
-        ("train/ppo/seed0/validation.csv", "0.05", "good"),
-    ],
-)
-def test_tables_of_runs_with_other_things_than_numbers_are_refused(
-    evaluation: Path, tmp_path: Path, capsys, name: str, old: str, new: str
-) -> None:
-    path = benchmark(evaluation, tmp_path / "results") / name
-    path.write_text(path.read_text().replace(old, new))
-    assert main([str(tmp_path / "results"), "replay=false"]) == 2
-    assert f"cannot read {path}" in capsys.readouterr().err
-
-
-def test_page_of_tradeoffs(tmp_path: Path, capsys) -> None:
-    header = "point,train_seed,kind,emission_g_per_vehicle,travel_time_s_per_vehicle,throughput_kept"
-    (tmp_path / "tradeoffs.csv").write_text(f"{header}\nhuman,,human,100,40,True\n")
-    assert main([str(tmp_path)]) == 2
-    assert "lacks the column(s) on_front" in capsys.readouterr().err
-    (tmp_path / "tradeoffs.csv").write_text(f"{header},on_front\nhuman,,human,100,40,True,True\n")
+def test_a_run_without_evaluation_has_its_curves(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("seed: 0\n")
+    (tmp_path / "metrics.csv").write_text(METRICS)
     assert main([str(tmp_path)]) == 0
-    assert 'data-figure="pareto"' in (tmp_path / "report.html").read_text()
-    for row, column in (
-        ("human,,human,much,40,True,True", "emission_g_per_vehicle"),
-        ("human,,human,1,4,True,", "on_front"),
-    ):
-        (tmp_path / "bad").mkdir(exist_ok=True)
-        (tmp_path / "bad" / "tradeoffs.csv").write_text(f"{header},on_front\n{row}\n")
-        assert main([str(tmp_path / "bad")]) == 2
-        assert f"is damaged in the column {column}" in capsys.readouterr().err
-    assert "pareto" in content_of(tmp_path / "report.html")["figures"]
+    text = (tmp_path / "report.html").read_text()
+    assert "No evaluation yet" in text and 'data-figure="curve-return"' in text
+
+
+def _without(path: Path, policy: str) -> None:
+    lines = (path / "rows.csv").read_text().splitlines()
+    (path / "rows.csv").write_text("\n".join(line for line in lines if f",{policy}," not in line) + "\n")
 
 
 @pytest.mark.parametrize(
     ("break_it", "message"),
     [
-        (lambda folder: shutil.rmtree(folder), "is no folder"),
-        (lambda folder: [path.unlink() for path in folder.iterdir() if path.is_file()], "holds no results"),
-        (lambda folder: (folder / "evaluation.csv").unlink(), "has no evaluation.csv"),
-        (lambda folder: (folder / "evaluation.json").unlink(), "has no evaluation.json"),
-        (lambda folder: (folder / "evaluation.json").write_text("{"), "is damaged"),
-        (lambda folder: _rename_key(folder / "evaluation.json", "policies"), "is damaged"),
-        (lambda folder: (folder / "evaluation.csv").write_text("policy\nhuman\n"), "lacks the column"),
-        (lambda folder: (folder / "evaluation.partial.jsonl").write_text("[]\n"), "interrupted"),
-        (lambda folder: (folder / "results.json").write_text('{"format": "other"}'), "another version"),
-        (lambda folder: _drop_rows(folder, "human"), "no rows of human driving"),
+        (lambda path: (path / "manifest.json").unlink(), "is not a results folder"),
+        (lambda path: [file.unlink() for file in path.iterdir()], "holds no results"),
+        (lambda path: (path / "rows.csv").unlink(), "has no episodes yet"),
+        (lambda path: (path / "rows.csv").write_text("policy\nhuman\n"), "lacks the column"),
+        (lambda path: _without(path, "human"), "has no rows of human"),
+        (lambda path: _without(path, "uncommanded"), "has no rows of uncommanded"),
     ],
 )
-def test_half_written_and_foreign_folders_are_refused(
-    evaluation: Path, tmp_path: Path, capsys, break_it, message: str
-) -> None:
-    folder = tmp_path / "results"
-    shutil.copytree(evaluation, folder)
-    (folder / "report.html").unlink(missing_ok=True)
-    break_it(folder)
-    before = sorted(tmp_path.rglob("*"))
-    assert main([str(folder)]) == 2
-    assert message in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
+def test_other_folders_are_refused_in_one_sentence(break_it, message: str, tmp_path: Path, capsys) -> None:
+    path = folder(tmp_path / "results", table({"glide": (0.03, 0.0, 1)}))
+    break_it(path)
+    assert main([str(path)]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not (path / "report.html").exists()
 
 
-def _rename_key(path: Path, key: str) -> None:
-    path.write_text(path.read_text().replace(f'"{key}"', '"other"'))
+def test_results_that_are_not_complete_are_refused_unless_asked_for(tmp_path: Path, capsys) -> None:
+    path = folder(tmp_path / "results", table({"glide": (0.03, 0.0, 1)}), complete=False)
+    assert main([str(path)]) == 2
+    assert "is not finished" in capsys.readouterr().err
+    assert main([str(path), "partial=true", "replay=false"]) == 0
+    assert "is not complete" in (path / "report.html").read_text()
 
 
-def _drop_rows(folder: Path, policy: str) -> None:
-    lines = (folder / "evaluation.csv").read_text().splitlines()
-    (folder / "evaluation.csv").write_text("\n".join(line for line in lines if not line.startswith(policy)) + "\n")
-
-
-def test_a_foreign_file_is_not_overwritten_but_a_report_is(evaluation: Path, tmp_path: Path, capsys) -> None:
+def test_a_foreign_file_is_not_overwritten_but_a_report_is(results: Path, tmp_path: Path, capsys) -> None:
     thesis, page = tmp_path / "thesis.html", tmp_path / "page.html"
     thesis.write_text("<!doctype html>\nfour years of work")
-    assert main([str(evaluation), f"out={thesis}", "replay=false"]) == 2
-    assert "thesis.html exists and is no report" in capsys.readouterr().err
+    assert main([str(results), f"out={thesis}", "replay=false"]) == 2
+    assert "thesis.html exists and is not a report" in capsys.readouterr().err
     assert "four years of work" in thesis.read_text()
-    results = Path(shutil.copytree(evaluation, tmp_path / "results"))
-    shutil.copyfile(thesis, results / "report.html")  # where it would go by itself
-    assert main([str(results), "replay=false"]) == 2
-    assert "four years of work" in (results / "report.html").read_text()
     for title in ("one", "two"):
-        assert main([str(evaluation), f"out={page}", f"title={title}", "replay=false"]) == 0
+        assert main([str(results), f"out={page}", f"title={title}", "replay=false"]) == 0
     assert "<title>two" in page.read_text()
-
-
-def test_an_unfinished_benchmark_is_refused_unless_asked_for(evaluation: Path, tmp_path: Path, capsys) -> None:
-    folder = benchmark(evaluation, tmp_path / "results", status="training")
-    assert main([str(folder)]) == 2
-    assert "ppo seed 1 (training)" in capsys.readouterr().err
-    assert not (folder / "report.html").exists()
-    assert main([str(folder), "partial=true", "replay=false"]) == 0
-    assert "Unfinished: ppo seed 1 (training)" in (folder / "report.html").read_text()
-
-
-@pytest.mark.parametrize("place", ["../{name}", "{absolute}"])
-def test_an_index_does_not_lead_out_of_its_folder(evaluation: Path, tmp_path: Path, capsys, place: str) -> None:
-    folder = benchmark(evaluation, tmp_path / "results")
-    outside = shutil.copytree(evaluation, tmp_path / "outside")
-    before = sorted(outside.rglob("*"))
-    index = folder / "results.json"
-    named = place.format(name="outside", absolute=outside)
-    index.write_text(index.read_text().replace("evaluation/glide/seed0", named))
-    assert main([str(folder)]) == 2
-    assert "outside of the folder" in capsys.readouterr().err
-    assert sorted(outside.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
