@@ -140,8 +140,8 @@ def test_every_room_has_a_floor() -> None:
 @pytest.mark.parametrize(
     ("name", "source"),
     [
-        ("izoo.metrics.scores", "from izoo.contexts.context import Context"),
-        ("izoo.metrics.scores", "import izoo.emissions"),
+        ("izoo.metrics.figures", "from izoo.contexts.context import Context"),
+        ("izoo.metrics.figures", "import izoo.emissions"),
         ("izoo.contexts.context", "import izoo.networks"),
         ("izoo.contexts.context", "from izoo.commands import contexts"),
         ("izoo.networks.net.build", "from izoo.traffic import demand"),

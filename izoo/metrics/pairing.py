@@ -89,9 +89,14 @@ def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[
         ``[S, I]`` values, the names of the intersections, and the number of contexts.
     """
     matrix = context_matrix(contexts, values)
-    names = dict(zip(contexts["context_hash"], contexts["intersection"], strict=True))
-    places = [names[key] for key in matrix.columns]
+    places = intersections_of(contexts, matrix.columns)
     return pooled(matrix.to_numpy(), places), list(dict.fromkeys(places)), matrix.shape[1]
+
+
+def intersections_of(contexts: pd.DataFrame, keys: pd.Index) -> list[str]:
+    """Return the intersection of each ``context_hash`` in ``keys``."""
+    first = contexts.drop_duplicates("context_hash")
+    return list(first["intersection"].to_numpy(object)[pd.Index(first["context_hash"]).get_indexer(keys)])
 
 
 def context_matrix(contexts: pd.DataFrame, values: Array) -> pd.DataFrame:

@@ -1,9 +1,10 @@
 """Summing up over intersections and training seeds: every interval that is printed holds.
 
 Values are ``[S, I]``: training seeds (1 where nothing was trained) by intersections, each the mean of its contexts. The
-headline is the interquartile mean over intersections of the interquartile mean over training seeds. It was chosen,
-with its interval, by simulation (``tests/metrics/test_coverage.py``): nominal 95 % intervals of plain means hold in 50
-to 85 % where tails are one-sided or one training seed in four is bad; so do those of other robust figures.
+headline is the interquartile mean over training seeds of each one's interquartile mean over intersections. It was
+chosen, with its interval, by simulation (``tests/metrics/test_coverage.py``): it holds in 91 % or more of all adverse
+populations. There nominal 95 % intervals of means hold in 26 to 88 %, and where one training seed in four is bad those
+of one interquartile mean over seeds and intersections at once in 70 %.
 
 Two things could have been others, the intersections and the training seeds. Each adds a variance:
 
@@ -94,14 +95,16 @@ def pooled(values: ArrayLike, groups: Sequence[object]) -> Array:
     """
     x = np.asarray(values, dtype=np.float64)
     order = {label: k for k, label in enumerate(dict.fromkeys(groups))}
-    member = np.zeros((x.shape[-1], len(order)))
-    member[np.arange(x.shape[-1]), [order[label] for label in groups]] = 1.0
-    return np.asarray(x @ (member / np.maximum(member.sum(axis=0), 1.0)))
+    number = np.array([order[label] for label in groups], dtype=np.intp)
+    rows = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
+    sums = [np.bincount(number, row, len(order)) for row in rows]
+    means = np.array(sums).reshape(*x.shape[:-1], len(order)) / np.bincount(number, minlength=len(order))
+    return np.asarray(means, dtype=np.float64)
 
 
 def typical(values: Array) -> Array:
     """The headline figure: ``[*R, S, I] -> [*R]``."""
-    return iqm(iqm(np.swapaxes(values, -1, -2)))
+    return iqm(iqm(values))
 
 
 def estimate(values: ArrayLike, n: int | None = None) -> Estimate:
@@ -117,8 +120,9 @@ def estimate(values: ArrayLike, n: int | None = None) -> Estimate:
     seeds, places = x.shape
     if x.size == 0:
         return Estimate(math.nan, math.nan, math.nan, 0, 0, seeds, missing="nothing to count")
-    parts = [_of_intersections(iqm(x.T)), *_of_seeds(x)]
-    return _interval(float(typical(x)), parts, places if n is None else n, places, (seeds,))
+    own = iqm(x)
+    parts = [_of_intersections(iqm(_without_each(x).T)), *_of_seeds(_without_each(own), own)]
+    return _interval(float(iqm(own)), parts, places if n is None else n, places, (seeds,))
 
 
 def difference(x: ArrayLike, y: ArrayLike, n: int | None = None) -> Estimate:
@@ -136,9 +140,14 @@ def difference(x: ArrayLike, y: ArrayLike, n: int | None = None) -> Estimate:
     seeds, places = (a.shape[0], b.shape[0]), a.shape[1]
     if a.size == 0 or b.size == 0:
         return Estimate(math.nan, math.nan, math.nan, 0, 0, max(seeds), missing="nothing to count")
-    of_a, of_b = iqm(a.T), iqm(b.T)
-    parts = [_of_intersections(of_a - of_b), *_of_seeds(a - of_b), *_of_seeds(b - of_a)]
-    return _interval(float(iqm(of_a - of_b)), parts, places if n is None else n, places, seeds)
+    apart = a[:, None] - b[None]
+    own = iqm(apart)
+    parts = [
+        _of_intersections(_of_both(np.moveaxis(_without_each(apart), -1, 0))),
+        *_of_seeds(_of_both(_each_left_out(own)), iqm(own)),
+        *_of_seeds(_of_both(_each_left_out(own.T)), iqm(own.T)),
+    ]
+    return _interval(float(_of_both(own)), parts, places if n is None else n, places, seeds)
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -181,28 +190,44 @@ def _weights(count: int) -> Array:
     return np.asarray(np.diff(edges) / (0.5 * count))
 
 
-def _of_intersections(values: Array) -> Part:
-    """Jackknife of the interquartile mean of ``values [I]``."""
-    count = values.size
+def _without_each(x: Array) -> Array:
+    """Interquartile mean without each of the values: ``[*R, N] -> [*R, N]``; NaN of a single one."""
+    count = x.shape[-1]
     if count < 2:
-        return Part(math.nan, 1)
-    ordered = np.sort(values)
-    weights = _weights(count - 1)
-    # Without value k, those before it keep their places and those after it move up by one.
-    before = np.concatenate([[0.0], np.cumsum(ordered[:-1] * weights)])
-    after = np.concatenate([np.cumsum((ordered[1:] * weights)[::-1])[::-1], [0.0]])
-    without = before + after
+        return np.full_like(x, np.nan)
+    order = np.argsort(x, axis=-1)
+    ordered, weights = np.take_along_axis(x, order, -1), _weights(count - 1)
+    # Without a value, those before it keep their ranks and those after it move up by one.
+    none = np.zeros((*x.shape[:-1], 1))
+    before = np.concatenate([none, np.cumsum(ordered[..., :-1] * weights, axis=-1)], axis=-1)
+    after = np.concatenate([np.cumsum((ordered[..., 1:] * weights)[..., ::-1], axis=-1)[..., ::-1], none], axis=-1)
+    found = np.empty_like(x)
+    np.put_along_axis(found, order, before + after, -1)
+    return found
+
+
+def _of_both(own: Array) -> Array:
+    """The figure of each pair of training seeds, ``[*R, S_x, S_y]``, over both: ``[*R]``."""
+    return np.asarray(0.5 * (typical(own) + typical(np.swapaxes(own, -1, -2))))
+
+
+def _each_left_out(own: Array) -> Array:
+    """``[S, K] -> [S, S - 1, K]``, without each of the rows."""
+    return np.stack([np.delete(own, k, axis=0) for k in range(len(own))])
+
+
+def _of_intersections(without: Array) -> Part:
+    """The part of the intersections, from the figure without each, ``[I]``."""
+    count = without.size
     return Part((count - 1) * float(np.var(without)), max(count // 2 - 1, 1))
 
 
-def _of_seeds(values: Array) -> list[Part]:
-    """The part of the training seeds of ``values [S, I]``; none of too few."""
-    count = values.shape[0]
+def _of_seeds(without: Array, own: Array) -> list[Part]:
+    """The part of training seeds, from the figure without each and each one's own, ``[S]``; none of too few."""
+    count = own.size
     if count < MIN_TRAIN_SEEDS:
         return []
-    without = [float(typical(np.delete(values, k, axis=0))) for k in range(count)]
-    own = float(iqm(values).var(ddof=1)) / count
-    return [Part(max((count - 1) * float(np.var(without)), own), count - 1)]
+    return [Part(max((count - 1) * float(np.var(without)), float(own.var(ddof=1)) / count), count - 1)]
 
 
 def _interval(value: float, parts: Sequence[Part], n: int, places: int, seeds: tuple[int, ...]) -> Estimate:

@@ -10,8 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, Paired, by_intersection, context_matrix, of_policy, pair
+from izoo.metrics.pairing import (
+    BASELINES,
+    HUMAN,
+    UNCOMMANDED,
+    Paired,
+    by_intersection,
+    context_matrix,
+    intersections_of,
+    of_policy,
+    pair,
+)
 from izoo.metrics.statistics import MIN_INTERSECTIONS, SIGNIFICANCE, Estimate, difference, estimate, holm, pooled
 
 BLOCKS = ("unsaturated", "saturated", "all")
@@ -21,11 +32,12 @@ NOTABLE = 1.0
 Summary = dict[str, Any]
 
 
-def summarise(table: pd.DataFrame) -> Summary:
+def summarise(table: pd.DataFrame, reference: str | None = None) -> Summary:
     """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
         table: rows of episodes of policies, with those of baselines. Of two simulators SUMO is summed up.
+        reference: an entry that the others are compared with; without one, all are compared pairwise.
 
     Returns:
         ``task``, ``simulators`` (the first is the one summed up), ``n`` (numbers of contexts, intersections, episode
@@ -37,10 +49,12 @@ def summarise(table: pd.DataFrame) -> Summary:
         figure: every vehicle weighs the same, counts are per context.
 
     Raises:
-        IzooError: a baseline lacks episodes of a policy.
+        IzooError: there are no rows, or a baseline lacks episodes of a policy.
     """
+    if table.empty:
+        raise IzooError("there are no episodes to sum up; evaluate a policy first.")
     simulators = sorted(table["simulator"].unique())  # "sumo" comes before "twin"
-    rows = table[table["simulator"] == simulators[0]] if simulators else table
+    rows = table[table["simulator"] == simulators[0]]
     names = list(dict.fromkeys(rows["policy"]))
     without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
     left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()
@@ -51,7 +65,7 @@ def summarise(table: pd.DataFrame) -> Summary:
     }
     block = _main_block(counted)
     entries = {name: _entry(rows, name, pairs[name], block) for name in names}
-    pairwise = _pairwise(pairs, block)
+    pairwise = _pairwise(pairs, block, reference)
     return {
         "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
         "simulators": simulators,
@@ -90,11 +104,11 @@ def verdict(entries: Mapping[str, Summary], pairwise: list[Summary], block: str)
     compared = {name: entry for name, entry in entries.items() if name not in BASELINES and entry["against"]}
     compared = compared or {name: entry for name, entry in entries.items() if entry["against"]}
     if not compared:
-        return "Only baselines were played: there is nothing to compare."
+        return "There is nothing to compare: the table has no policy with a baseline."
     values = {name: _headline(entry, block) for name, entry in compared.items()}
     ranked = [name for name, found in values.items() if found["value"] is not None]
     if not ranked:
-        return "Nothing can be said of CO2: no context has demand."
+        return "There is nothing to compare: no context has demand, or the baseline burns no CO2."
     ranked.sort(key=lambda name: (compared[name]["slower"], -values[name]["value"]))
     best = ranked[0]
     # Slower entries stand in a group of their own.
@@ -126,11 +140,13 @@ def _in_words(name: str, entry: Summary, block: str) -> str:
         few = found["intersections"] < MIN_INTERSECTIONS
         return f"{name} {did} {other} {where}" + (f", too few for an interval ({MIN_INTERSECTIONS})" if few else "")
     if co2.shown == "open":
-        of = f"CO2 saved {_number(saved, 'co2_saved')}"
+        of = f"(CO2 saved {_number(saved, 'co2_saved')})"
         if slower:
             more = f"{time.amount} more delay per vehicle"
-            return f"{name} is slower than {other} {where}: {more}; no saving is shown ({of})"
-        return f"No difference between {name} and {other} is shown {where} ({of})"
+            return f"{name} is slower than {other} {where}: {more}; no CO2 saving is shown {of}"
+        if time.shown == "below":
+            return f"{name} saves {time.amount} of delay per vehicle over {other} {where}; no CO2 saving is shown {of}"
+        return f"No difference between {name} and {other} is shown {where} {of}"
     faster = f", and saves {time.amount} of delay per vehicle" if time.shown == "below" else ""
     if co2.shown == "below":
         return f"{name} burns {co2.amount} more CO2 than {other} {where}{f', and is {slower}' if slower else faster}"
@@ -163,22 +179,24 @@ def _words(found: Summary, figure: str, unit: str = "") -> _Words:
     """Say the size of an estimate, without its sign."""
     if found["value"] is None:
         return _Words("nothing", "none")
-    digits, unit = FIGURES[figure].digits, unit or FIGURES[figure].unit
-    text = f"{abs(found['value']):.{digits}f} {unit}"
+    sign = 1.0 if found["value"] >= 0.0 else -1.0
+    size = {key: None if found[key] is None else sign * found[key] for key in ("value", "low", "high")}
+    if sign < 0.0:
+        size["low"], size["high"] = size["high"], size["low"]
+    text = _number(size, figure, unit)
     if found["low"] is None:
-        return _Words(text, "none")
-    ends = (found["low"], found["high"]) if found["value"] >= 0.0 else (-found["high"], -found["low"])
-    text += f" [{', '.join(f'{end:.{digits}f}' for end in ends)}]"
+        return _Words(text, "none" if abs(found["value"]) > 1e-9 else "open")
     return _Words(text, "above" if found["low"] > 0.0 else "below" if found["high"] < 0.0 else "open")
 
 
-def _number(found: Summary, figure: str) -> str:
-    """The estimate with its sign and interval."""
-    text = _words(found, figure).amount
-    if found["value"] >= 0.0:
-        return text
+def _number(found: Summary, figure: str, unit: str = "") -> str:
+    """An estimate with its unit, and its interval where it has one."""
     digits = FIGURES[figure].digits
-    return f"{found['value']:.{digits}f} {FIGURES[figure].unit} [{found['low']:.{digits}f}, {found['high']:.{digits}f}]"
+    value, low, high = (
+        "" if found[key] is None else f"{round(found[key], digits) + 0.0:.{digits}f}"  # no "-0.0"
+        for key in ("value", "low", "high")
+    )
+    return f"{value} {unit or FIGURES[figure].unit}" + (f" [{low}, {high}]" if low else "")
 
 
 def _main_block(counted: pd.DataFrame) -> str:
@@ -224,10 +242,9 @@ def _against(paired: Paired) -> Summary:
     return found
 
 
-def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Summary]:
-    """Differences of CO2 saved between all entries, over the contexts that both have."""
+def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str, reference: str | None) -> list[Summary]:
+    """Differences of CO2 saved between entries, over the contexts that both have."""
     matrices: dict[str, pd.DataFrame] = {}
-    places: dict[str, str] = {}
     for name, compared in pairs.items():
         if name in BASELINES or not compared:
             continue
@@ -235,11 +252,11 @@ def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str) -> list[Sum
         chosen = _blocks(paired.contexts).get(block, np.zeros(len(paired.contexts), bool))
         value = FIGURES["co2_saved"].value(paired.own, paired.baseline)
         matrices[name] = context_matrix(paired.contexts[chosen], value[chosen])
-        places |= dict(paired.contexts[["context_hash", "intersection"]].itertuples(index=False, name=None))
     found: list[tuple[str, str, Estimate]] = []
-    for x, y in itertools.combinations(matrices, 2):
+    both = itertools.combinations(matrices, 2)
+    for x, y in both if reference is None else [(name, reference) for name in matrices if name != reference]:
         shared = matrices[x].columns.intersection(matrices[y].columns)
-        groups = [places[key] for key in shared]
+        groups = intersections_of(next(iter(pairs[x].values())).contexts, shared)
         own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
         found.append((x, y, difference(own, other, len(shared))))
     corrected = holm([estimate.p for _, _, estimate in found])
