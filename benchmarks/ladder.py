@@ -250,8 +250,8 @@ def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
         both = saved.loc[r.policy] if r.policy in saved.index else (None, None)
         apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
         rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
-    columns = ("policy", "approaches", "CO2, mean|d|", "SUMO itself", "bias", "delay, s", "saves %, SUMO", "twin")
-    return _table("The twin against SUMO, per approach", columns, rows)
+    columns = ("policy", "n", "CO2 mean|d|", "SUMO itself", "bias", "delay, s", "SUMO, %", "twin, %")
+    return _table("The twin against SUMO, per approach; CO2 saved over human driving on either", columns, rows)
 
 
 def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:

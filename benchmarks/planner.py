@@ -220,10 +220,12 @@ def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
                 summary = summarise(part[lanes])
                 cells = (figure(summary, name, key) for name, key in figures)
                 rows.append(Row(f"{task}, {kind}", (str(summary["n"]["contexts"]), *cells)))
-    columns = ("", "contexts", *(f"{name}, {'CO2 saved' if key == 'co2_saved' else 'delay'}" for name, key in figures))
-    shown = Table("What there is to gain, over uncommanded CVs", columns, (("", tuple(rows)),))
+    columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
+    shown = Table(
+        "What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, (("", tuple(rows)),)
+    )
     console.print(shown.rich(console.width))
-    print(f"The planner saves {', '.join(said)}: at least so much is there to gain.")
+    print(f"The planner saves {', '.join(said)}; it tries one CV at a time, so more may be there to gain.")
 
 
 COMMAND = OptionCommand(
