@@ -11,18 +11,15 @@ import numpy as np
 import pytest
 
 from izoo.envs.env import EcoDrivingEnv
-from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.twin.twin_backend import TwinBackend
 from izoo.errors import IzooError
-from izoo.evaluation import evaluate_policy
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.reporting.material import collect
-from izoo.reporting.recording import Recorder, geometry, second_differences
-from izoo.reporting.replay import Player, scenes
-from izoo.reporting.scored import score
-from tests.evaluation.conftest import SHORT
-from tests.reporting.made_results import rename_policy
+from izoo.report.recording import Recorder, geometry, second_differences
+from izoo.report.replay import Player, scenes
+from izoo.report.report_data import collect
+from izoo.results.rollout import evaluate_policy
+from tests.report.conftest import SHORT
 
 
 def positions(vehicle: list) -> np.ndarray:
@@ -75,47 +72,58 @@ def test_geometry_is_centred_on_the_stop_lines(contexts) -> None:
     assert len(drawn["lanes"]) == len(road.lane_ids)
 
 
-def test_a_replay_is_the_evaluated_episode(evaluation: Path) -> None:
-    (entry, _) = collect(evaluation).entries
-    best, worst = scenes(score(entry))
-    assert best.benefit >= worst.benefit
-    assert best.seed in {1, 2}
+def played(folder: Path) -> dict:
+    """The best scene of glide in a folder, played again."""
+    (evaluation,) = collect(folder).evaluations
     with Player() as player:
-        content = json.loads(gzip.decompress(player.replay(best)))
-    assert [content[side]["name"] for side in ("baseline", "policy")] == ["human", "glide"]
-    assert content["baseline"]["as_evaluated"]
-    assert content["policy"]["as_evaluated"]
-    assert not any(vehicle[1] for vehicle in content["baseline"]["vehicles"])
+        return json.loads(gzip.decompress(player.replay(scenes(evaluation, "glide")[0])))
+
+
+def test_a_replay_is_the_evaluated_episode(evaluation: Path) -> None:
+    best, worst = scenes(collect(evaluation).evaluations[0], "glide")
+    assert best.saved >= worst.saved and best.seed in {1, 2}
+    content = played(evaluation)
+    assert [content[side]["name"] for side in ("baseline", "policy")] == ["uncommanded", "glide"]
+    assert content["baseline"]["as_evaluated"] and content["policy"]["as_evaluated"]
     assert any(vehicle[1] for vehicle in content["policy"]["vehicles"])
     assert list((evaluation / "replays").glob("*.json.gz"))
 
 
-def test_an_episode_is_replayed_on_the_simulator_that_played_it(contexts, evaluation: Path, tmp_path: Path) -> None:
-    """Also where one player plays episodes of both, whose settings are the same."""
+def test_an_episode_is_replayed_on_the_simulator_that_played_it(contexts, tmp_path: Path) -> None:
     folder = tmp_path / "twin"
-    evaluate_policy("glide", contexts, [1], SHORT, 0, folder, False, cache=tmp_path / "cache", simulator="twin")
-    other = shutil.copytree(evaluation, tmp_path / "sumo", ignore=shutil.ignore_patterns("replays"))
+    evaluate_policy("glide", contexts, [1], SHORT, simulator="twin", workers=1, out=folder, cache=tmp_path / "cache")
+    (evaluation,) = collect(folder).evaluations
     with Player() as player:
-        for path, backend in ((folder, TwinBackend), (other, SumoSimulator)):
-            (entry, _) = collect(path).entries
-            content = json.loads(gzip.decompress(player.replay(scenes(score(entry))[0])))
-            assert content["baseline"]["as_evaluated"] and content["policy"]["as_evaluated"]
-            assert player._env is not None and isinstance(player._env.backend, backend)
-
-
-def test_what_has_changed_is_not_replayed(evaluation: Path, tmp_path: Path) -> None:
-    folder = rename_policy(evaluation, tmp_path / "results", "glide", "other")
-    (entry, _) = collect(folder).entries
-    with Player() as player, pytest.raises(IzooError, match="was a Python object"):
-        player.replay(scenes(score(entry))[0])
+        content = json.loads(gzip.decompress(player.replay(scenes(evaluation, "glide")[0])))
+        assert content["baseline"]["as_evaluated"] and content["policy"]["as_evaluated"]
+        assert player._env is not None and isinstance(player._env.backend, TwinBackend)
 
 
 def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None:
-    folder = rename_policy(evaluation, tmp_path / "results", "glide", "glide", factor=1.001)
-    for path in (folder / "replays").glob("*"):
-        path.unlink()
-    (entry, _) = collect(folder).entries
-    with Player() as player:
-        content = json.loads(gzip.decompress(player.replay(scenes(score(entry))[0])))
-    assert not content["policy"]["as_evaluated"]
-    assert content["baseline"]["as_evaluated"]
+    folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
+    lines = (folder / "rows.csv").read_text().splitlines()
+    place = lines[0].split(",").index("crossed")
+    changed = [line.split(",") for line in lines[1:]]
+    for cells in changed:
+        cells[place] = str(float(cells[place]) + ("glide" in cells))
+    (folder / "rows.csv").write_text("\n".join([lines[0], *(",".join(cells) for cells in changed)]) + "\n")
+    content = played(folder)
+    assert content["baseline"]["as_evaluated"] and not content["policy"]["as_evaluated"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"source": None}, "does not say what the policy glide was made from"),
+        ({"source": "os:getcwd"}, "imports=true allows to import it"),
+        ({"source": "gone.pt"}, "gone.pt is gone"),
+        ({"weights": "f" * 64}, "has changed since it was evaluated"),
+    ],
+)
+def test_what_cannot_be_played_again_is_said(evaluation: Path, tmp_path: Path, changes: dict, message: str) -> None:
+    folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["policies"]["glide"]["0"] |= changes
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(IzooError, match=message):
+        played(folder)

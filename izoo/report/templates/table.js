@@ -32,7 +32,7 @@ if (byId("rows")) report.ready.then(content => {
 
   /** "co2_saved<0" becomes a test of the first column whose key or label begins with that word. */
   const condition = word => {
-    const found = /^([a-z_]+)(<=|>=|<|>|=)(-?[\d.]+)$/i.exec(word);
+    const found = /^([a-z][a-z0-9_]*)(<=|>=|<|>|=)(-?[\d.]+)$/i.exec(word);
     if (!found) return null;
     const [, name, sign, bound] = found;
     const column = columns.find(c => c.digits !== null && (c.key.startsWith(name.toLowerCase()) || c.label.startsWith(name.toLowerCase())));
