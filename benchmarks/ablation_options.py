@@ -132,6 +132,7 @@ class AblationConfig:
         threads: of the twin; null: one per core.
         out: folder of the runs and of the result; what is done in it already is not done again.
         keep_runs: keep the training runs beside the result; false: a run goes once it was compared.
+        verbose: print all figures of every row, and all differences.
     """
 
     rows: tuple[str, ...] = (ALL,)
@@ -143,6 +144,7 @@ class AblationConfig:
     threads: int | None = None
     out: str = "ablation"
     keep_runs: bool = False
+    verbose: bool = False
 
     def __post_init__(self) -> None:
         check_types("", self)

@@ -8,7 +8,6 @@ in the folder are not run again, so the benchmark can be stopped and continued.
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import json
 import sys
 import tempfile
@@ -19,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from izoo.commands.calibrate import PACKAGES, check_packages
+from izoo.commands.calibrate import check_packages
 from izoo.console import exit_code
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
+from izoo.envs import MODEL_VERSION
 from izoo.errors import IzooError, check_range
 from izoo.files import read_text, replacing, usable_paths, write_json
 
@@ -180,14 +180,14 @@ def run(options: argparse.Namespace) -> int:
 
     chains = SamplerConfig(options.warmup, options.draws)
     settings = {name: getattr(options, name) for name in ("drivers", "speed_noise", "warmup", "draws")}
-    about = {"settings": settings, "versions": made_by()}
+    settings["model_version"] = MODEL_VERSION
     options.out.mkdir(parents=True, exist_ok=True)
     results = []
     for number in range(options.sets):
         path = options.out / f"set-{number:03d}.json"
         if not path.is_file():
-            write_json(path, {**about, **recover(number, options.drivers, chains, options.speed_noise)})
-        last = read_set(path, about)
+            write_json(path, {"settings": settings, **recover(number, options.drivers, chains, options.speed_noise)})
+        last = read_set(path, settings)
         results.append(last)
         r_hat, ess = (last[name] for name in ("worst_r_hat", "least_ess"))
         said = "chains that do not move" if None in (r_hat, ess) else f"worst R-hat {r_hat:.3f}, least ESS {ess:.0f}"
@@ -199,33 +199,20 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def made_by() -> dict[str, str]:
-    """Return the versions that the sets of a folder share, with a digest of the calibration's own files."""
-    from izoo.evaluation.provenance import digest_of, versions
-
-    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {**versions(), **packages, "calibration": digest_of({"izoo.drivers": None})}
-
-
-def read_set(path: Path, about: Mapping[str, Any]) -> dict[str, Any]:
+def read_set(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Read the result of a set.
 
     Raises:
-        IzooError: it is damaged, or of other settings or versions than ``about`` says.
+        IzooError: it cannot be read, or was made with other settings.
     """
-    from izoo.evaluation.folder import differences
+    from izoo.results.store import check_same
 
     try:
         found = json.loads(read_text(path))
-        made = {"settings": found["settings"], "versions": found.get("versions", {})}
-        differing = differences(made, dict(about))
-        missing = [name for name in SHOWN if name not in found]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        made_with = {"settings": dict(found["settings"]), **{name: found[name] for name in SHOWN}}["settings"]
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise IzooError(f"cannot read {path}: {error!r}; remove it, and it is made anew.") from error
-    if differing:
-        raise IzooError(f"{path} is of other settings or versions ({differing}); give another --out, or those.")
-    if missing:
-        raise IzooError(f"{path} lacks {', '.join(missing)}; remove it, and it is made anew.")
+    check_same(made_with, settings, f"{path} was made")
     return found
 
 

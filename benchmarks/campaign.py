@@ -1,49 +1,42 @@
-"""A benchmark as a list of jobs over one results folder: what is done is skipped, what was begun goes on."""
+"""A benchmark as a list of jobs over one results folder: what is done is skipped, what was begun goes on.
+
+What is trained follows from the run folders, and what is tested from the rows of the store.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import shutil
+import os
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import pandas as pd
-
-from izoo.benchmarks.claim import check_settings
-from izoo.benchmarks.contestants import contestant
-from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
-from izoo.benchmarks.outcome import sum_up, write_submissions
+from izoo.benchmarks.comparing import check_settings, missing, play, summaries, write_summaries
+from izoo.benchmarks.contestants import contestant, selected, untrained
+from izoo.benchmarks.generalization_options import SWEPT, Entry, GeneralizationConfig
 from izoo.benchmarks.pace import Pace
-from izoo.benchmarks.plan import Plan, evaluation_env, make_plan, train_config
+from izoo.benchmarks.plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.side_runs import SideRuns
-from izoo.benchmarks.training_runs import Key, TrainingRuns, place
+from izoo.benchmarks.training_runs import Key, TrainingRuns
 from izoo.conf.mapping import to_mapping
 from izoo.console import duration
-from izoo.contexts.context import Context
 from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
-from izoo.errors import IzooError
-from izoo.evaluation import evaluate_policy
-from izoo.evaluation.policies import HUMAN, UNCOMMANDED
-from izoo.evaluation.provenance import versions
-from izoo.evaluation.table import CSV_FILE, EPISODE_KEY, JOURNAL_FILE, MANIFEST_FILE, SUMMARY_FILE, read_csv
-from izoo.files import claimed
-from izoo.reporting.results import (
-    EVALUATION_FOLDER,
-    HUMAN_VEHICLES_FOLDER,
-    TRAIN_FOLDER,
-    EntryRecord,
-    Results,
-    RunRecord,
-    read_results,
-    with_run,
-    write_results,
-)
+from izoo.metrics.summary import Summary
+from izoo.results.policies import as_policy
+from izoo.results.rollout import Play, Policy
+from izoo.results.store import Store
+from izoo.training import checkpoint, runs
 from izoo.training.collectors import check_collector
+from izoo.training.plots import compare_curves
+from izoo.training.records import MetricsTable
+
+CURVES_FILE = "learning_curves.png"
+MAY_DIFFER = ("out", "num_workers", "runs_at_once", "cache", "human_vehicles", "trained_in", "verbose")
+"""Options that change no number (but for rounding, where a run has fewer cores)."""
+MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "eval_seeds", "floors_mps", *SWEPT)
+"""Options that may get more values than before; what is there stays."""
 
 
 @dataclass(frozen=True)
@@ -77,26 +70,23 @@ class Campaign:
     def __init__(self, config: GeneralizationConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
         self.entries = config.entries()
-        self.plan: Plan = make_plan(config)
+        self.plan = make_plan(config)
+        self.tests = {self.plan.task: self.plan.test}
+        if config.human_vehicles:
+            as_humans = [context.replace(cv_vehicle="human") for context in self.plan.test]
+            self.tests[f"{self.plan.task}, human vehicles"] = as_humans
         self.envs = {entry.name: evaluation_env(config, entry) for entry in self.entries}
         # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
         wanted = {
-            (entry.name, seed): train_config(
-                config, self.plan, entry, seed, folder / TRAIN_FOLDER / place(entry.name, seed)
-            )
+            (entry.name, seed): train_config(config, self.plan, entry, seed)
             for entry in self.entries
             if entry.kind == "trained"
-            for seed in range(config.seeds or 0)
+            for seed in config.seeds_of(entry)
         }
-        self.runs = TrainingRuns(
-            wanted, folder / TRAIN_FOLDER, owes_validation=config.select == "best", begins=self._training_begins
-        )
+        self.runs = TrainingRuns(wanted, folder, owes_validation=config.select == "best")
         self._check_simulators()
-        self.versions = versions()
-        if config.trained_in is not None:
-            self.runs.take_from(Path(config.trained_in), self.versions)
+        self.store = Store(folder, task=self.plan.task, config=evaluation_env(config))
         self.pace = Pace()
-        self.results = self._index()
 
     def _check_simulators(self) -> None:
         """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
@@ -118,36 +108,28 @@ class Campaign:
                     jobs.append(Job("evaluate", entry, seed))
         return jobs
 
-    @contextlib.contextmanager
-    def open(self) -> Iterator[None]:
-        """Claim the folder, check it against the options, and write the options into it.
-
-        Raises:
-            IzooError: the folder holds something else or another benchmark, or is in use.
-        """
-        with claimed(self.folder):
-            check_settings(self.folder, to_mapping(self.config), self.versions)
-            write_results(self.folder, self.results)
-            yield
-
-    def run(self, submit: bool = True) -> Results:
-        """Do what is not done, and return the index of the folder.
-
-        Args:
-            submit: also write a leaderboard file per entry.
+    def run(self) -> list[Summary]:
+        """Do what is not done, write curves and summaries, and return a summary for each task.
 
         Raises:
             IzooError: something in the folder does not belong to this benchmark.
             KeyboardInterrupt: Ctrl-C; what was begun goes on at the next start.
         """
-        jobs = self.jobs()
-        self.runs.take_over([job.key for job in jobs if job.kind == "train"])
-        for job in jobs:
-            self._refresh(job)
+        check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
+        with self.store.open():
+            for contexts in self.tests.values():
+                self.store.keep_contexts(contexts)
+            if self.config.trained_in is not None:
+                self.runs.take_over(Path(self.config.trained_in))
+            self._do(self.jobs())
+        self._draw_curves()
+        found = summaries(self.store.table, self.tests)
+        write_summaries(self.folder, found)
+        return found
+
+    def _do(self, jobs: list[Job]) -> None:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
-        if todo and self.results.aggregates:
-            self._set_aggregates({})  # a smaller benchmark's must not remain if this start is stopped before the end
         with SideRuns(self.config.runs_at_once) as beside:
             for number, job in enumerate(todo):
                 left = self.pace.left([(self._pace_key(other), self._share(other)) for other in todo[number:]])
@@ -158,145 +140,84 @@ class Campaign:
                     begin, work = time.monotonic(), self._work(job)
                     self._evaluate(job)
                     self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
-                elif self.config.runs_at_once == 1:
-                    self.runs.train(job.key)
                 else:
-                    self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
-                self._refresh(job)
-        if todo or not self.results.aggregates:
-            print("\nSumming up.", flush=True)
-            aggregates = sum_up(self.folder, self.results)
-            if submit:
-                write_submissions(self.folder, self.results, self.plan, self.envs)
-            self._set_aggregates(aggregates)  # last: with them the benchmark counts as ended
-        return self.results
-
-    def _set_aggregates(self, aggregates: dict[str, Any]) -> None:
-        self.results = dataclasses.replace(self.results, aggregates=aggregates)
-        write_results(self.folder, self.results)
-
-    def _training_begins(self, key: Key, other_weights: bool) -> None:
-        """Record a run that begins or goes on, and remove evaluations of weights that it will not have any more.
-
-        These must not pass for evaluations of the weights that come.
-        """
-        job = Job("train", next(entry for entry in self.entries if entry.name == key[0]), key[1])
-        if other_weights:
-            for folder, _ in self._tests(job):
-                shutil.rmtree(folder, ignore_errors=True)
-        self._record(job, "training")
-
-    def _evaluate(self, job: Job) -> None:
-        env = self.envs[job.entry.name]
-        policy = contestant(self.config, self.plan, env, job.entry, job.seed, self.runs.run_dir(job.key))
-        for folder, contexts in self._tests(job):
-            print(f"Evaluating in {len(contexts)} contexts, {len(self.plan.seeds)} seeds each.", flush=True)
-            evaluate_policy(
-                policy,
-                contexts,
-                self.plan.seeds,
-                env,
-                num_workers=self.config.num_workers or 0,
-                out_dir=folder,
-                name=job.entry.name,
-                cache=self.config.cache,
-                simulator=self.config.simulator,
-            )
-
-    def _tests(self, job: Job) -> list[tuple[Path, list[Context]]]:
-        """Return the folders of a job's evaluations and the contexts that each of them plays."""
-        test = self.plan.test
-        tests = [(self.folder / EVALUATION_FOLDER / place(*job.key), test)]
-        if self.config.human_vehicles:
-            as_humans = [context.replace(cv_vehicle="human") for context in test]
-            tests.append((self.folder / HUMAN_VEHICLES_FOLDER / place(*job.key), as_humans))
-        return tests
+                    if self.config.runs_at_once == 1:
+                        self.runs.train(job.key)
+                    else:
+                        self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
+                    self._note_pace(job)
 
     def _is_done(self, job: Job) -> bool:
-        status = self._run_record(job).status
-        return status == "done" or (job.kind == "train" and status == "trained")
-
-    def _refresh(self, job: Job) -> None:
-        """Bring the record of a job's run up to what is on the disk."""
-        status = "waiting" if job.entry.kind == "trained" else "trained"
-        frames, seconds = 0, 0.0
-        if job.entry.kind == "trained":
-            frames = self.runs.frames(job.key)
-            if frames > 0:
-                self.runs.check(job.key)
-                seconds = self.runs.seconds(job.key)
-                self.pace.add(self._pace_key(Job("train", job.entry, job.seed)), frames, seconds)
-                status = "trained" if self.runs.is_trained(job.key) else "training"
-        if status == "trained" and self._is_evaluated(job):
-            status = "done"
-        self._record(
-            job, "waiting" if status == "trained" and job.entry.kind == "scripted" else status, frames, seconds
-        )
-
-    def _is_evaluated(self, job: Job) -> bool:
-        """Whether the evaluations of a run hold every episode of the plan."""
-        return all(self._is_whole(folder, contexts, job.entry.name) for folder, contexts in self._tests(job))
-
-    def _is_whole(self, folder: Path, contexts: list[Context], entry: str) -> bool:
-        whole = all((folder / name).is_file() for name in (CSV_FILE, MANIFEST_FILE, SUMMARY_FILE))
-        if not whole or (folder / JOURNAL_FILE).exists():
+        if job.kind == "train":
+            self._note_pace(job)
+            return self.runs.is_trained(job.key)
+        if job.entry.kind == "trained" and not self.runs.is_trained(job.key):
             return False
-        table: pd.DataFrame = read_csv(folder / CSV_FILE)
-        there = set(table[list(EPISODE_KEY)].itertuples(index=False, name=None))
-        names = {HUMAN, UNCOMMANDED, entry}
-        return all((n, c.content_hash, s) in there for n in names for c in contexts for s in self.plan.seeds.of(c))
+        self._admit(job)
+        return not any(missing(self.store, plays, self.config.simulator) for plays in self._plays(job).values())
 
-    def _run_record(self, job: Job) -> RunRecord:
-        return next(run for run in self.results.entry(job.entry.name).runs if run.seed == job.seed)
+    def _admit(self, job: Job) -> Policy:
+        """Tell the store which weights are tested, which drops rows of others, and return the policy."""
+        entry, env, known = job.entry, self.envs[job.entry.name], {}
+        if entry.kind == "trained":
+            path = selected(self.runs.run_dir(job.key), self.config.select)
+            given: Any = runs.load_policy(path)
+            known = {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
+        elif entry.kind == "untrained":
+            given = untrained(train_config(self.config, self.plan, entry, job.seed))
+        else:
+            given = contestant(entry, env)
+        named = as_policy(given, env, entry.name)
+        if entry.seeded:
+            known |= {"kind": entry.kind, "algo": entry.algo}
+        self.store.admit({job.key: dataclasses.replace(named.record, **known)})
+        return named.policy
 
-    def _record(self, job: Job, status: str, frames: int | None = None, seconds: float | None = None) -> None:
-        old = self._run_record(job)
-        new = dataclasses.replace(
-            old,
-            status=status,
-            frames=old.frames if frames is None else frames,
-            seconds=old.seconds if seconds is None else seconds,
-        )
-        if new != old:
-            self.results = with_run(self.results, job.entry.name, new)
-            write_results(self.folder, self.results)
+    def _evaluate(self, job: Job) -> None:
+        policy = self._admit(job)
+        wants_best = self.config.select == "best" and job.entry.kind == "trained"
+        if wants_best and checkpoint.best_of(self.runs.run_dir(job.key)) is None:
+            print("The run was too short to be validated: its last weights are tested.", flush=True)
+        for task, plays in self._plays(job).items():
+            play(
+                self.store,
+                plays,
+                {job.key: policy},
+                self.envs[job.entry.name],
+                self.config.simulator,
+                task=task,
+                workers=self.config.num_workers or 0,
+                cache=self.config.cache,
+            )
 
-    def _index(self) -> Results:
-        records = []
-        for entry in self.entries:
-            seeds = self.config.seeds_of(entry)
-            made = [
-                RunRecord(
-                    seed=seed,
-                    status="waiting",
-                    evaluation=f"{EVALUATION_FOLDER}/{place(entry.name, seed)}",
-                    run=f"{TRAIN_FOLDER}/{place(entry.name, seed)}" if entry.kind == "trained" else None,
-                )
-                for seed in seeds
-            ]
-            records.append(EntryRecord(entry.name, entry.kind, entry.algo, entry.action, tuple(made)))
-        contexts = {
-            "train": self.plan.train_text,
-            "test": self.plan.test_text,
-            "test_count": len(self.plan.test),
-            "eval_seeds": len(self.plan.seeds),
+    def _plays(self, job: Job) -> dict[str, list[Play]]:
+        """Return what a job plays, by task."""
+        return {
+            task: [Play(*job.key, context, seed) for context in contexts for seed in self.plan.seeds.of(context)]
+            for task, contexts in self.tests.items()
         }
-        settings = to_mapping(self.config)
-        aggregates: dict = {}
-        with contextlib.suppress(IzooError):  # a damaged index is made anew
-            aggregates = read_results(self.folder).aggregates
-        title, protocol, scale = self.plan.title, self.config.protocol, self.config.scale
-        return Results(title, protocol, scale, settings, self.versions, contexts, tuple(records), False, aggregates)
+
+    def _draw_curves(self) -> None:
+        """Draw the learning curves of all training runs, where there are any."""
+        curves: dict[str, list[MetricsTable]] = {}
+        for name, seed in self.runs.wanted:
+            table = MetricsTable.read(self.runs.run_dir((name, seed)) / runs.METRICS_FILE)
+            curves.setdefault(name, []).append(table)
+        if curves:
+            compare_curves(curves, self.folder / CURVES_FILE, f"{self.plan.task}: training")
 
     def _pace_key(self, job: Job) -> tuple[str, str]:
         return job.kind, job.entry.algo or job.entry.name
+
+    def _note_pace(self, job: Job) -> None:
+        self.pace.add(self._pace_key(job), self.runs.frames(job.key), self.runs.seconds(job.key))
 
     def _work(self, job: Job) -> float:
         """Environment steps of what is left of a job."""
         if job.kind == "train":
             return float(self.runs.left(job.key))
-        episodes = sum(len(contexts) for _, contexts in self._tests(job)) * len(self.plan.seeds)
-        return float(episodes * self.envs[job.entry.name].decisions)
+        left = sum(len(missing(self.store, plays, self.config.simulator)) for plays in self._plays(job).values())
+        return float(left * self.envs[job.entry.name].decisions)
 
     def _share(self, job: Job) -> float:
         """Environment steps of what is left of a job, that no other job takes in at the same time."""

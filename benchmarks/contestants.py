@@ -10,28 +10,14 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.registry import make_algorithm
 from izoo.algos.scripted import Glide, GlideConfig
-from izoo.benchmarks.generalization_options import Entry, GeneralizationConfig
-from izoo.benchmarks.plan import Plan, train_config
+from izoo.benchmarks.generalization_options import Entry
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint
 
 
-def contestant(
-    config: GeneralizationConfig, plan: Plan, env: EnvConfig, entry: Entry, seed: int, run_dir: Path
-) -> TensorDictModuleBase | str:
-    """Return what :func:`izoo.evaluation.evaluate_policy` takes for an entry.
-
-    Args:
-        config: resolved options of the benchmark.
-        env: of the evaluation.
-        seed: of training; an untrained policy begins as the run of this seed does.
-        run_dir: of its training run, where it has one.
-    """
-    if entry.kind == "trained":
-        return runs.load_policy(_selected(config, run_dir))
-    if entry.algo is not None:
-        return untrained(train_config(config, plan, entry, seed, run_dir))
+def contestant(entry: Entry, env: EnvConfig) -> TensorDictModuleBase | str:
+    """Return what :func:`izoo.results.rollout.rollout` takes for an entry that is not trained and has no weights."""
     if entry.floor_mps is not None:
         return Glide(env, GlideConfig(floor_mps=entry.floor_mps))
     return cast(str, entry.policy)
@@ -45,9 +31,7 @@ def untrained(config: TrainConfig) -> TensorDictModuleBase:
         return policy.eval()
 
 
-def _selected(config: GeneralizationConfig, run_dir: Path) -> Path:
-    """Return the checkpoint that is tested."""
-    best = checkpoint.best_of(run_dir) if config.select == "best" else None
-    if config.select == "best" and best is None:
-        print("The run was too short to be validated: its last weights are tested.", flush=True)
+def selected(run_dir: Path, select: str) -> Path:
+    """Return the checkpoint of a run that is tested: its ``best``, where it was validated, or its ``last``."""
+    best = checkpoint.best_of(run_dir) if select == "best" else None
     return best or checkpoint.find(run_dir)

@@ -1,7 +1,15 @@
 """Which algorithm generalises? ``python -m izoo.benchmarks.generalization protocol=NAME scale=smoke|small|paper``.
 
-Trains every algorithm with every seed, evaluates it paired with human driving on contexts that it has not seen, and
-leaves one folder (:mod:`izoo.reporting.results`). An interrupted benchmark goes on where it stopped.
+Trains every algorithm with every seed, and tests it on contexts that it has not seen, beside human driving and
+uncommanded CVs in the same episodes. An interrupted benchmark goes on where it stopped. It leaves one folder::
+
+    RESULTS/
+      settings.yaml            every option of the benchmark, resolved; what a second start is checked against
+      rows.csv, manifest.json  what was played (izoo.results.store)
+      summary.json             figures of every task that was tested (izoo.metrics.summary)
+      learning_curves.png      of all training runs; not where nothing was trained
+      train/ENTRY/seedK/       run folders of izoo.train
+      leaderboard/ENTRY.json   a leaderboard file per entry (izoo.report.leaderboard)
 """
 
 from __future__ import annotations
@@ -18,21 +26,19 @@ if TYPE_CHECKING:
 
 def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Path:
     """Run a benchmark, or the rest of one, and return its folder."""
-    from rich.console import Console
-
     from izoo.benchmarks.campaign import Campaign
-    from izoo.benchmarks.outcome import draw_curves, outcome_tables
+    from izoo.benchmarks.comparing import show
+    from izoo.report.leaderboard import write_entries
 
     config = config.resolved()
     folder = Path(config.out) if config.out else Path.cwd() / "results" / f"{config.protocol}-{config.scale}"
     print(f"Protocol {config.protocol}, scale {config.scale}: reading contexts.", flush=True)
     campaign = Campaign(config, folder)
-    print(f"{campaign.plan.title}: train on {campaign.plan.train_text}; test on {campaign.plan.test_text}.", flush=True)
-    with campaign.open():
-        results = campaign.run()
-        draw_curves(folder, results)
-    Console().print(outcome_tables(results))
-    print(f"Results: {folder}", flush=True)
+    print(f"{campaign.plan.task}: train on {campaign.plan.train_text}; test on {campaign.plan.test_text}.", flush=True)
+    found = campaign.run()
+    write_entries(folder)
+    print(f"\nResults: {folder}", flush=True)
+    show(found, config.verbose)
     return folder
 
 

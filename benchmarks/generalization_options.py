@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from izoo.algos.registry import DRIVER_NAMES, choices
+from izoo.algos.registry import DRIVER_NAMES, cap_share, choices
 from izoo.conf.recipes import recipe_words
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
@@ -21,9 +21,11 @@ SWEPT = ("eta", "alpha", "beta", "comfort", "realism", "safety")
 RESIDUAL_SUFFIX, UNTRAINED_SUFFIX, FLOOR_INFIX = "_residual", "_untrained", "glide_floor"
 NOT_OF_AN_ENTRY = ("contexts", "evaluation", "validation")
 """Groups of options that a recipe's entry leaves out: the benchmark sets them."""
-REFERENCES = ("uncommanded", "constant_2.0")
+BASELINES = ("human", "uncommanded")
+"""Entries that all others are compared with."""
+REFERENCES = ("constant_2.0", "cap_0.6")
 """Entries that stand beside whatever is trained, as does every algorithm before its first update: so that nobody takes
-vehicle parameters or an initialisation for what was learned."""
+vehicle parameters, slow driving or an initialisation for what was learned."""
 SET_BY = {
     **{"algo": "algos", "action": "algos", "seed": "seeds", "total_frames": "frames or episodes"},
     **{"contexts": "protocol, train and form", "num_workers": "train_workers", "run_dir": "out", "resume": "out"},
@@ -75,18 +77,16 @@ class Entry:
 
     Attributes:
         name: in tables and folders.
-        kind: ``trained`` or ``scripted``.
+        kind: ``trained``, ``untrained`` (as training begins) or ``scripted``.
         algo: preset of the algorithm (a choice of ``algo=``), or ``None``.
         action: ``direct``, ``advise`` or ``residual``, or ``None``.
         policy: the scripted driver's name, ``zoo:NAME``, ``FILE.pt`` or ``module:function``, or ``None``.
         floor_mps: of glide, the speed below which it never advises to drive; ``None``: its default.
         options: more options of ``izoo.train`` for this entry alone.
-
-    An algorithm before its first update is ``scripted`` and has an ``algo``: its weights depend on the training seed.
     """
 
     name: str
-    kind: Literal["trained", "scripted"]
+    kind: Literal["trained", "untrained", "scripted"]
     algo: str | None = None
     action: str | None = None
     policy: str | None = None
@@ -96,7 +96,7 @@ class Entry:
     @property
     def seeded(self) -> bool:
         """Whether every training seed is a policy of its own."""
-        return self.algo is not None
+        return self.kind != "scripted"
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class GeneralizationConfig:
             ``glide_floor3`` is glide that never slows below 3 m/s); ``recipe:NAME``, a recipe of ``izoo.train`` with
             its own length and environment, on the contexts of the protocol; ``zoo:NAME``, a policy that ships, and
             ``FILE.pt``, one that ``python -m izoo.zoo export`` wrote, as they are and in their environments; or
-            ``module:function``. Beside trained ones always stand ``uncommanded``, ``constant_2.0``, and every algorithm
-            as it begins (``ppo_untrained``).
+            ``module:function``. Human driving and ``uncommanded`` are always played; beside trained entries also
+            ``constant_2.0``, ``cap_0.6`` and every algorithm as it begins (``ppo_untrained``).
         train: where to train: one of the ten built-in cities, or a folder of the published dataset; null:
             ``salt_lake_city``. Not for systematicity.
         test: where to test, for productivity; null: ``atlanta``.
@@ -154,7 +154,8 @@ class GeneralizationConfig:
             ``productivity``.
         out: the results folder; an interrupted benchmark goes on there. null: a folder named after protocol and scale
             in ``results`` of the current folder.
-        cache: folder of the cached human episodes; null: the user's cache folder.
+        cache: folder of the cached episodes of human and uncommanded driving; null: the user's cache folder.
+        verbose: print all figures of every entry, and the differences between entries.
     """
 
     protocol: Literal["in_distribution", "productivity", "systematicity"] = "in_distribution"
@@ -186,6 +187,7 @@ class GeneralizationConfig:
     trained_in: str | None = None
     out: str | None = None
     cache: str | None = None
+    verbose: bool = False
 
     def __post_init__(self) -> None:
         check_types("", self)
@@ -271,7 +273,7 @@ class GeneralizationConfig:
         if not entry.seeded:
             return range(1)
         seeds = self.seeds or 0
-        least = entry.kind == "scripted" and self.untrained_seeds is not None
+        least = entry.kind == "untrained" and self.untrained_seeds is not None
         return range(min(seeds, self.untrained_seeds or 0) if least else seeds)
 
     def train_episode(self) -> EnvConfig:
@@ -280,14 +282,13 @@ class GeneralizationConfig:
         return env if self.train_warmup_s is None else dataclasses.replace(env, warmup_s=self.train_warmup_s)
 
     def entries(self) -> list[Entry]:
-        """Return what :attr:`algos` names and what stands beside it, policies without training first."""
+        """Return the baselines, what :attr:`algos` names and what stands beside it, trained policies last."""
         named = [parse_entry(name) for name in self.algos]
-        trained = [entry.name for entry in named if entry.kind == "trained"]
         untrained = [f"{name}{UNTRAINED_SUFFIX}" for name in self.algos if parse_entry(name).kind == "trained"]
-        beside = [*REFERENCES, *untrained] if trained else []
-        there = {entry.name for entry in named}
-        named += [entry for entry in map(parse_entry, beside) if entry.name not in there]
-        return sorted(named, key=lambda entry: entry.kind)
+        beside = map(parse_entry, [*REFERENCES, *untrained] if untrained else [])
+        found = {name: Entry(name, "scripted", policy=name) for name in BASELINES}
+        found |= {entry.name: entry for entry in [*named, *beside] if entry.name not in found}
+        return sorted(found.values(), key=lambda entry: entry.kind == "trained")
 
 
 def is_folder(place: str) -> bool:
@@ -309,26 +310,26 @@ def parse_entry(name: str) -> Entry:
     shelf.check_exported(name)
     if ":" in name:
         return _policy_entry(name.rpartition(":")[2], name)
-    if name in DRIVER_NAMES and name != "human":
+    if (name in DRIVER_NAMES and name != "human") or cap_share(name) is not None:
         return Entry(name, "scripted", policy=name)
     if name.startswith(FLOOR_INFIX):
         return Entry(name, "scripted", policy="glide", floor_mps=_floor(name))
     if name.endswith(UNTRAINED_SUFFIX):
-        return dataclasses.replace(parse_entry(name.removesuffix(UNTRAINED_SUFFIX)), name=name, kind="scripted")
+        return dataclasses.replace(parse_entry(name.removesuffix(UNTRAINED_SUFFIX)), name=name, kind="untrained")
     presets = choices()
     action = "residual" if name.endswith(RESIDUAL_SUFFIX) else "direct"
     preset = name.removesuffix(RESIDUAL_SUFFIX)
     if preset not in presets:
         drivers = [driver for driver in DRIVER_NAMES if driver != "human"]
         residual = [f"{preset}{RESIDUAL_SUFFIX}" for preset in presets]
-        others = [f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", f"FILE{shelf.WEIGHTS}", "module:function"]
+        others = ["cap_SHARE", f"{FLOOR_INFIX}NUMBER", f"{shelf.PREFIX}NAME", f"FILE{shelf.WEIGHTS}", "module:function"]
         raise unknown_choice("entry of algos", name, [*presets, *residual, *drivers, *others])
     return Entry(name, "trained", algo=preset, action=action)
 
 
 def _policy_entry(called: str, policy: str) -> Entry:
     """Return the entry of somebody's policy, which must not be taken for one of the entries that stand beside it."""
-    if called in ("human", *REFERENCES) or called.endswith(UNTRAINED_SUFFIX):
+    if called in (*BASELINES, *REFERENCES) or called.endswith(UNTRAINED_SUFFIX):
         raise IzooError(f"{policy} would be called {called!r}, as what the benchmark puts beside it is; rename it.")
     return Entry(called, "scripted", policy=policy)
 
@@ -340,7 +341,7 @@ def _recipe_entry(name: str) -> Entry:
     said = dict(word.split("=", 1) for word in words)
     own = (word for word in words if word.partition("=")[0].partition(".")[0] not in NOT_OF_AN_ENTRY)
     options = tuple(word for word in own if word.partition("=")[0] not in ("algo", "action"))
-    kind: Literal["trained", "scripted"] = "scripted" if untrained else "trained"
+    kind: Literal["trained", "untrained"] = "untrained" if untrained else "trained"
     return Entry(name, kind, algo=said["algo"], action=said.get("action", "direct"), options=options)
 
 

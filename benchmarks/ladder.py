@@ -1,70 +1,63 @@
-"""How far the twin is from SUMO: per approach, per policy, and in what policies gain."""
+"""How far the twin is from SUMO: vehicle by vehicle, per approach and policy, and in what policies save."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from izoo.benchmarks.conduct import COUNTS, rates
-from izoo.evaluation.policies import HUMAN
 from izoo.files import replacing
-from izoo.metrics.benefit import benefits
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import HUMAN
+from izoo.metrics.summary import summarise
+from izoo.report.tables import Row, Table
 
-MEASURES = {
-    "co2_g": ("emission_g", "crossed"),
-    "crossed": ("crossed", None),
-    "travel_time_s": ("travel_time_s", "crossed"),
-    "stopped_s": ("stopped_time_s", "crossed"),
-}
-"""What is compared per approach: a sum, over a count or (``None``) over episodes."""
-_PAIR = ["policy", "context", "context_hash", "approach"]
-KEY = ["policy", "adoption", "demand", "context", "context_hash", "approach"]
+RELATIVE, ABSOLUTE = ("co2_g", "throughput", "stopped_time_s_per_vehicle"), ("delay_s",)
+"""Figures that are compared per approach: by their relative difference, or by their difference."""
+KEY = ["policy", "adoption", "demand", "lane_count", "context", "context_hash", "approach"]
 GROUP = ["policy", "adoption", "demand", "lanes"]
 """What approaches are summed up by."""
 COUNTED = tuple(f"{name}_{side}" for side in ("sumo", "twin") for name in COUNTS)
 """What is counted of drivers in an episode, on each side."""
 WIDE = 0.05
-"""Differences of CO2 above this, beyond SUMO's own spread, are named."""
+"""Differences of CO2 above this, beyond SUMO's own spread, are counted."""
 
 
 def approaches(sumo: pd.DataFrame, other: pd.DataFrame, side: str = "twin") -> pd.DataFrame:
-    """Compare two evaluations of the same contexts and seeds, a row per policy and approach.
+    """Compare two plays of the same episodes, a row per policy and approach; sums are added over episode seeds.
 
     Human driving is compared once for each intersection and demand, as no CVs, whatever the context's share of them.
 
     Args:
-        sumo, other: tables as ``izoo.evaluate`` writes them.
+        sumo, other: rows of the table (:mod:`izoo.results.schema`).
         side: what the other one is called.
 
     Returns:
-        :data:`KEY`, ``seeds``, ``lane_count``, and per measure ``*_sumo``, ``*_twin`` (means over seeds) and
-        ``*_difference`` (relative to SUMO; of crossed vehicles too). Approaches that nobody crosses in SUMO have no
-        differences (NaN).
+        :data:`KEY`, and per figure of :data:`RELATIVE` and :data:`ABSOLUTE` ``*_sumo``, ``*_twin`` and
+        ``*_difference`` (NaN where there is nothing to compare).
     """
-    about = ["adoption", "demand", "lane_count"]
-    joined = sumo.merge(other.drop(columns=about), on=[*_PAIR, "seed"], suffixes=("_sumo", f"_{side}"), validate="1:1")
-    rows = []
-    for key, group in joined.groupby(KEY, sort=False):
-        row: dict[str, Any] = dict(zip(KEY, key, strict=True)) | {"seeds": len(group)}
-        row["lane_count"] = int(group["lane_count"].iloc[0])
-        for name, (total, count) in MEASURES.items():
-            centre = {name: _mean(_per_seed(group, total, count, name)) for name in ("sumo", side)}
-            row |= {f"{name}_{played}": value for played, value in centre.items()}
-            row[f"{name}_difference"] = centre[side] / centre["sumo"] - 1.0 if centre["sumo"] else np.nan
-        rows.append(row)
-    table = pd.DataFrame(rows)
+    found = _levels(sumo).join(_levels(other), how="inner", lsuffix="_sumo", rsuffix=f"_{side}")
+    for name in (*RELATIVE, *ABSOLUTE):
+        apart, theirs = found[f"{name}_{side}"] - found[f"{name}_sumo"], found[f"{name}_sumo"]
+        found[f"{name}_difference"] = apart if name in ABSOLUTE else apart / theirs.where(theirs > 0.0)
+    table = found.reset_index()
     human = table["policy"] == HUMAN
     table.loc[human, "adoption"] = 0.0
     # Contexts that differ in the share of CVs alone have one name, and the same human driving.
     again = table.duplicated([name for name in KEY if name != "context_hash"])
     return table[~(human & again)].reset_index(drop=True)
+
+
+def _levels(table: pd.DataFrame) -> pd.DataFrame:
+    sums = table.groupby(KEY, sort=False)[list(APPROACH_METRICS)].sum()
+    values = {name: FIGURES[name].value(sums, sums) for name in (*RELATIVE, *ABSOLUTE)}
+    return pd.DataFrame(values, index=sums.index)
 
 
 def own_spread(sumo: pd.DataFrame, late: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -74,29 +67,88 @@ def own_spread(sumo: pd.DataFrame, late: Sequence[pd.DataFrame]) -> pd.DataFrame
 
 
 def with_spread(compared: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
-    """Add to :func:`approaches` SUMO's own spread, ``co2_g_own`` and ``crossed_own``.
-
-    It is the mean size of the relative differences of :func:`own_spread`; NaN where it was not measured.
-    """
-    names = {f"{name}_difference": f"{name}_own" for name in ("co2_g", "crossed")}
+    """Add ``co2_g_own`` to :func:`approaches`: the mean size of the relative differences of :func:`own_spread`."""
     if own.empty:
-        return compared.assign(**dict.fromkeys(names.values(), np.nan))
-    sizes = own[[*KEY, *names]].rename(columns=names)
-    sizes[list(names.values())] = sizes[list(names.values())].abs()
-    return compared.merge(sizes.groupby(KEY, sort=False).mean().reset_index(), on=KEY, how="left", validate="1:1")
+        return compared.assign(co2_g_own=np.nan)
+    sizes = own["co2_g_difference"].abs().groupby([own[name] for name in KEY], sort=False).mean()
+    return compared.join(sizes.rename("co2_g_own"), on=KEY)
 
 
-def _per_seed(group: pd.DataFrame, total: str, count: str | None, side: str) -> np.ndarray:
-    sums = group[f"{total}_{side}"].to_numpy(float)
-    if count is None:
-        return sums
-    counts = group[f"{count}_{side}"].to_numpy(float)
-    return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
+def rungs(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
+    """Sum :func:`approaches` up by policy, share of CVs, demand and kind of approach (one lane, several).
+
+    ``co2_wide`` counts approaches whose CO2 differs by more than :data:`WIDE`, and ``co2_beyond`` those that do so
+    beyond SUMO's own spread, where the table has it (:func:`with_spread`).
+    """
+    rows = []
+    if "co2_g_own" not in table:
+        table = table.assign(co2_g_own=np.nan)
+    lanes = np.where(table["lane_count"] <= 1, "1", "2+")
+    for key, group in table.assign(lanes=lanes).groupby(list(by), sort=False):
+        co2, own, delay = group["co2_g_difference"], group["co2_g_own"], group["delay_s_difference"]
+        totals = {name: [group[f"{name}_{end}"].sum() for end in _sides(group)] for name in RELATIVE}
+        change = {name: other / sumo - 1.0 if sumo else np.nan for name, (sumo, other) in totals.items()}
+        rows.append(
+            dict(zip(by, key, strict=True))
+            | {
+                "approaches": int(co2.notna().sum()),
+                "co2_mean_abs": float(co2.abs().mean()),
+                "co2_bias": float(co2.mean()),
+                "co2_median_abs": float(co2.abs().median()),
+                "co2_worst": float(co2.abs().max()),
+                "co2_wide": int((co2.abs() > WIDE).sum()),
+                "co2_beyond": int((co2.abs() - own.fillna(0.0) > WIDE).sum()),
+                "co2_own": float(own.mean()),
+                "delay_s": float(delay.mean()),
+                "delay_mean_abs_s": float(delay.abs().mean()),
+                "crossed": change["throughput"],
+                "stopped": change["stopped_time_s_per_vehicle"],
+            }
+        )
+    return pd.DataFrame(rows)
 
 
-def _mean(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else np.nan
+def _sides(table: pd.DataFrame) -> tuple[str, str]:
+    return "sumo", "late" if "co2_g_late" in table else "twin"
+
+
+def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] = ()) -> pd.DataFrame:
+    """Return the CO2 that policies save over human driving (%), a row per policy, share of CVs and demand.
+
+    Args:
+        sumo, twin: rows of the table.
+        late: of SUMO with late vehicles.
+
+    Returns:
+        ``policy``, ``adoption``, ``demand``; what is saved in ``sumo`` and on the ``twin`` (NaN where there is no
+        demand), their ``difference`` in points, and ``own``: the mean size of the difference that late vehicles make in
+        SUMO (NaN without).
+    """
+    saved = [_saved(table) for table in (sumo, twin, *late)]
+    rows = []
+    for (policy, adoption, demand), here in saved[0].items():
+        there, *others = (table[policy, adoption, demand] for table in saved[1:])
+        own = float(np.mean([abs(value - here) for value in others])) if others else np.nan
+        row = {"policy": policy, "adoption": adoption, "demand": demand, "sumo": here, "twin": there}
+        rows.append({**row, "difference": there - here, "own": own})
+    return pd.DataFrame(rows)
+
+
+def _saved(table: pd.DataFrame) -> dict[tuple[str, float, str], float]:
+    found = {}
+    for (adoption, demand), part in table.groupby(["adoption", "demand"]):
+        for policy, entry in summarise(part)["entries"].items():
+            if HUMAN in entry["against"]:
+                value = entry["against"][HUMAN]["all"]["figures"]["co2_saved"]["value"]
+                found[policy, float(adoption), str(demand)] = np.nan if value is None else value
+    return found
+
+
+def same_order(gained: pd.DataFrame) -> bool:
+    """Whether policies rank the same on both, at every share of CVs, with every demand."""
+    gained = gained.dropna(subset=["sumo", "twin"]) if len(gained) else gained
+    groups = gained.groupby(["adoption", "demand"]) if len(gained) else ()
+    return all(bool((group["sumo"].rank() == group["twin"].rank()).all()) for _, group in groups)
 
 
 def few(table: pd.DataFrame) -> pd.DataFrame:
@@ -118,10 +170,10 @@ def conduct(exact: pd.DataFrame) -> pd.DataFrame:
     Measures are those of :func:`izoo.benchmarks.conduct.rates`, then :data:`izoo.benchmarks.conduct.COUNTS`.
 
     Args:
-        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them; those in which nobody
-            counted are left out.
+        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them; episodes without counts
+            are left out.
     """
-    exact = exact.dropna(subset=list(COUNTED))
+    exact = exact.dropna(subset=list(COUNTED)) if len(exact) else exact
     if exact.empty:
         return pd.DataFrame()
     rows = []
@@ -141,98 +193,16 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     """
     if exact.empty:
         return pd.DataFrame()
-    kinds = np.where(exact["lanes"] == 1, "one lane", "several lanes")
-    rows = []
-    for key, group in exact.assign(kind=kinds).groupby(["policy", "demand", "kind"], sort=False):
-        parted = group["parted"].dropna()
-        rows.append(
-            dict(zip(("policy", "demand", "kind"), key, strict=True))
-            | {
-                "episodes": len(group),
-                "same": len(group) - len(parted),
-                "median_parted": float(parted.median()) if len(parted) else np.nan,
-                "ks_speed": float(group["ks_speed"].mean()),
-                "ks_accel": float(group["ks_accel"].mean()),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def rungs(table: pd.DataFrame, side: str = "twin") -> pd.DataFrame:
-    """Sum :func:`approaches` up, a row per policy, share of CVs, demand and kind of approach (one lane, several).
-
-    ``co2_beyond`` counts approaches whose CO2 differs by more than :data:`WIDE` beyond SUMO's own spread, where the
-    table has it (:func:`with_spread`); ``co2_wide`` those that differ by more than that in any case.
-    """
-    kinds = np.where(table["lane_count"] == 1, "one", "several")
-    rows = []
-    for key, group in table.assign(lanes=kinds).groupby(GROUP, sort=False):
-        away = group["co2_g_difference"].abs()
-        own = {name: group.get(f"{name}_own", pd.Series(dtype=float)) for name in ("co2_g", "crossed")}
-        beyond = away - own["co2_g"].reindex(group.index).fillna(0.0) > WIDE
-        rows.append(
-            dict(zip(GROUP, key, strict=True))
-            | {
-                "approaches": int(away.notna().sum()),
-                "co2_mean_abs": float(away.mean()),
-                "co2_bias": float(group["co2_g_difference"].mean()),
-                "co2_median_abs": float(away.median()),
-                "co2_worst": float(away.max()),
-                "co2_wide": int((away > WIDE).sum()),
-                "co2_beyond": int(beyond.sum()),
-                "co2_own": float(own["co2_g"].mean()),
-                "crossed": _change(group, "crossed", side),
-                "crossed_mean_abs": float(group["crossed_difference"].abs().mean()),
-                "crossed_own": float(own["crossed"].mean()),
-                "travel_time": float(group["travel_time_s_difference"].mean()),
-                "stopped": _change(group, "stopped_s", side),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def _change(group: pd.DataFrame, name: str, side: str) -> float:
-    """Return by how much larger a measure is than in SUMO, summed over approaches; NaN where it is 0 there."""
-    sumo, other = (float(group[f"{name}_{played}"].sum()) for played in ("sumo", side))
-    return other / sumo - 1.0 if sumo else np.nan
-
-
-def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] = ()) -> pd.DataFrame:
-    """Return what policies gain over human driving, in SUMO and on the twin, a row per policy, share of CVs and demand.
-
-    Args:
-        sumo, twin: tables as ``izoo.evaluate`` writes them.
-        late: of SUMO with late vehicles.
-
-    Returns:
-        ``policy``, ``adoption``, ``demand``; the mean benefit, ungated, in ``sumo`` and on the ``twin``, over
-        approaches that have one (NaN where none has), their ``difference``, and ``own``: the mean size of the
-        difference that late vehicles make in SUMO (NaN without).
-    """
-    rows = []
-    for policy in [name for name in sumo["policy"].unique() if name != HUMAN]:
-        for (adoption, demand), _ in sumo[sumo["policy"] == policy].groupby(["adoption", "demand"], sort=True):
-
-            def gain(table: pd.DataFrame) -> float:
-                part = table[(table["adoption"] == adoption) & (table["demand"] == demand)]  # noqa: B023
-                chosen, human = (part[part["policy"] == name] for name in (policy, HUMAN))  # noqa: B023
-                compared = benefits(chosen, human)
-                return float(compared.loc[compared["left_out"] == "", "benefit_ungated"].mean())
-
-            found = {"sumo": gain(sumo), "twin": gain(twin)}
-            own = [abs(gain(table) - found["sumo"]) for table in late]
-            rows.append(
-                {"policy": policy, "adoption": adoption, "demand": demand}
-                | {**found, "difference": found["twin"] - found["sumo"], "own": float(np.mean(own)) if own else np.nan}
-            )
-    return pd.DataFrame(rows)
-
-
-def same_order(gained: pd.DataFrame) -> bool:
-    """Whether policies that gain or lose anything rank the same on both, at every share of CVs, with every demand."""
-    gained = gained.dropna(subset=["sumo", "twin"]) if len(gained) else gained
-    groups = gained.groupby(["adoption", "demand"]) if len(gained) else ()
-    return all(bool((group["sumo"].rank() == group["twin"].rank()).all()) for _, group in groups)
+    kinds = np.where(exact["lanes"] == 1, "1", "2+")
+    groups = exact.assign(lanes=kinds).groupby(["policy", "demand", "lanes"], sort=False)
+    summed = groups.agg(
+        episodes=("seed", "size"),
+        parted=("parted", "count"),
+        median_parted=("parted", "median"),
+        ks_speed=("ks_speed", "mean"),
+        ks_accel=("ks_accel", "mean"),
+    )
+    return summed.assign(same=summed["episodes"] - summed["parted"]).reset_index()
 
 
 def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
@@ -259,26 +229,6 @@ class Ladder(NamedTuple):
     gains: pd.DataFrame
 
 
-def tables(found: Ladder) -> list[Table]:
-    """Return what was found as tables to read, from the lowest rung to the highest, those that hold anything."""
-    few_ = _table("1. One and two vehicles alone, to 1e-6", "vehicles", "commanded", "episodes", "the same")
-    for row in found.few.itertuples():
-        few_.add_row(f"{row.vehicles}", "yes" if row.commanded else "no", f"{row.episodes}", f"{row.same}")
-    columns = ("policy", "demand", "approaches", "n", "same", "parted at", "KS speed", "accel.")
-    steps = _table("2. Every vehicle and step; distance of speeds and accelerations", *columns)
-    for row in found.exact.itertuples():
-        parted = "" if np.isnan(row.median_parted) else f"step {row.median_parted:.0f}"
-        distances = f"{row.ks_speed:.3f}", f"{row.ks_accel:.3f}"
-        steps.add_row(row.policy, row.demand, row.kind, f"{row.episodes}", f"{row.same}", parted, *distances)
-    done = _table("3. What drivers did, summed over episodes", "policy", "demand", "measure", "SUMO", "twin")
-    for row in found.conduct.itertuples():
-        if row.measure in MEASURE_TITLES:
-            values = ("" if np.isnan(value) else f"{value:,.{_digits(value)}f}" for value in (row.sumo, row.twin))
-            done.add_row(row.policy, row.demand, MEASURE_TITLES[row.measure], *values)
-    shown = [few_, steps, done, *_aggregates(found.rungs, found.own), _benefits(found.gains)]
-    return [table for table in shown if table.row_count]
-
-
 MEASURE_TITLES = {
     "changes_needed": "lane changes, needed",
     "changes_left": "to the left",
@@ -292,62 +242,98 @@ MEASURE_TITLES = {
 """Measures of :func:`conduct` that are printed."""
 
 
-def _digits(value: float) -> int:
-    return 0 if value == int(value) or value > 100.0 else 2
+def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
+    """Return a row per policy: how far CO2 and delay of its approaches are apart, and what it saves on either side."""
+    saved = gained.groupby("policy")[["sumo", "twin"]].mean()
+    rows = []
+    for r in rungs(compared, ["policy"]).itertuples():
+        both = saved.loc[r.policy] if r.policy in saved.index else (None, None)
+        apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
+        rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
+    columns = ("policy", "n", "CO2 mean|d|", "SUMO itself", "bias", "delay, s", "SUMO, %", "twin, %")
+    return _table("The twin against SUMO, per approach; CO2 saved over human driving on either", columns, rows)
 
 
-def _aggregates(summed: pd.DataFrame, own: pd.DataFrame) -> list[Table]:
-    found = []
-    compared = {"twin against SUMO": summed}
-    if not own.empty:
-        compared["SUMO with a late vehicle against SUMO"] = own
-    for title, rungs_ in compared.items():
-        found.append(
-            _table(f"4. CO2 per vehicle, {title}", *_ABOUT, "n", "mean|d|", "median", "bias", "worst", "> 5 %")
-        )
-        for row in rungs_.itertuples():
-            found[-1].add_row(
-                *(*_about(row), f"{row.approaches}", f"{row.co2_mean_abs:.1%}", f"{row.co2_median_abs:.1%}"),
-                *(f"{row.co2_bias:+.1%}", f"{row.co2_worst:.0%}", _wide(row)),
-            )
-    for title, rungs_ in compared.items():
-        found.append(_table(f"4. Vehicles, {title}", *_ABOUT, "crossed", "mean|d|", "travel", "stopped"))
-        for row in rungs_.itertuples():
-            found[-1].add_row(
-                *(*_about(row), f"{row.crossed:+.1%}", f"{row.crossed_mean_abs:.1%}"),
-                *("" if np.isnan(value) else f"{value:+.1%}" for value in (row.travel_time, row.stopped)),
-            )
-    return found
+def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
+    """Say in one sentence how far the twin is from SUMO."""
+    (row,) = rungs(compared.assign(every=0), ["every"]).itertuples()
+    own = "" if np.isnan(row.co2_own) else f" (SUMO is {row.co2_own:.1%} from itself where one vehicle comes late)"
+    order = "rank the same on both" if same_order(gained) else "do not rank the same on both"
+    far = f"CO2 per vehicle on the twin is {row.co2_mean_abs:.1%} from SUMO's on average over approaches"
+    return f"{far}{own}; policies {order}."
 
 
-def _benefits(gained: pd.DataFrame) -> Table:
-    benefit = _table("5. Benefit over human driving, not gated", *_ABOUT[:3], "SUMO", "twin", "points", "SUMO's own")
-    for row in gained.itertuples():
-        shown = ((row.sumo, "+.2%"), (row.twin, "+.2%"), (100 * row.difference, "+.2f"), (100 * row.own, ".2f"))
-        benefit.add_row(*_about(row)[:3], *("" if np.isnan(value) else f"{value:{form}}" for value, form in shown))
-    return benefit
+def tables(found: Ladder) -> list[Table]:
+    """Return what was found as tables, from the lowest rung to the highest, those that hold anything."""
+    few_ = [(f"{r.vehicles}", "yes" if r.commanded else "no", r.episodes, r.same) for r in found.few.itertuples()]
+    steps = [
+        (r.policy, r.demand, r.lanes, r.episodes, r.same, _number(r.median_parted, ".0f"), *_distances(r))
+        for r in found.exact.itertuples()
+    ]
+    done = [
+        (r.policy, r.demand, MEASURE_TITLES[r.measure], *(_number(x, f",.{_digits(x)}f") for x in (r.sumo, r.twin)))
+        for r in found.conduct.itertuples()
+        if r.measure in MEASURE_TITLES
+    ]
+    shown = [
+        _table("1. One and two vehicles alone, to 1e-6", ("vehicles", "commanded", "episodes", "the same"), few_),
+        _table(
+            "2. Every vehicle and step; distance of speeds and accelerations",
+            ("policy", "demand", "lanes", "n", "same", "parted at", "KS speed", "accel."),
+            steps,
+        ),
+        _table("3. What drivers did, summed over episodes", ("policy", "demand", "measure", "SUMO", "twin"), done),
+        *_aggregates("twin against SUMO", found.rungs),
+        *_aggregates("SUMO with a late vehicle against SUMO", found.own),
+        _table(
+            "5. CO2 saved over human driving, %",
+            ("policy", "CVs", "demand", "SUMO", "twin", "points", "SUMO's own"),
+            [
+                (*_about(r)[:3], *(_number(x, "+.2f") for x in (r.sumo, r.twin, r.difference)), _number(r.own, ".2f"))
+                for r in found.gains.itertuples()
+            ],
+        ),
+    ]
+    return [table for table in shown if table.rows]
 
 
-_ABOUT = ("policy", "CVs", "demand", "lanes")
-"""First columns of the tables."""
+def _aggregates(title: str, summed: pd.DataFrame) -> list[Table]:
+    co2, others = [], []
+    for r in summed.itertuples():
+        wide = f"{r.co2_wide}" + (f" ({r.co2_beyond})" if r.co2_beyond < r.co2_wide else "")
+        shares = _share(r.co2_mean_abs), _share(r.co2_median_abs), _share(r.co2_bias, "+"), _share(r.co2_worst)
+        co2.append((*_about(r), r.approaches, *shares, wide))
+        delay = _number(r.delay_s, "+.2f"), _number(r.delay_mean_abs_s, ".2f")
+        others.append((*_about(r), *delay, _share(r.crossed, "+"), _share(r.stopped, "+")))
+    about = ("policy", "CVs", "demand", "lanes")
+    return [
+        _table(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),
+        _table(f"4. Delay and vehicles, {title}", (*about, "delay, s", "mean|d|", "crossed", "stopped"), others),
+    ]
+
+
+def _table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
+    return Table(title, columns, (("", tuple(Row(str(first), tuple(map(str, rest))) for first, *rest in rows)),))
 
 
 def _about(row: Any) -> tuple[str, ...]:
-    lanes = {"one": "1", "several": "2+"}.get(getattr(row, "lanes", ""), "")
-    return row.policy, f"{row.adoption:.0%}", row.demand, lanes
+    return row.policy, f"{row.adoption:.0%}", row.demand, getattr(row, "lanes", "")
 
 
-def _wide(row: Any) -> str:
-    """How many approaches differ by more than 5 %, and how many beyond SUMO's own spread where that are fewer."""
-    return f"{row.co2_wide}" if row.co2_wide == row.co2_beyond else f"{row.co2_wide} ({row.co2_beyond})"
+def _distances(row: Any) -> list[str]:
+    return [_number(x, ".3f") for x in (row.ks_speed, row.ks_accel)]
 
 
-def _table(title: str, *columns: str) -> Table:
-    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in columns:
-        words = column in ("policy", "demand", "approaches", "lanes", "measure")
-        shown.add_column(column, justify="left" if words else "right", no_wrap=column != "policy", overflow="fold")
-    return shown
+def _number(value: float | None, form: str) -> str:
+    return "" if value is None or np.isnan(value) else f"{value:{form}}"
+
+
+def _share(value: float, sign: str = "") -> str:
+    return _number(value, f"{sign}.1%")
+
+
+def _digits(value: float) -> int:
+    return 0 if np.isnan(value) or value == int(value) or value > 100.0 else 2
 
 
 def plot(table: pd.DataFrame, path: Path, title: str) -> None:

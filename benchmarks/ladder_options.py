@@ -10,8 +10,8 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
-from izoo.evaluation.policies import HUMAN
 from izoo.files import expanded
+from izoo.metrics.pairing import HUMAN
 from izoo.zoo import shelf
 
 
@@ -35,6 +35,7 @@ class LadderConfig:
         num_workers: worker processes that play SUMO.
         out: folder of the results; a comparison that was interrupted goes on there.
         cache: folder of the cached episodes of human and uncommanded driving; null: the user's cache folder.
+        verbose: print every rung, not only how far apart policies are.
     """
 
     contexts: ContextsConfig = field(default_factory=CityContexts)
@@ -50,6 +51,7 @@ class LadderConfig:
     num_workers: int = 2
     out: str = "twin-ladder"
     cache: str | None = None
+    verbose: bool = False
 
     def __post_init__(self) -> None:
         check_types("", self)

@@ -23,7 +23,8 @@ from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.evaluation.selection import EpisodeSeeds
+from izoo.results.rollout import evaluated
+from izoo.results.selection import EpisodeSeeds
 from izoo.zoo import shelf
 
 EVALUATION_SEED = 241015221
@@ -37,21 +38,19 @@ class Plan:
     """What a benchmark trains on and tests on.
 
     Attributes:
-        title: ``train -> test``.
+        task: what is tested, in words: ``train -> test``, and in what it departs from the protocol.
         train: contexts of the training runs, as options of ``izoo.train``.
-        train_text, test_text: the same in words.
+        train_text, test_text: what is trained and tested on, in words.
         test: the test contexts.
         seeds: episode seeds of the evaluation.
-        test_count: contexts of the whole test set, before ``test_limit``.
     """
 
-    title: str
+    task: str
     train: ContextsConfig
     train_text: str
     test: list[Context]
     test_text: str
     seeds: EpisodeSeeds
-    test_count: int
 
 
 def make_plan(config: GeneralizationConfig) -> Plan:
@@ -64,7 +63,7 @@ def make_plan(config: GeneralizationConfig) -> Plan:
     if config.protocol == "systematicity":
         train: ContextsConfig = PcgContexts(preset="systematicity_train")
         contexts: Sequence[Context] = protocols.systematicity(config.test_set).test
-        title = f"systematicity ({config.test_set})"
+        task = f"systematicity ({config.test_set})"
         texts = ["procedural contexts outside the test box", f"the test box, {config.test_set}"]
     else:
         places = (config.train or "", config.test or config.train or "")
@@ -72,17 +71,21 @@ def make_plan(config: GeneralizationConfig) -> Plan:
         chosen = [place_contexts(place, role, config) for place, role in zip(places, roles, strict=True)]
         train, contexts = chosen[0], cast(Sequence[Context], chosen[1].build())
         names = [place_name(place) for place in places]
-        title = " -> ".join(names)
+        task = " -> ".join(names) + (", all intersections" if config.form == "paper" else "")
+        if any(config.weather not in (None, default_weather(place)) for place in places):
+            task += f", {config.weather} weather"
         texts = [f"{name}, {role} intersections" for name, role in zip(names, roles, strict=True)]
     limited = limit_contexts(contexts, config.test_limit or 0)
     if len(limited) < len(contexts):
         texts[1] += f", {len(limited)} drawn of {len(contexts)} contexts"
-    return Plan(title, train, texts[0], limited, texts[1], seeds, len(contexts))
+    if config.horizon_s != EnvConfig().horizon_s:
+        task += f", {config.horizon_s:g} s"
+    return Plan(task, train, texts[0], limited, texts[1], seeds)
 
 
 def place_name(place: str) -> str:
-    """Return the name of a city, or of a folder."""
-    return Path(place).name if is_folder(place) else city_name(place)
+    """Return the name of a city, or that of a folder with a slash, so that no folder passes for a city."""
+    return f"{Path(place).name}/" if is_folder(place) else city_name(place)
 
 
 def evaluation_seeds(count: int) -> EpisodeSeeds:
@@ -113,7 +116,7 @@ def limit_contexts(contexts: Sequence[Context], limit: int) -> list[Context]:
     return [contexts[int(k)] for k in np.sort(chosen)]
 
 
-def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: int, run_dir: Path) -> TrainConfig:
+def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: int) -> TrainConfig:
     """Return the options of one training run.
 
     Raises:
@@ -145,18 +148,20 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
     if config.frames is None and not any(option.startswith("total_frames=") for option in entry.options):
         # Frames are decisions, of which an episode has fewer where they last longer.
         composed = dataclasses.replace(composed, total_frames=(config.episodes or 1) * composed.env.decisions)
-    return dataclasses.replace(composed, contexts=plan.train, run_dir=str(run_dir))
+    return dataclasses.replace(composed, contexts=plan.train)
 
 
 def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> EnvConfig:
     """Return the environment of an entry's evaluation: that of the benchmark's training runs, and what is its own.
 
-    Only the length of its training episodes is no matter of the evaluation. A policy that ships, or was exported from
-    its run, brings its own.
+    Episodes have the evaluation's length, whatever that of training, and are played out. A policy that ships, or was
+    exported from its run, brings its own environment.
     """
     shipped = shelf.named(entry.policy or "") if entry is not None else None
     if shipped:
-        return dataclasses.replace(zoo.full_episodes(zoo.load(shipped).env), horizon_s=config.horizon_s or 0.0)
-    words = [word.lstrip("+") for word in (*config.train_options, *(entry.options if entry is not None else ()))]
-    said = [word for word in words if word.startswith("env.") and not word.startswith(LENGTH)]
-    return compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env
+        env = dataclasses.replace(zoo.full_episodes(zoo.load(shipped).env), horizon_s=config.horizon_s or 0.0)
+    else:
+        words = [word.lstrip("+") for word in (*config.train_options, *(entry.options if entry is not None else ()))]
+        said = [word for word in words if word.startswith("env.") and not word.startswith(LENGTH)]
+        env = compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env
+    return evaluated(dataclasses.replace(env, emit=()))

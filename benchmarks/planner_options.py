@@ -27,7 +27,8 @@ class PlannerConfig:
         seeds: episodes per context.
         seed: base of the episode seeds and of the drawn contexts.
         threads: of the twin; null: one per core.
-        out: write the rows as JSON to this file as well; what it holds already is not played again.
+        out: folder of the results, which an interrupted comparison goes on in; null: nothing is kept.
+        verbose: print all figures of every driver.
     """
 
     contexts: ContextsConfig = field(default_factory=CityContexts)
@@ -42,6 +43,7 @@ class PlannerConfig:
     seed: int = 0
     threads: int | None = None
     out: str | None = None
+    verbose: bool = False
 
     def __post_init__(self) -> None:
         if self.num_contexts is not None:

@@ -14,7 +14,7 @@ from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.scene import Scene
-from izoo.evaluation.playing import Policy
+from izoo.results.playing import Policy
 
 TOLERANCE = 1e-3
 """Positions and speeds (m, m/s) that differ by no more are the same."""

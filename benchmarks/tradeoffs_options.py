@@ -65,4 +65,4 @@ class TradeoffsConfig(GeneralizationConfig):
             words = tuple(f"env.reward.{weight}={value}" for weight, value in point.items())
             points.append(dataclasses.replace(base, name=name, options=words))
         others = [entry for entry in super().entries() if entry.name not in {point.name for point in points}]
-        return sorted([*others, *points], key=lambda entry: entry.kind)
+        return sorted([*others, *points], key=lambda entry: entry.kind == "trained")

@@ -5,105 +5,100 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from izoo.benchmarks.claim import check_run, check_source, check_taken
 from izoo.benchmarks.side_runs import Order, SideRuns
+from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, counted
+from izoo.envs import MODEL_VERSION
+from izoo.errors import IzooError
 from izoo.files import replacing_folder
+from izoo.results.store import check_same, read_manifest
 from izoo.training import checkpoint, runs
 from izoo.training.loop import train
 from izoo.training.records import MetricsTable
 
 Key = tuple[str, int]
 """Of a run: the entry's name and the training seed."""
-
+TRAIN_FOLDER = "train"
 LOG_SUFFIX = ".log"
 """Of the file beside a run's folder that takes what it says, where it does not learn in this process."""
 LOOK_EVERY_S = 1.0
 """How often runs in other processes are looked at."""
+NOT_THE_RUN = (*runs.CHANGEABLE, "run_dir")
+"""Options in which a run that is there may differ from the one that is wanted."""
+NOT_THE_NUMBERS = ("run_dir", "resume")
+"""The same for a run that is taken over whole."""
 
 
 class TrainingRuns:
-    """The training runs of a benchmark, each in a folder of its own.
+    """The training runs of a benchmark, each in a folder of its own, ``train/NAME/seedK``.
 
     Args:
-        wanted: options of every run.
-        folder: where they are, each in :func:`place`.
+        wanted: options of every run, apart from ``run_dir``.
+        folder: of the results.
         owes_validation: whether a run with candidates that are not validated yet is not finished.
-        begins: called with a run before it begins or goes on, and with whether it has other weights from then on than
-            those that may have been tested.
     """
 
-    def __init__(
-        self,
-        wanted: Mapping[Key, TrainConfig],
-        folder: Path,
-        *,
-        owes_validation: bool,
-        begins: Callable[[Key, bool], None],
-    ) -> None:
-        self.wanted, self.folder = wanted, folder
-        self._owes_validation, self._begins = owes_validation, begins
-        self._source: Path | None = None
+    def __init__(self, wanted: Mapping[Key, TrainConfig], folder: Path, owes_validation: bool = False) -> None:
+        self.folder, self._owes_validation = folder / TRAIN_FOLDER, owes_validation
+        self.wanted = {
+            key: dataclasses.replace(config, run_dir=str(self.run_dir(key))) for key, config in wanted.items()
+        }
 
     def run_dir(self, key: Key) -> Path:
         """Return the folder of a run."""
-        return self.folder / place(*key)
+        return self.folder / key[0] / f"seed{key[1]}"
 
     def frames(self, key: Key) -> int:
         """Return the frames of a run's newest checkpoint; 0: it has none."""
         return _frames(self.run_dir(key))
 
-    def seconds(self, key: Key) -> float:
-        """Return how long a run was trained for, so far."""
-        return trained_for_s(self.run_dir(key))
-
     def left(self, key: Key) -> int:
         """Return the frames that a run has still to learn from."""
-        return max(self.wanted[key].total_frames - _learned(self.run_dir(key)), 0)
+        learned, _ = _learned(self.run_dir(key))
+        return max(self.wanted[key].total_frames - learned, 0)
+
+    def seconds(self, key: Key) -> float:
+        """Return how long a run was trained for, so far."""
+        return _learned(self.run_dir(key))[1]
 
     def is_trained(self, key: Key) -> bool:
-        """Whether a run has all its frames, and owes no validation."""
-        return self._is_finished(key, self.run_dir(key))
-
-    def check(self, key: Key) -> None:
-        """Raise :class:`IzooError` where the run that is there is not the one that is wanted."""
-        check_run(self.run_dir(key), self.wanted[key])
-
-    def take_from(self, source: Path, now: Mapping[str, str]) -> None:
-        """Let runs be taken over from the results folder of another benchmark (:meth:`take_over`).
-
-        Args:
-            source: its runs are in ``source / folder.name``.
-            now: versions, which must be those of the other benchmark.
+        """Whether a run has all its frames, and owes no validation.
 
         Raises:
-            IzooError: it has other versions, or a finished run there is not the one that is wanted.
+            IzooError: the run that is there is not the one that is wanted.
         """
-        check_source(source, now)
-        self._source = source / self.folder.name
-        for key, wanted in self.wanted.items():
-            if self._is_finished(key, self._source / place(*key)):
-                check_taken(self._source / place(*key), wanted)
+        if self.frames(key):
+            _check(self.run_dir(key), self.wanted[key], NOT_THE_RUN)
+        return self._is_finished(key, self.run_dir(key))
 
-    def take_over(self, keys: Sequence[Key]) -> None:
-        """Copy those of these runs that have not begun here and are finished elsewhere, and say what is left."""
-        if self._source is None:
-            return
-        begin = [key for key in keys if self.frames(key) == 0]
-        taken = [key for key in begin if self._is_finished(key, self._source / place(*key))]
-        for key in taken:
+    def take_over(self, source: Path) -> None:
+        """Copy the runs that are finished in the results folder of another benchmark, and have not begun here.
+
+        Raises:
+            IzooError: ``source`` holds no results, those of another model of the simulation, or other runs.
+        """
+        theirs = read_manifest(source).model_version
+        if theirs != MODEL_VERSION:
+            raise IzooError(
+                f"trained_in: {source} is of model version {theirs}, and this is {MODEL_VERSION}; leave it out to "
+                "train again."
+            )
+        begin = [key for key in self.wanted if self.frames(key) == 0]
+        there = {key: source / TRAIN_FOLDER / self.run_dir(key).relative_to(self.folder) for key in begin}
+        there = {key: path for key, path in there.items() if self._is_finished(key, path)}
+        for key, path in there.items():
+            _check(path, self.wanted[key], NOT_THE_NUMBERS)
+        for key, path in there.items():
             self._clear(key)
-            self._begins(key, True)
             with replacing_folder(self.run_dir(key)) as partial:
-                shutil.copytree(self._source / place(*key), partial, dirs_exist_ok=True)
-        missing = [f"{name} seed {seed}" for name, seed in begin if (name, seed) not in taken]
-        still = f"; still to be trained: {', '.join(missing)}" if missing else ""
-        text = f"{counted(len(taken), 'training run')} taken over from {self._source.parent}{still}."
-        print(text, flush=True)
+                shutil.copytree(path, partial, dirs_exist_ok=True)
+        lacking = [f"{name} seed {seed}" for name, seed in begin if (name, seed) not in there]
+        still = f"; still to be trained: {', '.join(lacking)}" if lacking else ""
+        print(f"{counted(len(there), 'training run')} taken over from {source}{still}.", flush=True)
 
     def train(self, key: Key) -> None:
         """Train a run, or the rest of it, in this process.
@@ -134,25 +129,22 @@ class TrainingRuns:
 
     def _begin(self, key: Key) -> tuple[TrainConfig, frozenset[str]]:
         """Return the options of a run that begins or goes on, and the names of those that count when it goes on."""
-        wanted, anew = self.wanted[key], self.frames(key) == 0
-        if anew:
+        if self.frames(key) == 0:
             self._clear(key)
-        self._begins(key, anew)
-        if anew:
-            return wanted, frozenset()
-        resumed = dataclasses.replace(wanted, resume=str(self.run_dir(key)))
+            return self.wanted[key], frozenset()
+        resumed = dataclasses.replace(self.wanted[key], resume=str(self.run_dir(key)))
         return resumed, frozenset({"resume", "total_frames", "num_workers", "collector"})
 
     def _clear(self, key: Key) -> None:
         """Remove a run that ended before its first checkpoint."""
         run_dir = self.run_dir(key)
         if run_dir.is_dir():
-            with runs.owned(run_dir):  # where the process of a run outlives its benchmark, it is to be waited for
+            with runs.owned(run_dir):  # the process of a run may outlive its benchmark: it is waited for
                 shutil.rmtree(run_dir, ignore_errors=True)
 
     def _require_trained(self, key: Key) -> None:
         """Raise :class:`KeyboardInterrupt` where a run, or a validation that it owes, was stopped."""
-        if not self.is_trained(key):
+        if not self._is_finished(key, self.run_dir(key)):
             raise KeyboardInterrupt
 
     def _is_finished(self, key: Key, run_dir: Path) -> bool:
@@ -160,9 +152,13 @@ class TrainingRuns:
         return _frames(run_dir) >= self.wanted[key].total_frames and not owed
 
 
-def place(name: str, seed: int) -> str:
-    """Return the folder of a training seed of an entry, relative to that of all."""
-    return f"{name}/seed{seed}"
+def _check(run_dir: Path, wanted: TrainConfig, without: Sequence[str]) -> None:
+    """Raise :class:`IzooError` where a run has other options than ``wanted``, apart from those of ``without``."""
+    stored, mine = (
+        {name: value for name, value in to_mapping(config).items() if name not in without}
+        for config in (runs.read_config(run_dir), wanted)
+    )
+    check_same(stored, mine, f"{run_dir} was trained")
 
 
 def _frames(run_dir: Path) -> int:
@@ -171,13 +167,7 @@ def _frames(run_dir: Path) -> int:
     return int(found[-1].stem.rpartition("-")[2]) if found else 0
 
 
-def trained_for_s(run_dir: Path) -> float:
-    """Return how long a run was trained for, so far."""
-    _, seconds = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
-    return max(seconds, default=0.0)
-
-
-def _learned(run_dir: Path) -> int:
-    """Return the frames that a run has learned from, so far."""
-    frames, _ = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
-    return max(frames, default=0)
+def _learned(run_dir: Path) -> tuple[int, float]:
+    """Return the frames that a run has learned from, and how long it took, so far."""
+    frames, seconds = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
+    return max(frames, default=0), max(seconds, default=0.0)

@@ -2,11 +2,12 @@
 
 ``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both, rung by rung:
 one and two vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what
-drivers did (changes of lane, who passed on which signal, how queues left); for all policies CO2, vehicles that crossed,
-travel and stopped times per approach; and what each policy gains over human driving. SUMO plays everything once more
-with one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far the
-twin is. The folder ``out`` gets ``ladder.json``, ``approaches.csv``, ``own.csv``, ``few.csv``, ``exact.csv``,
-``ladder.png`` and the evaluations; the same command goes on where it was stopped.
+drivers did (changes of lane, vehicles that passed on each signal, how queues left); for all policies CO2, delay and
+vehicles that crossed per approach; and what each policy saves over human driving. SUMO plays everything once more with
+one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far the twin
+is. The folder ``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets
+``ladder.json``, ``approaches.csv``, ``ladder.png`` and ``steps.jsonl``; those of late vehicles are in ``late-1`` and so
+on. The same command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,18 +24,14 @@ from izoo.commands.option_command import GOES_ON, OptionCommand
 if TYPE_CHECKING:
     import pandas as pd
 
+    from izoo.benchmarks.journal import Journal
     from izoo.benchmarks.ladder_options import LadderConfig
     from izoo.contexts.context import Context
     from izoo.envs.config import EnvConfig
-    from izoo.evaluation.policies import Candidate
-    from izoo.evaluation.selection import EpisodeSeeds
+    from izoo.results.policies import NamedPolicy
+    from izoo.results.selection import EpisodeSeeds
 
-STEPS_KEY = ("policy", "fingerprint", "context_hash", "seed")
-STEPS_COLUMNS = {
-    **{"policy": "str", "fingerprint": "str", "context": "str", "context_hash": "str", "seed": "int64"},
-    **{"adoption": "float", "demand": "str", "lanes": "int64", "steps": "int64", "parted": "Int64", "where": "str"},
-    **{"ks_speed": "float", "ks_accel": "float"},
-}
+STEPS_FILE = "steps.jsonl"
 
 
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
@@ -44,78 +41,85 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
     from izoo.benchmarks import ladder
     from izoo.benchmarks.few_vehicles import compare_few
+    from izoo.benchmarks.journal import Journal
     from izoo.console import counted
     from izoo.envs.twin.playable import check_contexts
     from izoo.envs.twin.twin_backend import check_settings
-    from izoo.evaluation.policies import HUMAN, UNCOMMANDED, as_candidate
-    from izoo.evaluation.runner import evaluate_policy
-    from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
     from izoo.files import write_json, write_text
+    from izoo.results.policies import BASELINES, as_policy
+    from izoo.results.rollout import evaluated
+    from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 
-    config = dataclasses.replace(config, env=env_of(config, given))
+    config = dataclasses.replace(config, env=evaluated(env_of(config, given)))
     check_settings(config.env)
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     contexts = variants(base, config)
     check_contexts(base)
     # Made before anything is played, so that one that is not there stops the command at once.
-    exact_of = [as_candidate(name, config.env) for name in config.exact]
+    exact_of = [as_policy(name, config.env) for name in config.exact]
+    policies = [as_policy(name, config.env) for name in dict.fromkeys([*BASELINES, *config.policies])]
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     print(f"SUMO and the twin: {describe(contexts, seeds, config.env)}. Results: {out}", flush=True)
-    # A folder also holds what was played with other options; only what is played now is compared.
-    names = {HUMAN, UNCOMMANDED, *(as_candidate(policy, config.env).name for policy in config.policies)}
-    episodes = pd.MultiIndex.from_tuples([(each.content_hash, seed) for each in contexts for seed in seeds.of(each)])
-
-    def evaluated(simulator: str, late_vehicle: int) -> pd.DataFrame:
-        folder = f"{simulator}-late-{late_vehicle}" if late_vehicle else simulator
-        for policy in config.policies:
-            print(f"{folder}: {policy}", flush=True)
-            table = evaluate_policy(
-                policy,
-                contexts,
-                seeds,
-                dataclasses.replace(config.env, late_vehicle=late_vehicle or config.env.late_vehicle),
-                num_workers=config.num_workers,
-                out_dir=out / folder,
-                cache=config.cache,
-                simulator=simulator,
-            )
-        played_now = pd.MultiIndex.from_frame(table[["context_hash", "seed"]]).isin(episodes)
-        return table[played_now & table["policy"].isin(names)]
-
-    sumo, played = evaluated("sumo", 0), evaluated("twin", 0)
-    late = [evaluated("sumo", number) for number in range(1, config.late + 1)]
-    few = compare_few(base, seeds, config.env.step_s, out / "few.csv")
-    exact = compare_steps(contexts, seeds, config, exact_of, out / "exact.csv")
+    both = play_all(config, policies, contexts, seeds)
+    late = [play_all(config, policies, contexts, seeds, number) for number in range(1, config.late + 1)]
+    sumo, played = (both[both["simulator"] == name] for name in ("sumo", "twin"))
+    kept = Journal(out / STEPS_FILE)
+    few = ladder.few(compare_few(base, seeds, config.env.step_s, kept))
+    exact = compare_steps(contexts, seeds, config.env, exact_of, kept)
     own = ladder.own_spread(sumo, late)
     compared = ladder.with_spread(ladder.approaches(sumo, played), own)
-    rungs, gained = ladder.rungs(compared), ladder.gains(sumo, played, late)
-    own_rungs = pd.DataFrame() if own.empty else ladder.rungs(own, "late")
-    write_text(out / "approaches.csv", compared.to_csv(index=False))
-    if len(own):
-        write_text(out / "own.csv", own.to_csv(index=False))
-    write_json(
-        out / "ladder.json",
-        {
-            "contexts": len(contexts),
-            "seeds": len(seeds),
-            "late": config.late,
-            "few": _records(ladder.few(few)),
-            "exact": _records(ladder.exactness(exact)),
-            "conduct": _records(ladder.conduct(exact)),
-            "approaches": _records(rungs),
-            "own": _records(own_rungs),
-            "gains": _records(gained),
-            "same_order": ladder.same_order(gained),
-        },
+    gained = ladder.gains(sumo, played, late)
+    own_rungs = pd.DataFrame() if own.empty else ladder.rungs(own)
+    found = ladder.Ladder(
+        few, ladder.exactness(exact), ladder.conduct(exact), ladder.rungs(compared), own_rungs, gained
     )
+    write_text(out / "approaches.csv", compared.to_csv(index=False))
+    about = {"contexts": len(contexts), "seeds": len(seeds), "late": config.late}
+    rows = {name: json.loads(table.to_json(orient="records")) for name, table in found._asdict().items()}
+    write_json(out / "ladder.json", {**about, **rows, "same_order": ladder.same_order(gained)})
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
     ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
-    found = ladder.Ladder(ladder.few(few), ladder.exactness(exact), ladder.conduct(exact), rungs, own_rungs, gained)
-    for shown in ladder.tables(found):
-        Console().print(shown)
-    print(f"Results: {out}", flush=True)
+    console = Console()
+    for table in ladder.tables(found) if config.verbose else ():
+        console.print(table.rich(console.width))
+    console.print(ladder.headline(compared, gained).rich(console.width))
+    print(f"Results: {out}\n{ladder.verdict(compared, gained)}", flush=True)
     return out
+
+
+def play_all(
+    config: LadderConfig,
+    policies: Sequence[NamedPolicy],
+    contexts: Sequence[Context],
+    seeds: EpisodeSeeds,
+    late: int = 0,
+) -> pd.DataFrame:
+    """Play every policy on SUMO and the twin, or on SUMO with a ``late`` vehicle; return the rows of these episodes.
+
+    A folder also holds what was played with other options.
+    """
+    import pandas as pd
+
+    from izoo.benchmarks.comparing import play
+    from izoo.results.rollout import Play
+    from izoo.results.schema import EPISODE
+    from izoo.results.store import Store
+
+    env = dataclasses.replace(config.env, late_vehicle=late or config.env.late_vehicle)
+    store = Store(Path(config.out, f"late-{late}" if late else ""), task="twin and SUMO", config=env)
+    simulators, wanted = ("sumo",) if late else ("sumo", "twin"), []
+    with store.open({policy.name: policy.record for policy in policies}):
+        store.keep_contexts(contexts)
+        for simulator in simulators:
+            for policy in policies:
+                print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
+                plays = [Play(policy.name, 0, context, seed) for context in contexts for seed in seeds.of(context)]
+                options = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
+                play(store, plays, {policy.name: policy.policy}, env, simulator, **options)
+                wanted += [(p.policy, 0, simulator, p.context.content_hash, p.seed) for p in plays]
+    table = store.table
+    return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]
 
 
 def env_of(config: LadderConfig, given: frozenset[str]) -> EnvConfig:
@@ -132,11 +136,6 @@ def env_of(config: LadderConfig, given: frozenset[str]) -> EnvConfig:
     return env
 
 
-def _records(table: pd.DataFrame) -> Any:
-    """Return a table's rows for JSON, where NaN is null."""
-    return json.loads(table.to_json(orient="records"))
-
-
 def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
     """Return the contexts with every demand and at every adoption that is asked for, without repetition."""
     found = [
@@ -149,66 +148,67 @@ def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
 
 
 def compare_steps(
-    contexts: Sequence[Context], seeds: EpisodeSeeds, config: LadderConfig, candidates: Sequence[Candidate], path: Path
+    contexts: Sequence[Context], seeds: EpisodeSeeds, env: EnvConfig, policies: Sequence[NamedPolicy], kept: Journal
 ) -> pd.DataFrame:
-    """Play each context's first episode side by side, unless it is in the table at ``path``; return a row for each.
+    """Play each context's first episode side by side, up to its horizon, unless the journal has it; a row for each.
 
-    Contexts in which nobody drives have none.
+    Contexts without demand have none.
 
     Returns:
-        ``policy``, ``fingerprint`` (of its code and weights), ``context``, ``context_hash``, ``seed``, ``adoption``,
-        ``demand``, ``lanes``, ``steps``, ``parted`` (the first step that differs; empty where none does), ``where``
-        (who differs there), ``ks_speed``, ``ks_accel``, and with ``_sumo`` and ``_twin`` what is counted of drivers
-        (:data:`izoo.benchmarks.conduct.COUNTS`), where decisions last no longer than a step.
+        ``policy``, ``context``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted`` (the first step
+        that differs; missing where none does), ``where`` (the vehicle that differs there), ``ks_speed``, ``ks_accel``,
+        and with ``_sumo`` and ``_twin`` what is counted of drivers (:data:`izoo.benchmarks.conduct.COUNTS`), missing
+        where decisions last longer than a step.
     """
-    from izoo.benchmarks.kept_rows import KeptRows
-    from izoo.benchmarks.ladder import COUNTED, ks_distance
     from izoo.benchmarks.side_by_side import SideBySide
     from izoo.console import Progress
+    from izoo.results.store import settings
+
+    env, own = dataclasses.replace(env, drain_s=0.0), json.dumps(settings(env), sort_keys=True)
+    plays = {
+        ("steps", each.name, each.record.weights, own, context.content_hash, seeds.of(context)[0]): (each, context)
+        for context in contexts
+        if context.demand_approaches
+        for each in policies
+    }
+    todo = [key for key in plays if key not in kept.rows]
+    if todo:
+        both = SideBySide(env)
+        try:
+            with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
+                for number, key in enumerate(todo, 1):
+                    kept.add(key, _compared(both, *plays[key], key[-1]))
+                    bar.update(number, plays[key][1].name)
+        finally:
+            both.close()
+    return kept.table(plays)
+
+
+def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> Mapping[str, Any]:
+    from izoo.benchmarks.ladder import COUNTED, ks_distance
     from izoo.networks.net.build import build_net
     from izoo.networks.road import read_road
 
-    kept = KeptRows(path, STEPS_COLUMNS | dict.fromkeys(COUNTED, "float"), STEPS_KEY)
-    plays = {
-        (each.name, each.fingerprint, context.content_hash, seeds.of(context)[0]): (each, context)
-        for context in contexts
-        if context.demand_approaches
-        for each in candidates
+    played = both.play(policy.policy, context, seed)
+    sumo, twin = played.motions
+    road = read_road(build_net(context.intersection))
+    distances = {"ks_speed": ks_distance(sumo.speed, twin.speed), "ks_accel": ks_distance(sumo.accel, twin.accel)}
+    counts = dict.fromkeys(COUNTED)
+    for side, conduct in zip(("sumo", "twin"), played.conducts or (), strict=False):
+        counts |= {f"{name}_{side}": count for name, count in conduct.counts().items()}
+    return {
+        "policy": policy.name,
+        "context": context.name,
+        "seed": seed,
+        "adoption": context.adoption,
+        "demand": "all" if context.approach is None else "one",
+        "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
+        "steps": played.steps,
+        "parted": None if played.parting is None else played.parting.step,
+        "where": "" if played.parting is None else str(played.parting),
+        **distances,
+        **counts,
     }
-    todo = [key for key in plays if key not in kept]
-    if not todo:
-        return kept.table(plays)
-    both = SideBySide(config.env)
-    try:
-        with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
-            for number, key in enumerate(todo, 1):
-                (candidate, context), seed = plays[key], key[-1]
-                played = both.play(candidate.policy, context, seed)
-                sumo, twin = played.motions
-                road = read_road(build_net(context.intersection))
-                row: dict[str, Any] = {
-                    "policy": candidate.name,
-                    "fingerprint": candidate.fingerprint,
-                    "context": context.name,
-                    "context_hash": context.content_hash,
-                    "seed": seed,
-                    "adoption": context.adoption,
-                    "demand": "all" if context.approach is None else "one",
-                    "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
-                    "steps": played.steps,
-                    "parted": None if played.parting is None else played.parting.step,
-                    "where": "" if played.parting is None else str(played.parting),
-                    "ks_speed": ks_distance(sumo.speed, twin.speed),
-                    "ks_accel": ks_distance(sumo.accel, twin.accel),
-                    **dict.fromkeys(COUNTED),
-                }
-                for side, conduct in zip(("sumo", "twin"), played.conducts or (), strict=False):
-                    row |= {f"{name}_{side}": count for name, count in conduct.counts().items()}
-                kept.add(row)
-                bar.update(number, context.name)
-    finally:
-        both.close()
-    return kept.table(plays)
 
 
 COMMAND = OptionCommand(

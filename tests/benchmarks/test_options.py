@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from pathlib import Path
 
 import pytest
 
 from izoo import zoo
 from izoo.benchmarks import pace
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
-from izoo.benchmarks.outcome import _place
 from izoo.benchmarks.plan import (
     evaluation_env,
     evaluation_seeds,
     limit_contexts,
     make_plan,
+    place_name,
     train_config,
 )
 from izoo.conf.compose import compose_config
@@ -55,7 +54,6 @@ def test_contexts_are_those_of_the_protocols(options, wanted) -> None:  # type: 
 
     plan = make_plan(GeneralizationConfig(scale="paper", **options).resolved())
     assert hashes(plan.test) == hashes(wanted.test)
-    assert plan.test_count == len(wanted.test)
     for seed in range(5):
         drawn = [source.sample(np.random.default_rng(seed)) for source in (plan.train.build(), wanted.train)]
         assert hashes(drawn)[0] == hashes(drawn)[1]
@@ -74,7 +72,7 @@ def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-u
 
     folder = f"{os.environ['IZOO_TEST_DATA']}/salt-lake-city-60"
     plan = make_plan(GeneralizationConfig(train=folder).resolved())
-    assert plan.title == "salt-lake-city-60 -> salt-lake-city-60"
+    assert plan.task == "salt-lake-city-60/ -> salt-lake-city-60/, 200 s"
     train = {context.intersection.name for context in plan.train.build()}  # type: ignore[attr-defined]
     test = {context.intersection.name for context in plan.test}
     assert test and train and not train & test
@@ -82,7 +80,20 @@ def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-u
 
 
 def test_a_folder_named_like_a_city_is_not_that_city() -> None:
-    assert _place("datasets/atlanta") == "atlanta/" and _place("atlanta") == "atlanta" and _place(None) is None
+    assert place_name("datasets/atlanta") == "atlanta/" and place_name("atlanta") == "atlanta"
+
+
+@pytest.mark.parametrize(
+    ("options", "task"),
+    [
+        ({"protocol": "productivity", "form": "paper"}, "salt_lake_city -> atlanta, all intersections"),
+        ({"train": "atlanta", "weather": "published"}, "atlanta -> atlanta"),
+        ({"train": "atlanta", "weather": "county"}, "atlanta -> atlanta, county weather"),
+        ({"protocol": "systematicity", "horizon_s": 400.0}, "systematicity (grid), 400 s"),
+    ],
+)
+def test_a_task_says_in_what_it_departs_from_the_protocol(options, task: str) -> None:  # type: ignore[no-untyped-def]
+    assert make_plan(GeneralizationConfig(scale="paper", test_limit=1, **options).resolved()).task == task
 
 
 def test_evaluation_seeds_extend_and_every_intersection_has_its_own() -> None:
@@ -94,7 +105,7 @@ def test_evaluation_seeds_extend_and_every_intersection_has_its_own() -> None:
 
 def frames(config: GeneralizationConfig) -> int:
     """Return the frames of a training run of PPO."""
-    return train_config(config, make_plan(config), parse_entry("ppo"), 0, Path("run")).total_frames
+    return train_config(config, make_plan(config), parse_entry("ppo"), 0).total_frames
 
 
 def test_scales_fill_what_is_null() -> None:
@@ -106,25 +117,25 @@ def test_scales_fill_what_is_null() -> None:
     assert (frames(given), given.seeds, given.eval_seeds) == (777, 1, SCALES["small"].eval_seeds)
 
 
-def test_training_episodes_may_be_shorter_than_those_of_the_evaluation(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_training_episodes_may_be_shorter_than_those_of_the_evaluation() -> None:
     config = GeneralizationConfig(scale="small", episodes=3, train_horizon_s=300.0).resolved()
     assert frames(config) == 3 * (600 - 50)
     warm = dataclasses.replace(config, train_warmup_s=100.0)
     assert frames(warm) == 3 * (600 - 200)
     slow = dataclasses.replace(config, train_options=("env.hold_s=2",))
     assert frames(slow) == 3 * 138, "as many episodes, with fewer decisions"
-    assert train_config(warm, make_plan(warm), parse_entry("ppo"), 0, tmp_path).env.warmup_s == 100.0
+    assert train_config(warm, make_plan(warm), parse_entry("ppo"), 0).env.warmup_s == 100.0
     assert evaluation_env(warm).warmup_s == 25.0
-    run = train_config(config, make_plan(config), parse_entry("ppo"), 0, tmp_path)
+    run = train_config(config, make_plan(config), parse_entry("ppo"), 0)
     assert run.env.horizon_s == 300.0
-    assert evaluation_env(config).horizon_s == 1000.0
+    assert (evaluation_env(config).horizon_s, evaluation_env(config).drain_s, run.env.drain_s) == (1000.0, 600.0, 0.0)
 
 
 def test_entries() -> None:
     assert parse_entry("ppo_paper_residual").algo == "ppo_paper"
     assert parse_entry("ppo_paper_residual").action == "residual"
     assert parse_entry("glide").kind == "scripted"
-    assert parse_entry("tests.evaluation.odd_policies:gentle").name == "gentle"
+    assert parse_entry("mine:gentle").name == "gentle"
     for name in ("human", "pppo", "ppo_residual_residual"):
         with pytest.raises(IzooError, match=r"choose one of: .*ppo_residual.*glide"):
             parse_entry(name)
@@ -147,24 +158,25 @@ def test_beside_what_is_trained_stands_what_is_not() -> None:
     def names(*algos: str) -> list[str]:
         return [entry.name for entry in GeneralizationConfig(algos=algos).entries()]
 
-    beside = ["uncommanded", "constant_2.0", "ppo_untrained", "ddpg_residual_untrained"]
-    assert sorted(names("ppo", "ddpg_residual")) == sorted([*beside, "ppo", "ddpg_residual"])
+    baselines = ["human", "uncommanded"]
+    beside = ["constant_2.0", "cap_0.6", "ppo_untrained", "ddpg_residual_untrained"]
+    assert sorted(names("ppo", "ddpg_residual")) == sorted([*baselines, *beside, "ppo", "ddpg_residual"])
     assert names("uncommanded", "ppo", "ppo_untrained").count("uncommanded") == 1
-    assert names("glide") == ["glide"]
+    assert names("glide", "cap_0.8") == [*baselines, "glide", "cap_0.8"]
     entry = parse_entry("ddpg_residual_untrained")
-    assert (entry.kind, entry.algo, entry.action) == ("scripted", "ddpg", "residual")
+    assert (entry.kind, entry.algo, entry.action) == ("untrained", "ddpg", "residual")
 
 
-def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_runs_have_the_options_of_the_protocol() -> None:
     config = GeneralizationConfig(
         algos=("ddpg_residual",), train_options=("algo.gamma=0.9",), horizon_s=500.0
     ).resolved()
-    run = train_config(config, make_plan(config), config.entries()[-1], 3, tmp_path)
+    run = train_config(config, make_plan(config), config.entries()[-1], 3)
     assert (run.algo.name, run.algo.gamma, run.action.name, run.seed) == ("ddpg", 0.9, "residual", 3)
-    assert (run.env.horizon_s, run.evaluation.contexts, run.run_dir) == (500.0, 0, str(tmp_path))
+    assert (run.env.horizon_s, run.evaluation.contexts) == (500.0, 0)
     assert run.validation.every_batches == 0
     chosen = dataclasses.replace(config, select="best")
-    validated = train_config(chosen, make_plan(chosen), config.entries()[-1], 3, tmp_path)
+    validated = train_config(chosen, make_plan(chosen), config.entries()[-1], 3)
     assert validated.validation.every_batches > 0
     assert run.contexts.split == "train" and run.contexts.weather == "published"
 
@@ -175,7 +187,7 @@ def test_runs_have_the_options_of_the_protocol(tmp_path) -> None:  # type: ignor
         ({"episodes": 3, "frames": 3}, "both"),
         ({"algos": ()}, "one or more"),
         ({"algos": ("ppo", "ppo")}, "once"),
-        ({"algos": ("glide", "tests.evaluation.odd_policies:glide")}, "once"),
+        ({"algos": ("glide", "mine:glide")}, "once"),
         ({"train_options": ("algo.gamma=0.9", "seed=3")}, "by seeds"),
         ({"train_options": ("+contexts.split=all",)}, "by protocol"),
         ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
@@ -215,7 +227,7 @@ def test_time_left_follows_from_what_was_measured() -> None:
     assert clock.left(jobs) == pytest.approx(600.0)
 
 
-def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
     config = GeneralizationConfig(
         algos=("recipe:from_scratch", "ppo"),
         frames=1000,
@@ -226,18 +238,18 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> N
     ).resolved()
     entries = {entry.name: entry for entry in config.entries()}
     recipe = entries["from_scratch"]
-    run = train_config(config, make_plan(config), recipe, 2, tmp_path)
+    run = train_config(config, make_plan(config), recipe, 2)
     assert (run.algo.name, run.action.name, run.simulator, run.seed) == ("cmaes", "advise", "twin", 2)
     assert run.total_frames == 1_990_000, "a recipe brings its length"
     assert run.contexts.name == "city", "the protocol says where to train"
     assert run.evaluation.contexts == 0
-    ppo = train_config(config, make_plan(config), entries["ppo"], 0, tmp_path)
+    ppo = train_config(config, make_plan(config), entries["ppo"], 0)
     assert (ppo.simulator, ppo.num_envs, ppo.validation.simulator) == ("twin", 8, "sumo")
-    assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=evaluation_env(config).emit)
+    assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=(), drain_s=600.0)
     assert evaluation_env(config, recipe).hold_s == 2.0
     assert evaluation_env(config, entries["ppo"]).hold_s is None
     untrained = entries["from_scratch_untrained"]
-    assert (untrained.kind, untrained.algo, untrained.options) == ("scripted", "cmaes", recipe.options)
+    assert (untrained.kind, untrained.algo, untrained.options) == ("untrained", "cmaes", recipe.options)
     assert [len(config.seeds_of(entries[name])) for name in ("from_scratch", "ppo_untrained", "uncommanded")] == [
         4,
         1,
@@ -249,7 +261,8 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment(tmp_path) -> N
 
 def test_a_policy_that_ships_is_an_entry_with_its_own_environment() -> None:
     config = GeneralizationConfig(algos=("zoo:measured_search", "uncommanded"), horizon_s=300.0).resolved()
-    shipped, uncommanded = sorted(config.entries(), key=lambda entry: entry.name)
+    entries = {entry.name: entry for entry in config.entries()}
+    shipped, uncommanded = entries["measured_search"], entries["uncommanded"]
     assert (shipped.name, shipped.kind, shipped.policy) == ("measured_search", "scripted", "zoo:measured_search")
     own, common = evaluation_env(config, shipped), evaluation_env(config, uncommanded)
     assert own.observed == zoo.load("measured_search").env.observed != common.observed

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from izoo import console
-from izoo.benchmarks import emissions, planner, scaling, throughput
+from izoo.benchmarks import emissions, scaling, throughput
 from izoo.benchmarks.twin_parts import PARTS
 from izoo.envs import EcoDrivingEnv
 
@@ -25,7 +25,6 @@ from izoo.envs import EcoDrivingEnv
         (scaling.main, ["out=nowhere/rows.json"], "nowhere is no folder; choose another file with out=FILE"),
         (scaling.main, ["out=/"], "out=/ is a folder"),
         (throughput.main, ["out=/dev/null/rates.json"], "/dev/null is a file; choose another file with out=FILE"),
-        (planner.main, ["out=/dev/null/rows.json"], "/dev/null is a file; choose another file with out=FILE"),
         (scaling.main, ["simulator=twin", "counts=[0]"], "num_envs and counts is 0"),
         (scaling.main, ["simulator=twni"], "Did you mean 'twin'"),
         (emissions.main, ["batch=0"], "batch is 0"),
