@@ -144,7 +144,7 @@ def to_plotly(chart: Chart) -> dict[str, Any]:
     listed: set[str] = set()
     data = []
     for series in chart.series:
-        shown = bool(series.name) and series.name not in listed and not series.faint
+        shown = series.listed and series.name not in listed
         listed |= {series.name} if shown else set()
         name = {"name": _escaped(series.name), "legendgroup": _escaped(series.name), "showlegend": shown}
         data.append({**name, **_trace(series, bool(chart.rows))})

@@ -70,6 +70,11 @@ class Series:
     hollow: bool = False
     text: Sequence[str] | None = None
 
+    @property
+    def listed(self) -> bool:
+        """Whether it may stand in the legend."""
+        return bool(self.name) and not self.faint and self.kind != "band"
+
 
 @dataclass(frozen=True)
 class Chart:
@@ -222,7 +227,7 @@ def save(figure: Figure, path: Path) -> None:
 def _draw_chart(axes: Axes, chart: Chart) -> None:
     named: set[str] = set()
     for series in chart.series:
-        label = series.name if series.name and series.name not in named and not series.faint else "_"
+        label = series.name if series.listed and series.name not in named else "_"
         named |= {series.name} if label != "_" else set()
         _draw_series(axes, series, label, bool(chart.rows))
     axes.set_title(chart.title, fontsize=10, parse_math=False)
