@@ -17,7 +17,7 @@ LONGEST = (
     *("tests/training/test_simulators.py", "tests/test_train.py"),
     *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),
     *("tests/test_packaging.py", "tests/envs/test_steadiness.py", "tests/training/"),
-    *("tests/test_cli.py", "tests/envs/", "tests/evaluation/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
+    *("tests/test_cli.py", "tests/envs/", "tests/results/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
 )
 """Files and folders whose tests begin first, longest first: none of them goes on alone while other workers are idle."""
 

@@ -110,7 +110,7 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path, monkeypatc
         *TOY,
         "simulator=twin",
         "num_envs=3",
-        "policy=tests.evaluation.odd_policies:gentle",
+        "policy=tests.results.odd_policies:gentle",
         f"out={tmp_path / 'd'}",
     ]
     assert collect.main([*words, "frames=500", "shard_frames=200", "env.emit=[context,signal]"]) == 0
@@ -136,7 +136,7 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path, monkeypatc
     ("words", "message"),
     [
         ([], "out=DIR"),
-        (["out=o", "policy=tests.evaluation.odd_policies:nobody"], "It is written module:function"),
+        (["out=o", "policy=tests.results.odd_policies:nobody"], "It is written module:function"),
         (["out=o", "policy=rnadom"], "Did you mean 'random'?"),
         (["out=o", "frames=0"], "frames is 0"),
         (["out=o", "contexts=dataset", "contexts.path=missing"], "missing"),

@@ -29,18 +29,18 @@ def test_a_resumed_run_counts_its_own_frames_only() -> None:
 def test_lines_without_a_terminal_say_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
     with Progress(100, 50, "frames") as bar:
         bar._last_line = float("-inf")
-        bar.update(75, in_short({"return": -3.0, "validation_benefit": 0.031}))
+        bar.update(75, in_short({"return": -3.0, "validation_co2_saved": 3.1}))
         bar.update(76, "too soon for a line")
         bar.update(100)
     lines = capsys.readouterr().out.splitlines()
-    assert "75 / 100 frames  0 s left  return -3.0  validation +3.1%" in lines[0]
+    assert "75 / 100 frames  0 s left  return -3.0  validation +3.1 %" in lines[0]
     assert lines[1:] == ["       100 / 100 frames  done"]
 
 
 def test_a_validation_stands_with_its_interval_where_it_has_one() -> None:
-    row = {"validation_benefit": 0.031, "validation_benefit_low": -0.0104, "validation_benefit_high": 0.072}
-    text = in_short({**row, "validation_benefit_over_uncommanded": 0.01, "frames_per_s": 12.3})
-    assert text == "12 frames/s  validation +3.1% [-1.0, 7.2]  (+1.0% over uncommanded)"
+    row = {"validation_co2_saved": 3.1, "validation_co2_saved_low": -1.04, "validation_co2_saved_high": 7.2}
+    text = in_short({**row, "validation_delay_change_s": 1.0, "frames_per_s": 12.3})
+    assert text == "12 frames/s  validation +3.1 % [-1.0, 7.2]  delay +1.0 s"
 
 
 def test_durations_are_words() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 import os
 import signal
 import subprocess
@@ -25,6 +24,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
+from izoo.results import read_table
+from izoo.results.store import read_manifest
 from izoo.training import checkpoint, runs
 from izoo.training.collectors import ShiftedSchedule
 from izoo.training.records import MetricsTable
@@ -62,20 +63,19 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
     assert (finished / runs.CURVE_FILE).read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in checkpoint.listed(finished)] == ["step-000000000400.pt", "step-000000000600.pt"]
     assert not [path for path in finished.rglob("*") if files.is_partial(path)]
-    assert (finished / "evaluation.csv").is_file()
-    assert json.loads((finished / "summary.json").read_text())
+    table, manifest = read_table(finished / "evaluations" / "last"), read_manifest(finished / "evaluations" / "last")
+    assert set(table["policy"]) == {"human", "uncommanded", "ppo"} and manifest.complete
+    record = manifest.policies["ppo"][0]
+    assert (record.algo, record.frames) == ("ppo", 600) and record.weights
+    assert (finished / "evaluations" / "last" / (record.source or "")).resolve() == checkpoint.find(finished).resolve()
 
 
 @pytest.mark.slow
-def test_a_run_ends_by_saying_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Contexts that are drawn from an interval are others than those of training; the one of pcg_easy is the same."""
-    for words, places in (([], "On 1 intersection "), (["contexts.green_s=20..32"], "On 1 unseen intersection ")):
-        run_dir = tmp_path / str(len(words))
-        options = ["total_frames=200", "evaluation.contexts=1", "collector=single", "env.horizon_s=100"]
-        assert train.main([*TOY, *options, *words, f"run_dir={run_dir}"]) == 0
-        last = capsys.readouterr().out.strip().splitlines()[-1]
-        assert last.startswith(f"{places}vehicles emit ") and "CO2 than human driving" in last
-        assert "the same vehicles uncommanded" in last
+def test_a_run_ends_with_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["total_frames=200", "evaluation.contexts=1", "collector=single", "env.horizon_s=100"]
+    assert train.main([*TOY, *options, f"run_dir={tmp_path / 'run'}"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.endswith("intersection, too few for an interval (6).") and "CO2" in said
 
 
 def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:

@@ -63,7 +63,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     with contextlib.suppress(IzooError):  # nothing is there yet, or what is there will be refused
         there = read_table(out)
         episodes = there[there["policy"] == subject.name].groupby(["context_hash", "seed"]).ngroups
-        print(f"{counted(episodes, 'episode')} of {subject.name} are there already, and not played again.", flush=True)
+        print(f"Episodes of {subject.name} that are there already, and not played again: {episodes}.", flush=True)
     table = evaluate_policy(
         subject.policy,
         contexts,

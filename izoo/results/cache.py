@@ -9,6 +9,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class EpisodeCache:
     def put(self, driver: str, context: Context, seed: int, found: Measured) -> None:
         """Keep an episode; a folder that cannot be written is no error, the episode is only played again."""
         path = self._path(driver, context, seed)
-        content = {"rows": np.frombuffer(json.dumps(found.rows).encode(), np.uint8), **found.series}
+        content: dict[str, Any] = {"rows": np.frombuffer(json.dumps(found.rows).encode(), np.uint8), **found.series}
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, durable=False) as partial, partial.open("wb") as file:

@@ -83,7 +83,7 @@ def rollout(
     record: Sequence[str] = (),
     cache: Path | str | None = None,
     progress: bool = True,
-    side_by_side: int = SIDE_BY_SIDE,
+    side_by_side: int | None = None,
     surrogate: str = "compiled",
 ) -> Generator[Played, None, None]:
     """Play episodes and yield them as they end; those of baselines come from the cache where it has them.
@@ -101,7 +101,7 @@ def rollout(
         record: what to record per decision: ``team_reward``.
         cache: folder of the baselines' episodes; ``None``: in the user's cache.
         progress: show a bar with the time left.
-        side_by_side: episodes of a block of ``batch``.
+        side_by_side: episodes of a block of ``batch``; ``None``: :data:`SIDE_BY_SIDE`.
         surrogate: what computes CO2 in a batch (:class:`~izoo.envs.TwinEnv`).
 
     Raises:
@@ -116,7 +116,7 @@ def rollout(
     named: dict[Key, Policy] = {**{name: make_driver(name, config) for name in BASELINES}, **policies}
     packed = {key: pack(key if isinstance(key, str) else key[0], policy) for key, policy in named.items()}
     emitting = dataclasses.replace(config, emit=tuple(record))
-    setup = Setup(packed, emitting, simulator, workers, tuple(record), side_by_side, surrogate)
+    setup = Setup(packed, emitting, simulator, workers, tuple(record), side_by_side or SIDE_BY_SIDE, surrogate)
     if executor == "batch" and isinstance(plays, Sequence):
         plays = sorted(plays, key=lambda play: (play.policy, play.train_seed))
     module, _, name = EXECUTORS[executor].partition(":")

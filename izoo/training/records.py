@@ -129,8 +129,8 @@ def in_short(latest: Mapping[str, float]) -> str:
 
 def _interval(latest: Mapping[str, float], name: str) -> str:
     """Return the interval of a figure, with a blank before it, or nothing where there is none."""
-    ends = [latest.get(f"{name}_{end}") for end in ("low", "high")]
-    return "" if None in ends else " [{:.1f}, {:.1f}]".format(*ends)
+    low, high = (latest.get(f"{name}_{end}") for end in ("low", "high"))
+    return "" if low is None or high is None else f" [{low:.1f}, {high:.1f}]"
 
 
 def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:

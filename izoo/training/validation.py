@@ -1,5 +1,5 @@
-"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validating`) plays the run's weights
-and the baselines.
+"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validating`) plays the run's
+weights and the baselines.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from izoo.algos.scripted import DEFER, Glide, GlideConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.fingerprint import fingerprint
+from izoo.results.policies import weights_hash
 
 ENV = EnvConfig(
     hold_s=2.0,
@@ -76,11 +76,11 @@ def generation(algorithm: GlideSearch, lanes: float, goal: int = 0) -> TensorDic
 
 
 def test_acting_leaves_the_policy_as_it_is() -> None:
-    """Its fingerprint says whether an evaluation is of this policy."""
+    """The hash of its weights says whether results are of this policy."""
     algorithm = make()
-    before = fingerprint(algorithm.policy.eval())
+    before = weights_hash(algorithm.policy.eval())
     act(algorithm, seen(2, SEVERAL))
-    assert fingerprint(algorithm.policy) == before
+    assert before is not None and weights_hash(algorithm.policy) == before
 
 
 @pytest.mark.parametrize("lanes", [ONE, SEVERAL])

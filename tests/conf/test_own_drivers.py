@@ -22,9 +22,9 @@ from izoo.contexts import catalogue
 from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
 from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
-from izoo.evaluation.sources import context_from_dict
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
+from izoo.results.contexts_file import context_from_dict
 from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
 from izoo.training import checkpoint

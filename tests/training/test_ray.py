@@ -17,7 +17,8 @@ import torch
 from izoo import evaluate, train
 from izoo.algos.registry import make_algorithm
 from izoo.errors import IzooError
-from izoo.evaluation import ray_cluster as cluster
+from izoo.results import ray_cluster as cluster
+from izoo.results import read_table
 from izoo.training import runs
 
 TOY = [
@@ -75,8 +76,7 @@ def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> N
     words = [f"run={run_dir}", "num_contexts=1", "num_workers=2"]
     run("izoo.evaluate", [*words, "executor=ray", f"out={tmp_path / 'ray'}", f"cache={tmp_path / 'a'}"], address)
     assert evaluate.main([*words, "num_workers=1", f"out={tmp_path / 'here'}", f"cache={tmp_path / 'b'}"]) == 0
-    there, here = (pd.read_csv(tmp_path / name / "evaluation.csv") for name in ("ray", "here"))
-    pd.testing.assert_frame_equal(there, here)
+    pd.testing.assert_frame_equal(*(read_table(tmp_path / name) for name in ("ray", "here")))
 
 
 def test_a_missing_ray_is_named(

@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from izoo import collect, evaluate, train
-from izoo.evaluation.baselines import EpisodeCache, baseline_context, default_folder
-from izoo.evaluation.selection import EpisodeSeeds, choose_contexts
+from izoo.results import read_table
+from izoo.results.cache import EpisodeCache, baseline_context
+from izoo.results.playing import Setup
+from izoo.results.rollout import evaluated
+from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import runs
 from izoo.training.validation import VALIDATION_SEED, held_out
 
@@ -31,10 +34,10 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
     assert (config.simulator, config.num_envs, config.twin.threads) == ("twin", 8, 2)
     assert len((run_dir / "validation.csv").read_text().splitlines()) == 2
     (context,) = choose_contexts(held_out(config.contexts), 1, VALIDATION_SEED)
-    env = dataclasses.replace(config.env, emit=())
+    env = dataclasses.replace(evaluated(config.env), emit=())
     for seed in EpisodeSeeds(VALIDATION_SEED, config.validation.seeds).of(context):
         played = [
-            EpisodeCache(default_folder(), env, simulator).get("human", baseline_context(context), seed) is not None
+            EpisodeCache(None, Setup({}, env, simulator)).get("human", baseline_context(context), seed) is not None
             for simulator in ("sumo", "twin")
         ]
         assert played == [False, True]
@@ -50,16 +53,10 @@ def test_data_from_the_twin(tmp_path: Path) -> None:
 
 def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [*EASY, "policy=glide", "seeds=1", "num_contexts=1", "num_workers=0", f"cache={tmp_path / 'cache'}"]
-    settings = {}
     for simulator in ("sumo", "twin"):
-        out = tmp_path / simulator
-        assert evaluate.main([*words, f"simulator={simulator}", f"out={out}"]) == 0
-        settings[simulator] = json.loads((out / "evaluation.json").read_text())["settings"]
+        assert evaluate.main([*words, f"simulator={simulator}", f"out={tmp_path / 'out'}"]) == 0
     assert "Evaluating glide on the twin" in capsys.readouterr().out
-    assert [settings[name]["simulator"] for name in settings] == ["sumo", "twin"]
-    # Rows of both in one folder would be mixed up.
-    assert evaluate.main([*words, "simulator=twin", f"out={tmp_path / 'sumo'}"]) == 2
-    assert "simulator sumo -> twin" in capsys.readouterr().err
+    assert read_table(tmp_path / "out").groupby("simulator").size().to_dict() == {"sumo": 3, "twin": 3}
 
 
 @pytest.mark.parametrize(

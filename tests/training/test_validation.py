@@ -26,8 +26,10 @@ from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
+from izoo.results import read_table
+from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, runs, validation
-from izoo.training.validation import APPROACHES, Validator, shown_worse
+from izoo.training.validation import CONTEXTS, Validator, shown_worse
 
 TOY = [
     *(
@@ -59,10 +61,11 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
     table = rows(run_dir / validation.VALIDATION_FILE)
     assert int(table[-1]["frames"]) == 1000, "the last weights are validated at the end"
     assert {int(row["frames"]) for row in table} <= {600, 1000}
-    assert "benefit_low" not in table[0], "one intersection has no interval"
-    benefits = [float(row["benefit"]) for row in table]
+    assert "co2_saved_low" not in table[0], "one intersection has no interval"
+    assert {"delay_change_s", "co2_g", "delay_s", "unserved", "co2_saved_over_human", "slower"} <= set(table[0])
+    saved = [float(row["co2_saved"]) for row in table]
     best = checkpoint.load(run_dir / "checkpoints" / "best.pt")
-    highest = max(range(len(table)), key=lambda k: (benefits[k], k))  # of equal ones the newest
+    highest = max(range(len(table)), key=lambda k: (saved[k], k))  # of equal ones the newest
     assert best["frames"] == int(table[highest]["frames"])
     assert [row["best"] for row in table].count("1") >= 1 and table[0]["best"] == "1"
     assert not checkpoint.candidates(run_dir)
@@ -77,7 +80,7 @@ def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
     words = [*(word for word in words if word not in replaced), "contexts.inflow_vph_per_lane=400..700"]
     assert train.main([*words, "collector=single", "total_frames=600", f"run_dir={tmp_path / 'run'}"]) == 0
     (row,) = rows(tmp_path / "run" / validation.VALIDATION_FILE)
-    for name in ("benefit", "benefit_over_uncommanded", "benefit_ungated"):
+    for name in ("co2_saved", "co2_saved_over_human", "delay_change_s"):
         assert float(row[f"{name}_low"]) < float(row[name]) < float(row[f"{name}_high"]), name
 
 
@@ -95,7 +98,8 @@ def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> Non
     trained = runs.read_config(run_dir).env
     assert trained.horizon_s < EnvConfig().horizon_s
     full = resolve(EvaluateConfig(run=str(run_dir)), frozenset()).env
-    assert full == dataclasses.replace(trained, horizon_s=EnvConfig().horizon_s, warmup_s=EnvConfig().warmup_s)
+    whole = EnvConfig()
+    assert full == dataclasses.replace(trained, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s, drain_s=DRAIN_S)
     told = EvaluateConfig(run=str(run_dir), env=EnvConfig(horizon_s=77.0))
     assert resolve(told, frozenset({"env.horizon_s"})).env.horizon_s == 77.0
 
@@ -103,7 +107,7 @@ def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> Non
 def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) -> None:
     words = ["num_workers=0", "seeds=3", "num_contexts=1", "env.horizon_s=90", f"out={tmp_path / 'out'}"]
     assert evaluate.main([f"run={run_dir}", "checkpoint=best", *words]) == 0
-    assert "toy-best" in {row["policy"] for row in rows(tmp_path / "out" / "evaluation.csv")}
+    assert "toy-best" in set(read_table(tmp_path / "out")["policy"])
     assert checkpoint.find(run_dir, "1000") == checkpoint.find(run_dir)
     with pytest.raises(IzooError, match=r"checkpoint is '77'; .* has last, best, and by frames: 600, 1000"):
         checkpoint.find(run_dir, "77")
@@ -162,22 +166,22 @@ def test_a_best_checkpoint_of_the_future_is_forgotten(tmp_path: Path) -> None:
 
 
 def test_a_forgotten_best_checkpoint_is_replaced_by_the_next(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n200,0.5,1.0\n300,0.6,1.0\n")
+    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n200,0.5,1.0\n300,0.6,1.0\n")
     checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 300, {"algorithm": {}}, keep=1)))
-    assert not Validator(TrainConfig(), tmp_path, frames=300)._is_best({"benefit": 0.4})
-    assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"benefit": 0.4})
+    assert not Validator(TrainConfig(), tmp_path, frames=300)._is_best({"co2_saved": 0.4})
+    assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"co2_saved": 0.4})
 
 
 def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> None:
-    """Their benefit is that of the simulator's own driver."""
+    """Their saving is that of the simulator's own driver."""
     validator = Validator(TrainConfig(), tmp_path)
-    assert validator._is_best({"benefit": 0.1, "nan_share": 0.0})
-    assert not validator._is_best({"benefit": 0.9, "nan_share": 0.01})
-    assert not validator._is_best({"nan_share": 0.0}), "no benefit was measured"
+    assert validator._is_best({"co2_saved": 0.1, "nan_share": 0.0})
+    assert not validator._is_best({"co2_saved": 0.9, "nan_share": 0.01})
+    assert not validator._is_best({"nan_share": 0.0}), "no saving was measured"
 
 
 def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n100,0.5,1.0\n200,0.4,0.0\n")
+    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n100,0.5,1.0\n200,0.4,0.0\n")
     for frames in (100, 200):
         checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=2))
     validator = Validator(TrainConfig(), tmp_path, frames=250)
@@ -227,15 +231,15 @@ def test_validation_uses_held_out_intersections_where_there_are_any() -> None:
 def told_apart(places: int, validations: int, loss: float, runs: int) -> float:
     """Share of runs whose last weights are shown to be worse than the best of as many validations before them.
 
-    Benefits of two policies differ by 4 points from intersection to intersection, as those of glide and uncommanded
+    Savings of two policies differ by 4 points from intersection to intersection, as those of glide and uncommanded
     driving do; all but the last weights are equally good.
     """
     generator, apart = np.random.default_rng(2), 0
     for _ in range(runs):
         shared = generator.normal(0.08, 0.08, places)
         found = [shared + generator.normal(0.0, 0.04 / np.sqrt(2.0), places) for _ in range(validations + 1)]
-        best = max((_benefits(one) for one in found[:-1]), key=lambda one: sum(value[1] for value in one.values()))
-        apart += shown_worse(_benefits(found[-1] - loss), best, validations)
+        best = max((_saved(one) for one in found[:-1]), key=lambda one: sum(value[1] for value in one.values()))
+        apart += shown_worse(_saved(found[-1] - loss), best, validations)
     return apart / runs
 
 
@@ -251,19 +255,34 @@ def test_what_the_numbers_of_contexts_find() -> None:
         assert told_apart(places, validations, loss, 400) == pytest.approx(0.5, abs=0.12)
 
 
-def _benefits(values: np.ndarray) -> dict[str, list[object]]:
+def _saved(values: np.ndarray) -> dict[str, list[object]]:
     return {f"{k} A": [f"town/{k}", 0.0 if k % 4 == 3 else float(value)] for k, value in enumerate(values)}
 
 
 def test_the_best_is_the_newest_that_is_not_shown_to_be_worse_than_the_highest(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,benefit,best\n100,0.1,1.0\n200,0.06,1.0\n")
+    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n100,0.1,1.0\n200,0.06,1.0\n")
     (tmp_path / "validation").mkdir()
     for frames, shift in ((100, 0.1), (200, 0.06)):
-        content = {"benefit": shift, APPROACHES: _benefits(np.arange(8) / 100 + shift)}
+        content = {"co2_saved": shift, CONTEXTS: _saved(np.arange(8) / 100 + shift)}
         (tmp_path / f"validation/step-{frames:012d}.json").write_text(json.dumps(content))
     checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 200, {"algorithm": {}}, keep=1)))
     validator = Validator(TrainConfig(), tmp_path, frames=200)
     noise = np.tile([0.05, -0.06, 0.02, 0.0], 2)
-    assert validator._is_best({"benefit": 0.09}, _benefits(np.arange(8) / 100 + 0.09 + noise))
-    worse = _benefits(np.arange(8) / 100 + 0.055 + 0.01 * noise)  # as good as the last, but not as the highest
-    assert not validator._is_best({"benefit": 0.055}, worse)
+    assert validator._is_best({"co2_saved": 0.09}, _saved(np.arange(8) / 100 + 0.09 + noise))
+    worse = _saved(np.arange(8) / 100 + 0.055 + 0.01 * noise)  # as good as the last, but not as the highest
+    assert not validator._is_best({"co2_saved": 0.055}, worse)
+
+
+def test_weights_that_are_shown_to_be_slower_give_way_to_others(tmp_path: Path) -> None:
+    """They are the best only until others come, and nothing is compared with what they save."""
+    path = tmp_path / validation.VALIDATION_FILE
+    slower, faster = {"co2_saved": 9.0, "slower": 1.0}, {"co2_saved": 1.0, "slower": 0.0}
+    validator = Validator(TrainConfig(), tmp_path)
+    assert validator._is_best(slower), "the first ones"
+    path.write_text("frames,co2_saved,slower,best\n100,9.0,1,1\n")
+    checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 100, {"algorithm": {}}, keep=1)))
+    validator = Validator(TrainConfig(), tmp_path, frames=100)
+    assert validator._is_best(faster) and not validator._is_best(slower)
+    path.write_text("frames,co2_saved,slower,best\n50,9.0,1,1\n100,1.0,0,1\n")
+    validator = Validator(TrainConfig(), tmp_path, frames=100)
+    assert validator._is_best({**faster, "co2_saved": 1.5}) and not validator._is_best({**faster, "co2_saved": 0.5})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import shlex
 import subprocess
 import sys
@@ -31,9 +30,9 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.evaluation.fingerprint import fingerprint
-from izoo.evaluation.policies import as_candidate
-from izoo.evaluation.table import CSV_FILE, read_csv
+from izoo.results import read_table
+from izoo.results.policies import as_policy, weights_hash
+from izoo.results.store import read_manifest
 from izoo.zoo import shelf
 
 CONFIG = TrainConfig(
@@ -110,7 +109,7 @@ def test_unknown_names_are_refused_with_those_there_are() -> None:
     with pytest.raises(IzooError, match="zoo:nobody"):
         zoo.load("nobody")
     with pytest.raises(IzooError, match="zoo:nobody"):
-        as_candidate("zoo:nobody", EnvConfig())
+        as_policy("zoo:nobody", EnvConfig())
     assert zoo.named("glide") is None
 
 
@@ -118,7 +117,7 @@ def test_every_shipped_policy_loads_and_has_its_card() -> None:
     assert zoo.names(), "the shelf is empty"
     for name in zoo.names():
         trained = zoo.load(name)
-        candidate = as_candidate(f"zoo:{name}", trained.env)
+        candidate = as_policy(f"zoo:{name}", trained.env)
         assert candidate.name == name
         card = zoo.card(name)
         assert card.startswith(f"# {name}\n")
@@ -127,7 +126,7 @@ def test_every_shipped_policy_loads_and_has_its_card() -> None:
         assert "Not yet." not in card
         assert shelf.weights(name).stat().st_size < 700_000
         with pytest.raises(IzooError, match="other observations"):
-            as_candidate(f"zoo:{name}", EnvConfig(observed=tuple(trained.env.observed)[:-1]))
+            as_policy(f"zoo:{name}", EnvConfig(observed=tuple(trained.env.observed)[:-1]))
 
 
 @pytest.fixture(scope="module")
@@ -199,17 +198,17 @@ def test_an_exported_policy_is_evaluated_and_replayed_as_its_run_is(
 ) -> None:
     monkeypatch.chdir(exported.parent)
     words = ["contexts=pcg_easy", "num_contexts=1", "seeds=1", "env.horizon_s=300", "num_workers=0"]
-    words += ["uncommanded=false", f"cache={tmp_path / 'cache'}"]
+    words += [f"cache={tmp_path / 'cache'}"]
     out, ours = tmp_path / "file", tmp_path / "run"
     assert evaluate.main(["policy=mine.pt", *words, f"out={out}"]) == 0
     assert evaluate.main([f"run={run}", *words, f"out={ours}"]) == 0
-    tables = [read_csv(folder / CSV_FILE) for folder in (out, ours)]
+    tables = [read_table(folder) for folder in (out, ours)]
     driven = [
         table[table["policy"] == name].drop(columns="policy")
         for table, name in zip(tables, ("mine", "run"), strict=True)
     ]
     assert len(driven[0]) == 1 and driven[0].equals(driven[1].set_axis(driven[0].index))
-    assert json.loads((out / "evaluation.json").read_text())["settings"]["env"]["hold_s"] == 2.0
+    assert read_manifest(out).config("mine").hold_s == 2.0
     monkeypatch.chdir(tmp_path)
     assert report.main([str(out)]) == 0
     assert len(list((out / "replays").glob("*.gz"))) == 1, "the page found the file from another folder"
@@ -226,8 +225,8 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     assert (mine.kind, mine.policy, mine.seeded) == ("scripted", str(exported), False)
     own = evaluation_env(config, mine)
     assert own.hold_s == 2.0 != evaluation_env(config).hold_s and own.horizon_s == 300.0
-    candidate = as_candidate(str(exported), own, mine.name)
-    assert candidate.fingerprint == fingerprint(zoo.load(str(exported)).policy)
+    named = as_policy(str(exported), own, mine.name)
+    assert named.record.weights == weights_hash(zoo.load(str(exported)).policy)
     everybody = env_of(LadderConfig(policies=("glide", str(exported))), frozenset())
     assert everybody == zoo.read(exported).env
 
@@ -270,7 +269,7 @@ def test_other_files_are_no_entries(tmp_path: Path, capsys: pytest.CaptureFixtur
         error = capsys.readouterr().err
         assert said in error and error.count("\n") == 1 and not out.exists()
         with pytest.raises(IzooError):
-            as_candidate(str(tmp_path / name), EnvConfig())
+            as_policy(str(tmp_path / name), EnvConfig())
         if name != "old.pt":  # which is found out once PyTorch is there
             with pytest.raises(IzooError):
                 parse_entry(str(tmp_path / name))
@@ -308,7 +307,7 @@ def grams_per_vehicle(policy: str, env: EnvConfig) -> float:
     )
     with contextlib.closing(EcoDrivingEnv(context, config=dataclasses.replace(env, horizon_s=1000.0))) as played:
         state = played.reset(seed=11)
-        acting = as_candidate(policy, env).policy
+        acting = as_policy(policy, env).policy
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             while not bool(state["done"]):
                 state = played.step_lean(acting(state))

@@ -18,7 +18,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-import pandas as pd
 
 from izoo import zoo
 from izoo.conf.folders import DatasetContexts
@@ -26,20 +25,13 @@ from izoo.console import exit_code
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
 from izoo.errors import IzooError
-from izoo.evaluation import evaluate_policy
-from izoo.evaluation.across import aggregate, run_rows
-from izoo.evaluation.policies import as_candidate
-from izoo.evaluation.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
 from izoo.files import write_json
+from izoo.results import evaluate_policy, summarise
+from izoo.results.policies import as_policy
+from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
 
 ADOPTIONS = (0.1, 1 / 3, 1.0)
 VEHICLES = {"paper": "CVs with the paper's parameters", "human": "CVs with the parameters of human-driven vehicles"}
-FIGURES = {
-    "benefit": "exact",
-    "region": "region_exact",
-    "over_uncommanded": "over_uncommanded",
-    "demand_over_uncommanded": "demand_over_uncommanded",
-}
 
 
 @dataclass(frozen=True)
@@ -62,13 +54,8 @@ class Entry:
         if not re.fullmatch(r"\w[\w.+-]*", entry.name):
             raise IzooError(f"{entry.name!r} in {text!r} is no name; write letters and digits: ppo=FILE.pt,FILE.pt.")
         for policy in entry.policies:
-            as_candidate(policy, own_env(policy))
+            as_policy(policy, own_env(policy))
         return entry
-
-    def folders(self, out: Path) -> list[Path]:
-        """Return a folder for the evaluation of each policy."""
-        here = out / self.name
-        return [here] if len(self.policies) == 1 else [here / f"seed{seed}" for seed in range(len(self.policies))]
 
 
 def own_env(policy: str, horizon_s: float = 1000.0) -> EnvConfig:
@@ -102,33 +89,28 @@ def measure(
             here = [context.replace(adoption=adoption, cv_vehicle=vehicle) for context in contexts]
             for entry in entries:
                 print(f"{entry.name}, {100 * adoption:.0f} % {VEHICLES[vehicle]}", flush=True)
-                parts = []
-                for seed, (policy, folder) in enumerate(
-                    zip(entry.policies, entry.folders(out / f"{vehicle}-{adoption:.2f}"), strict=True)
-                ):
+                for train_seed, policy in enumerate(entry.policies):
                     table = evaluate_policy(
                         policy,
                         here,
                         EpisodeSeeds(EVALUATION_STREAM, seeds),
                         own_env(policy, horizon_s),
-                        num_workers=num_workers,
-                        out_dir=folder,
+                        workers=num_workers,
+                        out=out / f"{vehicle}-{adoption:.2f}",
                         name=entry.name,
+                        train_seed=train_seed,
                     )
-                    played = table[table["context_hash"].isin([context.content_hash for context in here])]
-                    parts.append(run_rows(played, entry.name, seed))
-                found = aggregate(pd.concat(parts, ignore_index=True))
-                estimates = {
-                    label: found["all"][part]["mean"] for label, part in FIGURES.items() if part in found["all"]
-                }
-                rows.append(
-                    {"policy": entry.name, "adoption": adoption, "vehicle": vehicle, "n": found["n"], **estimates}
-                )
+            summary = summarise(table[table["context_hash"].isin([context.content_hash for context in here])])
+            for entry in entries:
+                found = summary["entries"][entry.name]
+                saved = {name: blocks["all"]["figures"]["co2_saved"] for name, blocks in found["against"].items()}
+                seen = {"train_seeds": found["train_seeds"], "contexts": summary["n"]["contexts"], "saved": saved}
+                rows.append({"policy": entry.name, "adoption": adoption, "vehicle": vehicle, **seen})
     return rows
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw benefit over human driving against adoption, a panel per kind of vehicle."""
+    """Draw the CO2 saved over human driving against adoption, a panel per kind of vehicle."""
     matplotlib.use("agg")
     import matplotlib.pyplot as plt
 
@@ -138,16 +120,16 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         for number, name in enumerate(names):
             mine = [row for row in rows if row["policy"] == name and row["vehicle"] == vehicle]
             x = np.arange(len(mine)) + min(0.12, 0.4 / len(names)) * (number - (len(names) - 1) / 2)
-            y = [100 * row["benefit"]["value"] for row in mine]
+            y = [row["saved"]["human"]["value"] for row in mine]
             panel.plot(x, y, "o-", label=name.replace("_", " "), markersize=4)
             for place, row in zip(x, mine, strict=True):
-                if row["benefit"]["low"] is not None:
-                    ends = [100 * row["benefit"]["low"], 100 * row["benefit"]["high"]]
+                if row["saved"]["human"]["low"] is not None:
+                    ends = [row["saved"]["human"]["low"], row["saved"]["human"]["high"]]
                     panel.plot([place, place], ends, color=panel.lines[-1].get_color(), linewidth=1)
             panel.set_xticks(range(len(mine)), [f"{100 * row['adoption']:.0f} %" for row in mine])
         panel.axhline(0.0, color="grey", linewidth=0.8)
         panel.set(title=title, xlabel="share of CVs")
-    axes[0].set_ylabel("benefit over human driving (%)\nexact gate, mean over approaches")
+    axes[0].set_ylabel("CO2 saved over human driving (%)")
     axes[0].legend(fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -17,9 +17,9 @@ from pathlib import Path
 import pandas as pd
 
 from izoo.envs import EnvConfig
-from izoo.evaluation import evaluate_policy, print_summary, summarise
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.osm.extract import build_from_osm
+from izoo.results import evaluate_policy, print_summary, summarise
 
 LITTLE_TOWN = Path(__file__).with_name("little_town.osm")
 
@@ -38,7 +38,7 @@ def main(
     Args:
         extract: an OpenStreetMap file; ``None`` takes the invented town.
         target: a new folder for the intersections; ``None`` keeps them only for this call.
-        horizon_s, seeds, num_workers, cache: as for :func:`izoo.evaluation.evaluate_policy`.
+        horizon_s, seeds, num_workers, cache: as for :func:`izoo.results.evaluate_policy`.
         max_approaches: how many approaches to evaluate; ``None``: all.
 
     Returns:
@@ -58,7 +58,7 @@ def main(
             list(contexts)[:max_approaches],
             seeds,
             EnvConfig(horizon_s=horizon_s),
-            num_workers,
+            workers=num_workers,
             progress=False,
             cache=cache,
         )

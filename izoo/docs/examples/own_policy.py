@@ -12,7 +12,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
-from izoo.evaluation import evaluate_policy, print_summary, summarise
+from izoo.results import evaluate_policy, print_summary, summarise
 
 CONFIG = EnvConfig()
 COLUMN = {name: column for column, name in enumerate(observation_names(CONFIG))}
@@ -48,7 +48,7 @@ def main(
         contexts,
         seeds,
         EnvConfig(horizon_s=horizon_s),
-        num_workers,
+        workers=num_workers,
         progress=False,
         name="arrive-on-green",
         cache=cache,

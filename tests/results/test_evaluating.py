@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import yaml
 
 import izoo.conf
 from izoo import train
-from izoo.benchmarks import generalization
 from izoo.commands.evaluating import resolve
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
@@ -21,7 +19,9 @@ from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.errors import IzooError
 from izoo.evaluate import main
-from izoo.evaluation.selection import choose_contexts
+from izoo.results.rollout import DRAIN_S
+from izoo.results.selection import choose_contexts
+from izoo.results.store import read_manifest, read_table
 from tests.networks.test_dataset import published  # noqa: F401
 
 TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
@@ -31,15 +31,19 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["policy=tests.evaluation.odd_policies:gentle", f"cache={cache}", "num_contexts=1", *TOY]
+    words = ["policy=tests.results.odd_policies:gentle", f"cache={cache}", "num_contexts=1", *TOY]
     assert main([*words, "seeds=1"]) == 0
     (folder,) = (tmp_path / "evaluations").iterdir()
-    assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 3
-    assert main([*words, "seeds=2"]) == 0
-    assert json.loads((folder / "summary.json").read_text())["n"]["episodes"] == 6
-    out = capsys.readouterr().out
+    assert len(read_table(folder)) == 3
+    assert main([*words, "seeds=2", "-v"]) == 0
+    assert len(read_table(folder)) == 6
+    manifest = read_manifest(folder)
+    assert manifest.task == "pcg" and manifest.env["drain_s"] == DRAIN_S
+    assert manifest.policies["gentle"][0].source == "tests.results.odd_policies:gentle"
+    out = " ".join(capsys.readouterr().out.split())
     assert "1 context, 2 seeds each, episodes of 90 s of which the first 25 s are not measured" in out
-    assert "gentle against human on SUMO (headline)" in out
+    assert "Episodes of gentle that are there already, and not played again: 1" in out
+    assert out.endswith("on 1 unsaturated intersection, too few for an interval (6)."), "the verdict comes last"
 
 
 @pytest.mark.parametrize(
@@ -52,6 +56,8 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
         (["policy=glide", "seeds=0"], "seeds is 0"),
         (["policy=glide", "algo=ppo"], "'algo'"),
         (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
+        (["policy=glide", "env.drain_s=0"], "evaluated episodes are played out"),
+        (["policy=cap_2"], "is not a speed cap"),
         (
             ["policy=glide", "simulator=twin", "env.gui=true", "num_contexts=1"],
             "the twin has no window; use simulator=",
@@ -81,14 +87,13 @@ def test_contexts_that_changed_go_into_a_folder_of_their_own(
     monkeypatch.chdir(tmp_path)
     town = shutil.copytree(published / "106", tmp_path / "town" / "9")
     words = ["policy=glide", "contexts=dataset", "contexts.path=town", "contexts.approaches=all", f"cache={cache}"]
-    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1", "uncommanded=false"]
+    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1"]
     words += ["num_contexts=1"]
     for inflow in ("1000\n", "2000\n"):
         (town / "inflows.txt").write_text(inflow * len((town / "inflows.txt").read_text().splitlines()))
         assert main(words) == 0
         assert main([*words, "out=together"]) == 0
-    apart = [json.loads((path / "summary.json").read_text()) for path in (tmp_path / "evaluations").iterdir()]
-    assert [summary["n"]["episodes"] for summary in apart] == [2, 2]
+    assert [len(read_table(path)) % 3 for path in (tmp_path / "evaluations").iterdir()] == [0, 0]
     said = capsys.readouterr().out
     assert said.count(f"1 other context of earlier evaluations in {tmp_path / 'together'}: ") == 1
 
@@ -125,16 +130,19 @@ def test_options_of_a_runs_own_contexts_are_changed(
     assert "contexts=pcg, 1 context" in capsys.readouterr().out
 
 
+def test_a_folder_of_an_earlier_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "evaluation.json").write_text("{}")
+    assert main(["policy=glide", "num_contexts=1", f"out={tmp_path}", *TOY]) == 2
+    error = capsys.readouterr().err
+    assert "was written by an earlier version of izoo; evaluate again into another folder" in error
+    assert error.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["evaluation.json"]
+
+
 def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     long = "x" * 300
-    for command, words in (
-        (main, ["policy=glide", "contexts=dataset", f"contexts.path={long}"]),
-        (generalization.main, [f"train={long}"]),
-        (generalization.main, [f"algos=[{long}.pt]"]),
-    ):
-        assert command(words) == 2
-        error = capsys.readouterr().err
-        assert "File name too long" in error and "Traceback" not in error and error.count("\n") == 1
+    assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
+    error = capsys.readouterr().err
+    assert "File name too long" in error and "Traceback" not in error and error.count("\n") == 1
 
 
 def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +156,7 @@ def test_yaml_equals_dataclass() -> None:
     values = yaml.safe_load((Path(izoo.conf.__path__[0]) / "evaluate.yaml").read_text())
     values.pop("defaults")
     default = EvaluateConfig()
+    assert values.pop("env") == {"drain_s": default.env.drain_s}
     plain = {f.name for f in dataclasses.fields(default)} - {"contexts", "env"}
     assert values == {name: getattr(default, name) for name in plain}
 
@@ -178,7 +187,7 @@ def test_a_run_and_a_policy_at_once_are_refused() -> None:
 
 
 def test_an_imported_policy_is_named_after_its_function() -> None:
-    subject = resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:gentle"), frozenset())
+    subject = resolve(EvaluateConfig(policy="tests.results.odd_policies:gentle"), frozenset())
     assert subject.name == "gentle"
     with pytest.raises(IzooError, match="nobody"):
-        resolve(EvaluateConfig(policy="tests.evaluation.odd_policies:nobody"), frozenset())
+        resolve(EvaluateConfig(policy="tests.results.odd_policies:nobody"), frozenset())

@@ -122,6 +122,18 @@ class Moody(torch.nn.Module):
         return everyone(tensordict, -1.0 if self.training else 0.5)
 
 
+class Bound:
+    """:func:`gentle`, once it knows the environments."""
+
+    def bind(self, env: object) -> Bound:
+        self.env = env
+        return self
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        assert self.env.batch_size == tensordict.batch_size
+        return gentle(tensordict)
+
+
 class Counted:
     """:func:`gentle`, leaving a line in a file for every step; from ``fail_at`` on it raises instead."""
 

@@ -1,0 +1,303 @@
+"""Paired episodes on the real simulator: the same for any number of workers, resumed, cached, and failing loudly."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from pandas.testing import assert_frame_equal
+
+from izoo.algos.scripted import UncommandedDriver
+from izoo.contexts.context import Context
+from izoo.errors import IzooError
+from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.results import evaluate_policy, read_table, summarise
+from izoo.results.cache import EpisodeCache, baseline_context
+from izoo.results.contexts_file import read_contexts
+from izoo.results.playing import EpisodeFailed, Setup
+from izoo.results.store import PolicyRecord, read_manifest
+from tests.results import odd_policies as drivers
+from tests.results.conftest import SEEDS, SHORT
+
+STEPS = SHORT.control_steps
+
+
+def test_one_row_per_policy_context_seed_and_approach(table: pd.DataFrame, contexts: list[Context]) -> None:
+    assert len(table) == 3 * len(contexts) * len(SEEDS)
+    assert set(table["policy"]) == {"human", "uncommanded", "policy"}
+    assert set(table["approach"]) == {contexts[0].approach}
+    assert (table["episode_steps"] > STEPS).all(), "they are played out"
+    assert (table["cohort"] > 0).all()
+    assert table.groupby(["context_hash", "seed"])["cohort"].nunique().max() == 1, "the same under every policy"
+    assert (table.loc[table["policy"] == "human", "agent_steps"] == 0).all()
+    assert (table.loc[table["policy"] == "policy", "agent_steps"] > 0).any()
+
+
+@pytest.mark.slow
+def test_rows_do_not_depend_on_the_workers(table: pd.DataFrame, contexts: list[Context], tmp_path: Path) -> None:
+    """Two processes and a cold cache against one process."""
+    options = {"workers": 2, "progress": False, "cache": tmp_path / "cold", "out": tmp_path / "out"}
+    other = evaluate_policy(drivers.gentle, contexts, SEEDS, SHORT, **options)
+    # Compiled code that was loaded and code that was compiled just now may round the last bit of an emission otherwise.
+    assert_frame_equal(other, table, rtol=1e-6)
+    assert_frame_equal(read_table(tmp_path / "out"), other, check_exact=True)
+    assert read_manifest(tmp_path / "out").complete
+    assert set(read_contexts(tmp_path / "out")) == {context.content_hash for context in contexts}
+
+
+SCRIPT = """
+import torch
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EnvConfig
+from izoo.results import evaluate_policy
+
+print("begins")
+
+class Steady(torch.nn.Module):
+    def forward(self, tensordict):
+        return tensordict.set(("agents", "action"), torch.ones(*tensordict["agents", "mask"].shape, 1))
+
+config = EnvConfig(horizon_s=10.0, warmup_s=5.0)
+table = evaluate_policy(Steady(), [procedural_context(adoption=1.0)], [1, 2], config, workers=1, cache="cache")
+print("rows", len(table))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
+    """Workers do not run the user's script again, and classes that it defines reach them."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("begins") == 1
+    assert "rows 6" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cache: Path) -> None:
+    options = {"workers": 0, "progress": False, "cache": cache, "baselines": ()}
+    forward = evaluate_policy("random", contexts, SEEDS, SHORT, **options)
+    backward = evaluate_policy("random", contexts[::-1], SEEDS[::-1], SHORT, **options)
+    assert_frame_equal(forward, backward, check_exact=True)
+
+
+@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy])
+def test_no_policy_plays_otherwise_for_what_it_played_before(
+    make: type, contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    """One that counts, one with memory, and one that draws from a generator of its own or of numpy."""
+    options = {"progress": False, "cache": cache, "baselines": ()}
+    forward = evaluate_policy(make(), contexts, SEEDS, SHORT, workers=0, **options)
+    backward = evaluate_policy(make(), contexts[::-1], SEEDS[::-1], SHORT, workers=0, **options)
+    assert_frame_equal(forward, backward, check_exact=True)
+    assert (forward.loc[forward["policy"] == "policy", "deferred_steps"] > 0).any(), "the policy acted"
+
+
+def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], cache: Path) -> None:
+    seen: list[tuple[bool, float | None]] = []
+    drivers.Recurrent.seen = seen
+    for _ in range(2):
+        evaluate_policy(drivers.Recurrent(), contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+    first, second = seen[: len(seen) // 2], seen[len(seen) // 2 :]
+    assert first == second == [(True, None), *((False, float(step)) for step in range(1, len(first)))]
+
+
+def test_modules_are_played_as_they_evaluate(contexts: list[Context], cache: Path) -> None:
+    policy = drivers.Moody().train()
+    table = evaluate_policy(policy, contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+    assert policy.training, "the caller's own is left as it is"
+    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+    assert_frame_equal(table, gentle, check_exact=True)
+
+
+def test_an_identical_policy_saves_exactly_nothing(contexts: list[Context], cache: Path) -> None:
+    """Uncommanded driving under another name."""
+    options = {"workers": 0, "progress": False, "cache": cache, "name": "twin"}
+    summary = summarise(evaluate_policy(UncommandedDriver(), contexts, [1, 2, 3], SHORT, **options))
+    figures = summary["entries"]["twin"]["against"]["uncommanded"]["all"]["figures"]
+    assert figures["co2_saved"]["value"] == figures["delay_change_s"]["value"] == 0.0
+
+
+def test_a_context_without_demand_is_left_out_and_said(contexts: list[Context], cache: Path) -> None:
+    spec = contexts[0].intersection
+    empty = [
+        dataclasses.replace(leg, approach=leg.approach and dataclasses.replace(leg.approach, aadt_per_lane=0.0))
+        for leg in spec.legs
+    ]
+    nobody = contexts[0].replace(intersection=dataclasses.replace(spec, name="empty", legs=tuple(empty)))
+    options = {"workers": 0, "progress": False, "cache": cache}
+    table = evaluate_policy("glide", [contexts[0], nobody], [1], SHORT, **options)
+    assert (table.loc[table["context"] == nobody.name, "cohort"] == 0.0).all()
+    summary = summarise(table)
+    assert summary["n"]["contexts"] == 1 and summary["n"]["left_out"] == [nobody.name]
+    alone = summarise(evaluate_policy("glide", [nobody], [1], SHORT, **options))
+    assert alone["verdict"] == "Nothing can be said of CO2: no context has demand."
+
+
+def test_a_drain_that_is_too_short_for_anybody_is_seen(contexts: list[Context], cache: Path) -> None:
+    config = dataclasses.replace(SHORT, horizon_s=25.0, drain_s=0.5)
+    summary = summarise(evaluate_policy("glide", contexts, [1], config, workers=0, progress=False, cache=cache))
+    assert summary["entries"]["glide"]["levels"]["all"]["unserved"] == 100.0
+
+
+def test_human_driving_does_not_depend_on_what_concerns_cvs(contexts: list[Context], cache: Path) -> None:
+    changed = contexts[0].replace(adoption=0.8, engine="electric", cv_vehicle="human")
+    assert baseline_context(changed) == baseline_context(contexts[0])
+    table = evaluate_policy("human", [contexts[0], changed], [3], SHORT, workers=0, progress=False, cache=cache)
+    human = table[table["policy"] == "human"]
+    assert human["context_hash"].nunique() == 2
+    assert human[list(APPROACH_METRICS)].drop_duplicates().shape[0] == 1
+    options = {"workers": 0, "progress": False, "cache": cache, "name": "x"}
+    plain = evaluate_policy(UncommandedDriver(), [changed.replace(adoption=0.0)], [3], SHORT, **options)
+    played = plain[plain["policy"] == "x"][list(APPROACH_METRICS)].to_numpy()
+    assert (played == human[list(APPROACH_METRICS)].to_numpy()[:1]).all()
+
+
+def test_all_approach_contexts_report_every_approach(contexts: list[Context], cache: Path) -> None:
+    whole = contexts[0].replace(approach=None)
+    table = evaluate_policy("constant", [whole], [5], SHORT, workers=0, progress=False, cache=cache)
+    rows = table[table["policy"] == "constant"]
+    assert rows["approach"].tolist() == list(whole.intersection.approach_names)
+    assert (rows["demand"] == "all").all()
+    assert (rows["entered"] > 0).all()
+
+
+def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts: list[Context], cache: Path) -> None:
+    lost = evaluate_policy(drivers.lost, contexts[:1], SEEDS, SHORT, workers=0, progress=False, cache=cache)
+    chosen, reference = (lost[lost["policy"] == name] for name in ("policy", "uncommanded"))
+    assert (chosen["nan_actions"] == chosen["agent_steps"]).all()
+    assert (chosen["nan_actions"] > 0).any()
+    assert (chosen["emission_g"].to_numpy() == reference["emission_g"].to_numpy()).all()
+    assert summarise(lost)["entries"]["policy"]["levels"]["all"]["nan_share"] == 100.0
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_stopped(
+    table: pd.DataFrame, contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    policy = drivers.Counted(tmp_path / "steps", fail_at=3 * STEPS + 3)
+    options = {"workers": 0, "progress": False, "cache": cache, "out": tmp_path / "out"}
+    with pytest.raises(EpisodeFailed, match=r"policy policy, context .*, seed .*out of luck"):
+        evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+    kept = read_table(tmp_path / "out")
+    finished = (kept["policy"] == "policy").sum()
+    assert 1 <= finished < 4 and not read_manifest(tmp_path / "out").complete
+    policy.limit.write_text(str(10**9))
+    resumed = evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+    assert_frame_equal(resumed, table, check_exact=True)
+    steps = policy.steps()
+    evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+    assert policy.steps() == steps and read_manifest(tmp_path / "out").complete
+
+
+def test_a_source_is_kept_relative_to_the_folder_that_a_link_leads_to(
+    contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "disk" / "results").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "results")
+    options = {"workers": 0, "progress": False, "cache": cache, "out": tmp_path / "link", "name": "mine"}
+    record = PolicyRecord("trained", source=str(tmp_path / "mine.pt"), algo="ppo", frames=7)
+    evaluate_policy(drivers.Moody(), contexts[:1], SEEDS[:1], SHORT, record=record, train_seed=3, **options)
+    (kept,) = read_manifest(tmp_path / "link").policies["mine"].items()
+    assert kept[0] == 3 and (kept[1].source, kept[1].algo, kept[1].frames) == ("../../mine.pt", "ppo", 7)
+
+
+def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: pd.DataFrame) -> None:
+    """The cache answers: an entry that was altered comes back as it is."""
+    setup = Setup({}, dataclasses.replace(SHORT, emit=()))
+    entries, played = EpisodeCache(cache, setup), baseline_context(contexts[0])
+    found = entries.get("human", played, SEEDS[0])
+    assert found is not None and entries.get("human", played, 10**6) is None
+    assert entries.get("human", played, SEEDS[0], ["team_reward"]) is None, "it was not recorded"
+    others = EpisodeCache(cache / "other", setup)
+    others.put("human", played, SEEDS[0], found._replace(rows=[{**row, "crossed": 12345.0} for row in found.rows]))
+    options = {"workers": 0, "progress": False, "cache": cache / "other", "baselines": ()}
+    again = evaluate_policy("human", contexts[:1], SEEDS[:1], SHORT, **options)
+    assert again["crossed"].tolist() == [12345.0]
+    next((cache / "other").rglob("*.npz")).write_bytes(b"damaged")
+    assert others.get("human", played, SEEDS[0]) is None
+
+
+@pytest.mark.parametrize(
+    ("policy", "workers", "error", "message"),
+    [
+        pytest.param(
+            drivers.broken, 1, EpisodeFailed, "ArithmeticError: the driver fell asleep", marks=pytest.mark.slow
+        ),
+        (drivers.broken, 0, EpisodeFailed, "ArithmeticError: the driver fell asleep"),
+        (drivers.silent, 0, IzooError, "action"),
+        pytest.param(drivers.deadly, 1, EpisodeFailed, "lost 2 times.*SIGKILL", marks=pytest.mark.slow),
+    ],
+)
+def test_a_failing_episode_names_its_context(
+    policy, workers: int, error: type[Exception], message: str, contexts: list[Context], cache: Path
+) -> None:
+    with pytest.raises(error, match=rf"(?s)context {contexts[0].name}, seed {SEEDS[0]}.*{message}"):
+        evaluate_policy(
+            policy, contexts[:1], SEEDS[:1], SHORT, workers=workers, progress=False, cache=cache, baselines=()
+        )
+
+
+@pytest.mark.parametrize(
+    ("policy", "name", "message"),
+    [
+        ("glied", None, "Did you mean 'glide'"),
+        ("no_such_module:f", None, "module:function"),
+        ("./mine.py:drive", None, "is not a policy: it is written module:function, such as mine:drive"),
+        (":drive", None, "module:function"),
+        ("os:", None, "module:function"),
+        ("os:sep", None, "is a str; name a function"),
+        ("tests.results.odd_policies:nobody", None, "nobody"),
+        (drivers.gentle, "human", "another name"),
+        (3, None, "int is not a policy"),
+    ],
+)
+def test_policies_that_cannot_be_used_are_refused(policy, name: str | None, message: str, easy: Context) -> None:
+    with pytest.raises(IzooError, match=message):
+        evaluate_policy(policy, [easy], [0], SHORT, workers=0, name=name)
+
+
+def test_nothing_to_evaluate_is_refused(easy: Context) -> None:
+    with pytest.raises(IzooError, match="one or more"):
+        evaluate_policy("human", [easy], [], SHORT)
+
+
+def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contexts: list[Context], cache: Path) -> None:
+    changing = dataclasses.replace(SHORT, lane_change=True)
+    tables = [
+        evaluate_policy(drivers.leftwards, contexts[:1], [11], config, workers=0, progress=False, cache=cache)
+        for config in (changing, SHORT)
+    ]
+    for name in ("human", "uncommanded"):
+        one, other = (table[table["policy"] == name].reset_index(drop=True) for table in tables)
+        assert_frame_equal(one[list(APPROACH_METRICS)], other[list(APPROACH_METRICS)])
+
+
+@pytest.mark.slow
+def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
+    contexts: list[Context], cache: Path, tmp_path: Path
+) -> None:
+    """It has ended afterwards, and its episode was played by another."""
+    config = dataclasses.replace(SHORT, watchdog_s=3.0)
+    policy = drivers.Stopping(tmp_path / "stopped")
+    begin = time.monotonic()
+    table = evaluate_policy(policy, contexts[:1], SEEDS, config, workers=2, progress=False, cache=cache)
+    assert (tmp_path / "stopped").exists() and time.monotonic() - begin < 120.0
+    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS, config, workers=0, progress=False, cache=cache)
+    columns = ["policy", *APPROACH_METRICS]
+    assert_frame_equal(table[columns], gentle[columns])
+    assert not [child for child in own_children() if stopped(child)]
+
+
+def own_children() -> list[int]:
+    """Processes that this one has started."""
+    tasks = Path("/proc/self/task").iterdir()
+    return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
+
+
+def stopped(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
