@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import mmap
 import os
@@ -17,6 +18,7 @@ from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
 from izoo.errors import IzooError, check_whole
+from izoo.networks.net.build import build_nets
 
 _log = logging.getLogger("izoo")
 
@@ -75,6 +77,8 @@ class SumoWorkers:
         """Begin episodes side by side; a worker that is lost meanwhile gets a second try."""
         if self.closed:
             raise IzooError(CLOSED)
+        with contextlib.suppress(IzooError):  # raised again by the worker that plays there
+            build_nets([play.context.intersection for play in plays.values()])
         for attempt in range(2):
             lost: dict[int, WorkerLost] = {}
             try:

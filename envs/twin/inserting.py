@@ -169,15 +169,22 @@ def _is_busy(state, lane):  # type: ignore[no-untyped-def]
 
 @compiled
 def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end."""
+    """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end.
+
+    SUMO asks it where the vehicle will be after one step. Where even the room for changing has begun by then it is too
+    late to ask, and the vehicle enters.
+    """
     variant = state.ints[v, VARIANT]
     offset = net.best_offset[variant, lane]
     if -2 < offset < 2:
         return False
     driver = traffic.floats[v]
-    left = net.best_length[variant, lane] - position - (ROOM_RIGHT_M if offset < 0 else ROOM_LEFT_M)
-    limit = net.lane_floats[lane, LANE_LIMIT]
-    return stop_speed(driver, left, driver[DEPART_SPEED], limit, driver[DECEL], step_s) < driver[DEPART_SPEED]
+    speed = driver[DEPART_SPEED]
+    room = ROOM_RIGHT_M if offset < 0 else ROOM_LEFT_M
+    left = net.best_length[variant, lane] - position - room - speed * step_s
+    if left < 0.0:
+        return False
+    return stop_speed(driver, left, speed, net.lane_floats[lane, LANE_LIMIT], driver[DECEL], step_s) < speed
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import Any
 from izoo.contexts.context import Context
 from izoo.envs.twin.margins import VISIBILITY_M
 from izoo.errors import IzooError
-from izoo.networks.net.build import build_net
+from izoo.networks.net.build import build_nets
 from izoo.networks.road import parse_net
 
 SIGNAL_LETTERS = "GgyYrs"
@@ -26,8 +26,8 @@ def check_contexts(contexts: Iterable[Context]) -> None:
     Raises:
         IzooError: a net cannot be built or read, or the twin does not know what it has; the message names the context.
     """
-    for context in {context.intersection: context for context in contexts}.values():
-        path = build_net(context.intersection)
+    by_net = {context.intersection: context for context in contexts}
+    for path, context in zip(build_nets(list(by_net)), by_net.values(), strict=True):
         try:
             check_playable(parse_net(path.read_bytes(), path), str(path))
         except IzooError as error:

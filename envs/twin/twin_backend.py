@@ -7,6 +7,7 @@ import functools
 import itertools
 import weakref
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 
 from izoo.compiling import compiling_once
+from izoo.contexts.spec import IntersectionSpec
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import CLOSED, Play, rest_where_ended
@@ -30,6 +32,7 @@ from izoo.envs.twin.twin_run import Prepared, TwinRun, prepare
 from izoo.errors import IzooError, check_choice, check_whole
 from izoo.gpu import check_gpu
 from izoo.networks.clock import to_ms
+from izoo.networks.net.build import TOGETHER, build_nets
 
 SURROGATES = ("torch", "cuda", "compiled")
 
@@ -85,6 +88,7 @@ class TwinBackend:
         self._ranges = [no_ranges() for _ in self._shares]
         self._preparers_desk = Desk()
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
+        self._netless: deque[Callable[[], Play]] = deque()
         # Where several threads share the environments out, each does what torch does for its own share, alone.
         self._crew = Crew(self.threads, _use_one_torch_thread)
         self._preparer = ThreadPoolExecutor(1, "izoo-prepare")
@@ -113,18 +117,35 @@ class TwinBackend:
             return
         if known is not None:
             known[1].cancel()
-        self._ahead[index] = number, self._preparer.submit(lambda: prepare(self.config, play(), self._preparers_desk))
+        self._netless.append(play)
+        self._ahead[index] = number, self._preparer.submit(self._prepare_ahead, play)
+
+    def _prepare_ahead(self, play: Callable[[], Play]) -> Prepared:
+        """Prepare an episode, after the nets of all that wait for theirs."""
+        waiting: list[IntersectionSpec] = []
+        with contextlib.suppress(IndexError):
+            while len(waiting) < TOGETHER:
+                later = self._netless.popleft()
+                with contextlib.suppress(Exception):  # raised again where that episode is prepared
+                    waiting.append(later().context.intersection)
+        with contextlib.suppress(IzooError):
+            build_nets(waiting)
+        return prepare(self.config, play(), self._preparers_desk)
 
     def forget_ahead(self) -> None:
         """Forget the episodes that are prepared ahead or are to be: they are prepared when their turn comes."""
         waiting = [future for _, future in self._ahead.values() if not future.cancel()]
         self._ahead.clear()
+        self._netless = deque()
         wait(waiting)
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, and write their first frames."""
         if self.closed:
             raise IzooError(CLOSED)
+        ready = {index for index, (_, future) in self._ahead.items() if future.done()}
+        with contextlib.suppress(IzooError):  # raised again where that episode is prepared
+            build_nets([play.context.intersection for index, play in plays.items() if index not in ready])
         with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             for index, play in plays.items():
                 self._runs[index] = None

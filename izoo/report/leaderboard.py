@@ -1,14 +1,15 @@
 """Leaderboard files: one JSON file per entry, with the rows from which everything that is said of it is computed.
 
-A file follows ``leaderboard_schema.json`` beside this module. It holds the rows of the entry and of its baselines, column
-by column (:func:`packed`). That the rows were really measured, only playing the episodes again can show.
+A file follows ``leaderboard_schema.json`` beside this module. It holds the rows of the entry and of its baselines,
+column by column (:func:`packed`). Only playing the episodes again can show that the rows were really measured.
 
-A **leaderboard** (:func:`merge`) groups files by task and simulator, and ranks them by CO2 saved over uncommanded.
-Entries with a mark (another model of the simulation, missing episodes, a file that was changed) are listed without rank.
+A **leaderboard** (:func:`merge`) groups files by task, simulator and model version, and ranks them by CO2 saved over
+uncommanded. Entries with a fault (missing episodes, a file that was changed) are listed without rank.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import json
@@ -50,7 +51,6 @@ DIGITS = 7
 LARGEST = 1e15
 """No number of a row is larger, so that its powers are finite."""
 KEY = ("policy", "train_seed", *PAIR)
-NOT_RANKED = "not ranked"
 
 
 @functools.cache
@@ -165,7 +165,9 @@ def content_hash(content: Mapping[str, Any]) -> str:
 def write_entry(path: Path, content: Mapping[str, Any]) -> None:
     """Write a file, whole or not at all: a line per column."""
     heads = [f"{json.dumps(key)}:{json.dumps(value)}" for key, value in content.items() if key != "rows"]
-    rows = [f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'), allow_nan=False)}" for k, v in content["rows"].items()]
+    rows = [
+        f"{json.dumps(k)}:{json.dumps(v, separators=(',', ':'), allow_nan=False)}" for k, v in content["rows"].items()
+    ]
     write_text(path, "{" + ",\n".join([*heads, '"rows":{\n' + ",\n".join(rows) + "}"]) + "}\n")
 
 
@@ -177,14 +179,14 @@ class Entry:
         source: the file's name.
         content: of the file, without its rows.
         table: its rows.
-        marks: why it gets no rank; empty: nothing is wrong.
+        faults: why it gets no rank; empty: nothing is wrong.
         notes: what to know about it, without consequence for its rank.
     """
 
     source: str
     content: Mapping[str, Any]
     table: pd.DataFrame = field(repr=False)
-    marks: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -195,12 +197,21 @@ class Entry:
     @property
     def superseded(self) -> bool:
         """Whether only the paper's form can be computed."""
-        return bool(self.content.get("superseded"))
+        return "superseded" in self.content
 
     @property
     def simulator(self) -> str:
         """What played: SUMO where it did."""
-        return "sumo" if "sumo" in set(self.table["simulator"]) else "twin"
+        return str(min(self.table["simulator"]))
+
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """Its faults, and whether it is of another model of the simulation or of an earlier measure."""
+        version = self.content["model_version"]
+        if self.superseded:
+            return (f"superseded: {self.content['superseded']}", *self.faults)
+        other = f"model version {version} of the simulation, not {MODEL_VERSION}"
+        return self.faults if version == MODEL_VERSION else (other, *self.faults)
 
 
 def read_entry(path: Path) -> Entry:
@@ -229,59 +240,93 @@ def read_entry(path: Path) -> Entry:
 
 
 def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry:
-    """Return a well-formed file with its marks and notes."""
-    marks, notes, policy = [], [], content["policy"]
+    """Return a well-formed file with its faults and notes."""
+    faults, notes, policy = [], [], content["policy"]
     if content_hash(content) != content["hash"]:
-        marks.append("the hash does not match: the file was changed after it was written")
-    if content.get("superseded"):
-        marks.append(f"superseded: {content['superseded']}")
-    elif content["model_version"] != MODEL_VERSION:
-        marks.append(f"model version {content['model_version']} of the simulation, not {MODEL_VERSION}")
-    mine = table[table["policy"] == policy["name"]]
-    seeds = mine["train_seed"].nunique()
-    if not content.get("superseded"):
-        wanted = len(table[list(PAIR)].drop_duplicates())
-        for name, there in ({name: 1 for name in BASELINES} | {policy["name"]: max(seeds, 1)}).items():
-            lacking = there * wanted - int((table["policy"] == name).sum())
-            marks += [f"{counted(lacking, 'row')} {'is' if lacking == 1 else 'are'} missing of {name}"] if lacking else []
+        faults.append("the hash does not match: the file was changed after it was written")
+    seeds = max(1, table.loc[table["policy"] == policy["name"], "train_seed"].nunique())
+    wanted = len(table[list(PAIR)].drop_duplicates())
+    for name in dict.fromkeys((policy["name"], *(() if "superseded" in content else BASELINES))):
+        lacking = wanted * (seeds if name == policy["name"] else 1) - int((table["policy"] == name).sum())
+        faults += [f"rows of {name} are missing: {lacking}"] if lacking else []
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
     if set(table["simulator"]) == {"twin"}:
         notes.append("played on the twin")
-    return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(marks), tuple(notes))
+    return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
 
 
 def merge(found: Sequence[Entry]) -> dict[str, Any]:
     """Return the leaderboard of several files.
 
     Returns:
-        ``format``, and ``groups``: per task and simulator ``task``, ``simulator``, ``summary`` of the ranked entries
-        (:func:`izoo.metrics.summary.summarise`), ``entries`` (``name`` in the summary, ``rank`` or ``None``, ``source``,
-        ``policy``, ``model_version``, ``hash``, ``marks``, ``notes``; best first) and ``marked``: the summaries' entries
-        of those without rank. Superseded files form groups of their own, with ``paper`` in place of a summary.
+        ``format``, and ``groups``: per task, simulator and model version ``summary`` of the entries without faults
+        (:func:`izoo.metrics.summary.summarise`; ``None`` where there is none), and ``entries``: ``name`` in the
+        summary, ``rank`` or ``None``, ``source``, ``policy``, ``hash``, ``marks``, ``notes``, best first. Superseded files form
+        groups of their own, with ``paper``, :func:`izoo.metrics.paper_form.paper_form` by name, in place of a summary.
     """
-    groups: dict[tuple[str, str, bool], list[Entry]] = {}
+    groups: dict[tuple[str, str, int, bool], dict[str, Entry]] = {}
     for entry in found:
-        groups.setdefault((str(entry.content["task"]), entry.simulator, entry.superseded), []).append(entry)
-    merged = [_group(task, simulator, of, old) for (task, simulator, old), of in groups.items()]
+        key = (str(entry.content["task"]), entry.simulator, int(entry.content["model_version"]), entry.superseded)
+        named = groups.setdefault(key, {})
+        same = sum(other.name == entry.name for other in named.values())
+        named[f"{entry.name} {same + 1}" if same else entry.name] = entry
+    merged = []
+    for (task, simulator, version, old), named in groups.items():
+        about = {"task": task, "simulator": simulator, "model_version": version}
+        merged.append(about | (_papers(named) if old else _ranked(named)))
     return {"format": MERGED_FORMAT, "groups": merged}
 
 
 def board(group: Mapping[str, Any]) -> Table:
-    """Return a group of :func:`merge` as a table: ranked entries, slower ones, those that are not ranked."""
+    """Return a group of :func:`merge` as a table of its ranked entries, slower ones last."""
     if "paper" in group:
         return paper_table(group["paper"], f"{group['task']}: superseded; the paper's form, over human driving")
-    summary = group["summary"] or group["marked"][0]["summary"]
-    shown = tables.entries(summary)
-    groups = shown.groups if group["summary"] else ()
-    marked = tuple(tables.entry_row(alone["summary"], alone["name"]) for alone in group["marked"])
-    return Table(shown.title, shown.columns, (*groups, (NOT_RANKED, marked)))
+    if group["summary"] is None:
+        return Table(group["task"], tables.entry_columns(), ())
+    return tables.entries(group["summary"])
+
+
+def _papers(named: Mapping[str, Entry]) -> dict[str, Any]:
+    papers = {name: paper_form(entry.table, entry.name)[1] for name, entry in named.items() if not entry.faults}
+    return {"paper": papers, "entries": [_line(name, entry, None) for name, entry in named.items()]}
+
+
+def _ranked(named: Mapping[str, Entry]) -> dict[str, Any]:
+    """Rank the entries that were tested on the same contexts, beside baselines that drove the same."""
+    contexts = {name: set(entry.table["context_hash"]) for name, entry in named.items()}
+    most = max(map(len, contexts.values()))
+    fit: dict[str, Entry] = {}
+    unfit: dict[str, Entry] = {}
+    for name, entry in named.items():
+        few, first = most - len(contexts[name]), next(iter(fit.values()), entry)
+        faults = entry.faults + ((f"{counted(few, 'context')} fewer than others of the task",) if few else ())
+        if not faults and not _same(entry.table, first.table):
+            faults = ("its baselines drove otherwise than those of the other files",)
+        (unfit if faults else fit)[name] = dataclasses.replace(entry, faults=faults)
+    parts = [e.table.assign(policy=e.table["policy"].replace({e.name: name})) for name, e in fit.items()]
+    summary = summarise(pd.concat(parts, ignore_index=True).drop_duplicates(list(KEY))) if parts else None
+    order = [name for name in tables.ranking(summary) if name in fit] if summary else []
+    lines = [_line(name, fit[name], k) for k, name in enumerate(order, 1)]
+    return {"summary": summary, "entries": lines + [_line(name, entry, None) for name, entry in unfit.items()]}
+
+
+def _same(rows: pd.DataFrame, others: pd.DataFrame) -> bool:
+    """Whether baselines did the same in the episodes that two files share."""
+    both = rows[rows["policy"].isin(BASELINES)].merge(others, on=list(KEY), suffixes=("", "_other"))
+    return all(np.allclose(both[name], both[f"{name}_other"], rtol=1e-5) for name in ("crossed", "cohort_region_co2_g"))
+
+
+def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
+    kept = {key: entry.content[key] for key in ("policy", "hash")}
+    marks = {"marks": list(entry.marks), "notes": list(entry.notes)}
+    return {"name": name, "rank": rank, "source": entry.source, **kept, **marks}
 
 
 def draw(found: Sequence[Entry], path: Path, histograms: bool = False) -> None:
     """Draw what entries saved, a panel per group of :func:`merge`, or a histogram over contexts per entry, as PNG."""
     if histograms:
-        charts = [_histogram(entry) for entry in found if not _empty(entry)]
+        charts = [_histogram(entry) for entry in found if not entry.faults]
     else:
         charts = [plots.forest(board(group)) for group in merge(found)["groups"]]
     save(draw_charts(charts, columns=2), path)
@@ -293,74 +338,6 @@ def _histogram(entry: Entry) -> Chart:
         return plots.histogram(100.0 * paper_form(entry.table, entry.name)[0]["benefit"], title, "histogram", BENEFIT)
     own = pair(entry.table[entry.table["simulator"] == entry.simulator], entry.name, UNCOMMANDED)
     return plots.histogram(FIGURES[SAVED].value(own.own, own.baseline), title, "histogram")
-
-
-def _group(task: str, simulator: str, found: Sequence[Entry], old: bool) -> dict[str, Any]:
-    named = _named(found)
-    group: dict[str, Any] = {"task": task, "simulator": simulator}
-    if old:
-        group["paper"] = {name: paper_form(entry.table, entry.name)[1] for name, entry in named.items()}
-        return group | {"entries": [_line(name, entry, None) for name, entry in named.items()], "marked": []}
-    most = max((frozenset(_tested(entry)) for entry in found), key=len)
-    marked, ranked, parts = {}, {}, []
-    reference = None
-    for name, entry in named.items():
-        base = entry.table[entry.table["policy"].isin(BASELINES)]
-        reference = base if reference is None and not entry.marks else reference
-        more = [f"{counted(len(most - _tested(entry)), 'context')} fewer than others of the task"] if most - _tested(entry) else []
-        if reference is not None and not entry.marks and not _same(base, reference):
-            more.append("its baselines drove otherwise than those of the other files")
-        if entry.marks or more:
-            marked[name] = Entry(entry.source, entry.content, entry.table, (*entry.marks, *more), entry.notes)
-            continue
-        ranked[name] = entry
-        parts += [entry.table.assign(policy=entry.table["policy"].replace({entry.name: name}), task=task)]
-    summary = summarise(pd.concat(parts, ignore_index=True).drop_duplicates(list(KEY))) if parts else None
-    order = [name for name in tables.ranking(summary) if name in ranked] if summary else []
-    alone = [{"name": name, "summary": _renamed(summarise(e.table), e.name, name)} for name, e in marked.items() if not _empty(e)]
-    lines = [_line(name, ranked[name], k) for k, name in enumerate(order, 1)]
-    lines += [_line(name, entry, None) for name, entry in marked.items()]
-    return group | {"summary": summary, "entries": lines, "marked": alone}
-
-
-def _named(found: Sequence[Entry]) -> dict[str, Entry]:
-    """Entries by name; those that share one are numbered."""
-    named: dict[str, Entry] = {}
-    for entry in found:
-        name, number = entry.name, 2
-        while name in named or (number > 2 and name in BASELINES):
-            name, number = f"{entry.name} {number}", number + 1
-        named[name] = entry
-    return named
-
-
-def _renamed(summary: dict[str, Any], old: str, new: str) -> dict[str, Any]:
-    return {**summary, "entries": {new if name == old else name: of for name, of in summary["entries"].items()}}
-
-
-def _empty(entry: Entry) -> bool:
-    return entry.name not in set(entry.table["policy"]) or not set(BASELINES) <= set(entry.table["policy"])
-
-
-def _tested(entry: Entry) -> set[tuple[Any, ...]]:
-    mine = entry.table[entry.table["policy"] == entry.name]
-    return set(mine[["context_hash"]].drop_duplicates().itertuples(index=False, name=None))
-
-
-def _same(rows: pd.DataFrame, others: pd.DataFrame) -> bool:
-    """Whether baselines did the same in the episodes that two files share."""
-    both = rows.merge(others, on=list(KEY), suffixes=("", "_other"))
-    return all(
-        np.allclose(both[name].astype(float), both[f"{name}_other"].astype(float), rtol=1e-5, equal_nan=True)
-        for name in ("crossed", "cohort", "cohort_region_co2_g")
-        if f"{name}_other" in both
-    )
-
-
-def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
-    kept = {key: entry.content[key] for key in ("policy", "model_version", "hash")}
-    marks = {"marks": list(entry.marks), "notes": list(entry.notes)}
-    return {"name": name, "rank": rank, "source": entry.source, **kept, **marks}
 
 
 def _rounded(value: Any) -> Any:

@@ -154,9 +154,7 @@ def _charts(results: Results) -> dict[str, list[Chart]]:
     for k, evaluation in enumerate(results.evaluations):
         place = f"-{k}" if k else ""
         values = {
-            name: evaluation.contexts(name)[SAVED].dropna()
-            for name in evaluation.policies
-            if name != UNCOMMANDED
+            name: evaluation.contexts(name)[SAVED].dropna() for name in evaluation.policies if name != UNCOMMANDED
         }
         found["summary"].append(plots.forest(tables.entries(evaluation.summary), f"forest{place}"))
         found["summary"].append(dataclasses.replace(plots.profiles(values), name=f"profiles{place}"))
@@ -183,7 +181,9 @@ def _columns(several: bool) -> list[dict[str, Any]]:
     found += [column("test", "evaluation")] if several else []
     for figure in FIGURES.values():
         unit = f" ({figure.unit})" if figure.unit else ""
-        found.append(column(figure.name, figure.label + unit, figure.digits, f"over {UNCOMMANDED}" if figure.paired else ""))
+        found.append(
+            column(figure.name, figure.label + unit, figure.digits, f"over {UNCOMMANDED}" if figure.paired else "")
+        )
     found.append(column("volume_over_capacity", "volume over capacity", 2, "above 1 the intersection is saturated"))
     return [*found, column("train_seeds", "training seeds", 0)]
 

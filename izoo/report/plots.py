@@ -1,4 +1,4 @@
-"""Charts of summaries, and charts as figures of plotly.js: the same :class:`~izoo.training.plots.Chart` is drawn as PNG."""
+"""Charts of summaries, and any :class:`~izoo.training.plots.Chart`, which is drawn as PNG there, for plotly.js."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
     cells = [(row.label, row.cells[column]) for row in table.rows]
     known = [(label, cell) for label, cell in cells if isinstance(cell, Cell) and cell.value is not None]
     marks = Series(
-        [cell.value for _, cell in known],  # type: ignore[misc]
+        np.array([cell.value for _, cell in known], float),
         list(range(len(known))),
         kind="points",
         low=[cell.low for _, cell in known],
@@ -44,7 +44,9 @@ def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
     unit = next((f" ({cell.unit})" for _, cell in known if cell.unit), "")
     heading, rows = table.columns[column + 1], [label for label, _ in known]
     alt = f"{heading}: {'; '.join(f'{label} {cell}' for label, cell in known)}."
-    return Chart(name, table.title, [marks], heading + unit, rows=rows, zero=True, alt=alt, height_px=120 + 36 * len(rows))
+    return Chart(
+        name, table.title, [marks], heading + unit, rows=rows, zero=True, alt=alt, height_px=120 + 36 * len(rows)
+    )
 
 
 def tradeoff(summary: Mapping[str, Any]) -> Chart | None:
@@ -60,9 +62,10 @@ def tradeoff(summary: Mapping[str, Any]) -> Chart | None:
     if len(series) < 2:
         return None
     labels = [f"{FIGURES[key].label}, over {UNCOMMANDED} ({FIGURES[key].unit})" for key in (DELAY, SAVED)]
-    points = "; ".join(f"{s.name} {s.y[0]:.1f} at {s.x[0]:+.1f}" for s in series)
+    points = "; ".join(f"{s.name} {np.ravel(s.y)[0]:.1f} at {np.ravel(s.x)[0]:+.1f}" for s in series)
     caption = "Upwards: less CO2. To the left: less delay."
-    return Chart("tradeoff", "CO2 and delay", series, *labels, caption, f"{labels[1]} against {labels[0]}: {points}.")
+    alt = f"{labels[1]} against {labels[0]}: {points}."
+    return Chart("tradeoff", "CO2 and delay", series, labels[0], labels[1], caption, alt)
 
 
 def profiles(values: Mapping[str, ArrayLike]) -> Chart:
@@ -83,10 +86,22 @@ def profiles(values: Mapping[str, ArrayLike]) -> Chart:
     caption = "Higher is better: a curve above another everywhere is better everywhere. Curves have no intervals."
     label, alt = figure_label(SAVED), "Share of contexts above each value, a line per policy."
     range_ = (-min(1.1 * reach, 100.0), min(1.1 * reach, 100.0))
-    return Chart("profiles", "Performance profiles", series, label, "contexts above it (%)", caption, alt, x_range=range_, zero=True)
+    return Chart(
+        "profiles",
+        "Performance profiles",
+        series,
+        label,
+        "contexts above it (%)",
+        caption,
+        alt,
+        x_range=range_,
+        zero=True,
+    )
 
 
-def histogram(values: ArrayLike, title: str, name: str, label: str = "", colour: str = PALETTE[0], note: str = "") -> Chart:
+def histogram(
+    values: ArrayLike, title: str, name: str, label: str = "", colour: str = PALETTE[0], note: str = ""
+) -> Chart:
     """Return how many contexts have which value; bars far above the others are cut and carry their count.
 
     Args:
@@ -101,8 +116,21 @@ def histogram(values: ArrayLike, title: str, name: str, label: str = "", colour:
     words = [str(count) if count > cut else "" for count in counts]
     bars = Series(0.5 * (edges[:-1] + edges[1:]), np.minimum(counts, cut), kind="bars", colour=colour, text=words)
     alt = f"Histogram of {x.size} values, {title}" + (f", median {np.median(x):.1f} %." if x.size else ".")
-    labels = label or figure_label(SAVED), "contexts"
-    return Chart(name, f"{title} (n = {x.size})", [bars], *labels, note, alt, (), (-LIMIT_PCT, LIMIT_PCT), cut, True, 260)
+    axis = label or figure_label(SAVED)
+    return Chart(
+        name,
+        f"{title} (n = {x.size})",
+        [bars],
+        axis,
+        "contexts",
+        note,
+        alt,
+        (),
+        (-LIMIT_PCT, LIMIT_PCT),
+        cut,
+        True,
+        260,
+    )
 
 
 def cut_height(counts: np.ndarray) -> float:
@@ -116,7 +144,7 @@ def to_plotly(chart: Chart) -> dict[str, Any]:
     listed: set[str] = set()
     data = []
     for series in chart.series:
-        shown = bool(series.name) and series.name not in listed and not series.faint
+        shown = series.listed and series.name not in listed
         listed |= {series.name} if shown else set()
         name = {"name": _escaped(series.name), "legendgroup": _escaped(series.name), "showlegend": shown}
         data.append({**name, **_trace(series, bool(chart.rows))})
@@ -127,7 +155,10 @@ def to_plotly(chart: Chart) -> dict[str, Any]:
         y_axis |= {**ticks, "range": [count - 0.4, -0.6]}
     if chart.y_most:
         y_axis |= {"range": [0, 1.15 * chart.y_most], **({"dtick": 1} if chart.y_most <= 6 else {})}
-    x_axis = _axis(chart.x_label) | {"zeroline": chart.zero, **({"range": list(chart.x_range)} if chart.x_range else {})}
+    x_axis = _axis(chart.x_label) | {
+        "zeroline": chart.zero,
+        **({"range": list(chart.x_range)} if chart.x_range else {}),
+    }
     layout: dict[str, Any] = {"xaxis": x_axis, "yaxis": y_axis, "showlegend": len(listed) > 1, "bargap": 0}
     return {"name": chart.name, "data": data, "layout": layout}
 
@@ -140,7 +171,14 @@ def _trace(series: Series, across: bool) -> dict[str, Any]:
         return {"type": "scatter", "mode": "lines", **area, **quiet}
     if series.kind == "bars":
         text = {"text": list(series.text or ()), "textposition": "outside", "cliponaxis": False}
-        return {"type": "bar", "x": x, "y": y, **text, "marker": {"color": series.colour}, "hovertemplate": "%{y} at %{x:.1f}<extra></extra>"}
+        return {
+            "type": "bar",
+            "x": x,
+            "y": y,
+            **text,
+            "marker": {"color": series.colour},
+            "hovertemplate": "%{y} at %{x:.1f}<extra></extra>",
+        }
     trace: dict[str, Any] = {"type": "scatter", "mode": _DASH[series.kind], "x": x, "y": y}
     trace["hovertemplate"] = f"{_escaped(series.name)}<br>%{{x:.4g}}: %{{y:.4g}}<extra></extra>"
     if series.low is not None and series.high is not None:
@@ -151,7 +189,11 @@ def _trace(series: Series, across: bool) -> dict[str, Any]:
     if series.kind == "points":
         trace["marker"] = {"color": series.colour, "size": 9, "symbol": "circle-open" if series.hollow else "circle"}
         if series.text:
-            trace |= {"mode": "markers+text", "text": [_escaped(word) for word in series.text], "textposition": "top center"}
+            trace |= {
+                "mode": "markers+text",
+                "text": [_escaped(word) for word in series.text],
+                "textposition": "top center",
+            }
         return trace
     width, opacity = (1.0, 0.35) if series.faint else (2.2, 0.9)
     shape = {"shape": "hv" if series.kind == "step" else "linear", "dash": "dot" if series.hollow else "solid"}
@@ -167,7 +209,7 @@ def _axis(title: str) -> dict[str, Any]:
     return {"title": {"text": _escaped(title)}, "zeroline": False, "automargin": True}
 
 
-def _short(values: Sequence[float | None]) -> list[float | None]:
+def _short(values: ArrayLike | Sequence[float | None]) -> list[float | None]:
     """Six digits are more than is shown, and keep the page small."""
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values, float)]
 

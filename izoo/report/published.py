@@ -81,7 +81,9 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: s
     for each in published_for(task):
         known = {"best_ratio_of_sums": each.benefit, "throughput_mean": each.throughput_benefit}
         known["share_kept"] = each.throughput_kept
-        theirs.append(Row(f"{each.algorithm}, {each.protocol}", tuple(_percent(known.get(key), key) for key in COLUMNS)))
+        theirs.append(
+            Row(f"{each.algorithm}, {each.protocol}", tuple(_percent(known.get(key), key) for key in COLUMNS))
+        )
     return Table(title, ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
 
 

@@ -88,7 +88,15 @@ def scenes(evaluation: Evaluation, policy: str) -> list[Scene]:
     scenes = []
     for which, row in picked:
         first = rows[rows["context_hash"] == row["context_hash"]].iloc[0]
-        about = (policy, which, row["context"], first["approach"], row["context_hash"], int(best_seed), int(first["seed"]))
+        about = (
+            policy,
+            which,
+            row["context"],
+            first["approach"],
+            row["context_hash"],
+            int(best_seed),
+            int(first["seed"]),
+        )
         scenes.append(Scene(*about, float(row[SAVED]), evaluation))
     return scenes
 
@@ -139,7 +147,9 @@ class Player:
         context = read_contexts(scene.evaluation.folder).get(scene.context_hash)
         if context is None:
             raise IzooError(f"the folder does not hold the context {scene.context}.")
-        config = dataclasses.replace(scene.evaluation.manifest.config(scene.policy, scene.train_seed), emit=("metrics",))
+        config = dataclasses.replace(
+            scene.evaluation.manifest.config(scene.policy, scene.train_seed), emit=("metrics",)
+        )
         simulator = str(scene.evaluation.table["simulator"].iloc[0])
         if self._env is None or (self._env.config, self._simulator) != (config, simulator):
             self.__exit__()

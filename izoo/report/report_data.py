@@ -102,7 +102,8 @@ def collect(folder: Path, partial: bool = False) -> Results:
     curves = read_curves(folder)
     if not found and not curves:
         raise IzooError(
-            f"{folder} holds no results: neither {ROWS_FILE} (izoo.evaluate, a benchmark) nor {METRICS_FILE} (izoo.train)."
+            f"{folder} holds no results: neither {ROWS_FILE} (izoo.evaluate, a benchmark) nor {METRICS_FILE} "
+            "(izoo.train)."
         )
     if len(found) == 1 and found[0].task and run is None:
         name = f"{name}: {found[0].task}"

@@ -19,7 +19,8 @@ OLD_FORMAT = "izoo-leaderboard-2"
 WHY = "figures of an earlier measure; a row is the mean over {seeds} episode seeds"
 TASK = ["context_hash", "approach"]
 UNTRAINED = "_untrained"
-Rows = list[dict[str, Any]]
+Rows = dict[tuple[Any, ...], dict[str, Any]]
+"""Rows by policy, training seed, context and approach."""
 
 
 def convert(paths: Sequence[Path], out: Path) -> list[Path]:
@@ -55,13 +56,18 @@ def _read(path: Path) -> dict[str, Any]:
         if content["format"] != OLD_FORMAT:
             raise IzooError(f"{path} is of the format {str(content['format'])[:40]!r}, not {OLD_FORMAT!r}.")
         for row in content["rows"]:
-            float(row["throughput_policy"]), float(row["throughput_baseline"]), row["emission_policy_g"], *map(row.get, TASK)
+            (
+                float(row["throughput_policy"]),
+                float(row["throughput_baseline"]),
+                row["emission_policy_g"],
+                *map(row.get, TASK),
+            )
         return content
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise IzooError(f"cannot read {path}: {type(error).__name__}: {error}; give a file of {OLD_FORMAT}.") from error
 
 
-def _converted(content: Mapping[str, Any], human: Mapping[Any, Any], uncommanded: Mapping[Any, Any]) -> dict[str, Any]:
+def _converted(content: Mapping[str, Any], human: Rows, uncommanded: Rows) -> dict[str, Any]:
     policy, protocol = content["policy"], content["protocol"]
     rows = _side(content, policy["name"], "policy") | human
     if policy["name"] != UNCOMMANDED:
@@ -75,9 +81,9 @@ def _converted(content: Mapping[str, Any], human: Mapping[Any, Any], uncommanded
     return make_entry(about, task, 0, content["versions"], table, why)
 
 
-def _side(content: Mapping[str, Any], name: str, side: str) -> dict[tuple[Any, ...], dict[str, Any]]:
+def _side(content: Mapping[str, Any], name: str, side: str) -> Rows:
     """Rows of a policy, or of its baseline, by policy, training seed, context and approach."""
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    found: Rows = {}
     for row in content["rows"]:
         crossed, grams = row[f"throughput_{side}"], row[f"emission_{side}_g"]
         seed = row["train_seed"] if side == "policy" else 0
@@ -88,10 +94,10 @@ def _side(content: Mapping[str, Any], name: str, side: str) -> dict[tuple[Any, .
     return found
 
 
-def _human(content: Mapping[str, Any]) -> dict[tuple[Any, ...], dict[str, Any]]:
+def _human(content: Mapping[str, Any]) -> Rows:
     return _side(content, HUMAN, "baseline")
 
 
-def _covers(own: Mapping[Any, Any], other: Mapping[Any, Any]) -> bool:
+def _covers(own: Rows, other: Rows) -> bool:
     """Whether human driving did the same in all episodes of the other file."""
     return all(key in own and abs(own[key]["crossed"] - row["crossed"]) < 1e-9 for key, row in other.items())

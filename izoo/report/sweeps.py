@@ -38,8 +38,8 @@ MEASURES = {
 return is the mean of the last :data:`LAST_ROWS` batches that report one."""
 LAST_ROWS = 5
 FEW_OPTIONS = 3
-"""So many options are named in the picture, and shown on any terminal; ``sweep.csv`` has all."""
-CHARACTERS_PER_OPTION = 25
+"""So many options are named in the picture; ``sweep.csv`` has all."""
+CHARACTERS_PER_OPTION = 40
 """A terminal shows one option for so many characters of its width; the other columns need the rest."""
 Choice = dict[str, Any]
 
@@ -125,10 +125,12 @@ def report(folder: Path, console: Console | None = None) -> Path:
     rows = [read_run(run_dir) for run_dir in found]
     table, options = aggregate(rows)
     console = console or Console()
-    shown = options[: max(FEW_OPTIONS, console.width // CHARACTERS_PER_OPTION)]
+    shown = options[: max(1, console.width // CHARACTERS_PER_OPTION)]
     console.print(_shown(table, shown).rich(console.width))
     if len(shown) < len(options):
-        more = f"{len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
+        more = (
+            f"{len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
+        )
         console.print(f"  {more}", highlight=False)
     for row in rows:
         if row["state"] != "finished":
@@ -158,8 +160,9 @@ def _shown(table: pd.DataFrame, options: Sequence[str]) -> Table:
             Cell(None if pd.isna(line[name]) else line[name], unit=MEASURES[name][1], signed=name != "return")
             for name in measures
         ]
-        rows.append(Row(str(number), (*cells, f"{line['frames']:,}", f"{line['hours_per_run']:.2f}")))
-    headings = ("row", *options, "finished", *(MEASURES[name][0] for name in measures), "frames", "h per run")
+        rows.append(Row(str(number), (*cells, f"{line['hours_per_run']:.2f}")))
+    names = (path.replace(".", ".\n") for path in options)
+    headings = ("row", *names, "done", *(MEASURES[name][0] for name in measures), "h per run")
     return Table(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, (("", tuple(rows)),))
 
 

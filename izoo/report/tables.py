@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -101,21 +102,38 @@ class Table:
         """All rows."""
         return [row for _, rows in self.groups for row in rows]
 
+    def first(self, most: int) -> Table:
+        """Return the table with its first rows alone."""
+        groups, left = [], most
+        for heading, rows in self.groups:
+            groups.append((heading, rows[: max(left, 0)]))
+            left -= len(rows)
+        return dataclasses.replace(self, groups=tuple(groups))
+
     def rich(self, width: int = WIDTH) -> RichTable:
         """Return the table for a terminal; intervals stand below their values where a line would be too long."""
-        words = [[row.label, *map(str, row.cells)] for row in self.rows]
-        wide = sum(max((len(line[k]) for line in words), default=0) + 1 for k in range(len(self.columns))) > width
+        columns = range(1, len(self.columns))
+        texts = [[plain(row.label), *(_text(cell, stacked=False) for cell in row.cells)] for row in self.rows]
+        if sum(2 + _width([text[k] for text in texts]) for k in range(len(self.columns)) if texts) > width:
+            texts = [[plain(row.label), *(_text(cell, stacked=True) for cell in row.cells)] for row in self.rows]
+        headings = list(self.columns)
+        if sum(2 + _width([headings[k], *(text[k] for text in texts)]) for k in range(len(headings))) > width:
+            for k in columns:
+                most = _width([text[k] for text in texts] or [headings[k]])
+                headings[k] = "\n".join(textwrap.fill(h, most, break_long_words=False) for h in headings[k].split("\n"))
+        taken = sum(2 + _width([headings[k], *(text[k] for text in texts)]) for k in columns)
         shown = RichTable(title=Text(plain(self.title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         shown.padding = (0, 1, 0, 0)
-        for k, heading in enumerate(self.columns):
-            heading = plain(heading).replace(", ", ",\n") if wide else plain(heading)
-            shown.add_column(Text(heading), justify="right" if k else "left", overflow="fold", no_wrap=k > 0)
+        longest = _width([headings[0], *(text[0] for text in texts)])
+        shown.add_column(Text(headings[0]), overflow="fold", min_width=min(longest, max(8, width - taken - 2)))
+        for heading in headings[1:]:
+            shown.add_column(Text(_text(heading)), justify="right", no_wrap=True)
+        found = iter(texts)
         for heading, rows in self.groups:
             if heading and rows:
                 shown.add_row(Text(plain(heading), style="italic"))
-            for row in rows:
-                cells = [f"{c.number}\n{c.interval}" if wide and isinstance(c, Cell) else str(c) for c in row.cells]
-                shown.add_row(Text(plain(row.label)), *(Text(_lines(cell).rstrip()) for cell in cells))
+            for _ in rows:
+                shown.add_row(*map(Text, next(found)))
             shown.add_section()
         return shown
 
@@ -144,8 +162,11 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    for table in headline(summary), *(details(summary) if verbose else ()):
+    first = headline(summary)
+    for table in [first, *details(summary)] if verbose else [first.first(FIRST_ROWS)]:
         console.print(table.rich(console.width))
+    if not verbose and len(first.rows) > FIRST_ROWS:
+        console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)
     for text in (counts(summary), *cautions(summary), summary["verdict"]):
         console.print(Text(plain(text)))
 
@@ -196,7 +217,13 @@ def is_slower(summary: Mapping[str, Any], name: str) -> bool:
 def entry_columns() -> tuple[str, ...]:
     """Headings of :func:`entries`."""
     paired = [FIGURES[f].label for f in HEADLINE if FIGURES[f].paired]
-    return ("entry", *paired, f"{FIGURES[SAVED].label}, over {HUMAN}", "gain, lose", *(FIGURES[f].label for f in BESIDE))
+    return (
+        "entry",
+        *paired,
+        f"{FIGURES[SAVED].label}, over {HUMAN}",
+        "gain, lose",
+        *(FIGURES[f].label for f in BESIDE),
+    )
 
 
 def entry_row(summary: Mapping[str, Any], name: str) -> Row:
@@ -271,9 +298,10 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
         for f in paired
         if most is None or b == against[0] or f == SAVED
     ]
-    for f in (f for f in figures if not FIGURES[f].paired and most is not None):
-        rows.append((FIGURES[f].label, [_beside(summary, name, f, block) for block in blocks]))
-    if most is None:
+    if most is not None:
+        levels = [f for f in figures if not FIGURES[f].paired]
+        rows += [(FIGURES[f].label, [_beside(summary, name, f, block) for block in blocks]) for f in levels]
+    else:
         for b in against:
             for key in ("mean", "median"):
                 label = f"{FIGURES[SAVED].label}, over {b}: {key}"
@@ -338,8 +366,14 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _lines(text: str) -> str:
+def _text(cell: Cell | str, stacked: bool = False) -> str:
+    """A cell for a terminal, with its interval below it where they are stacked."""
+    text = f"{cell.number}\n{cell.interval}".rstrip() if stacked and isinstance(cell, Cell) else str(cell)
     return "\n".join(plain(line) for line in text.split("\n"))
+
+
+def _width(texts: Sequence[str]) -> int:
+    return max(len(line) for text in texts for line in text.split("\n"))
 
 
 def _marked(text: str) -> str:

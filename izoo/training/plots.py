@@ -6,13 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
+from numpy.typing import ArrayLike, NDArray
 
 from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
@@ -37,7 +39,8 @@ COMPARED = ("co2_saved", "return", "emission_g_per_vehicle")
 SMOOTHING_POINTS, BAND_POINTS, CURVE_POINTS = 20, 100, 400
 LEGEND_CHARACTERS = 40
 """Longer names of choices lose their middle, so that the legend leaves room for the panels."""
-Line = tuple[np.ndarray, np.ndarray]
+Array = NDArray[np.float64]
+Line = tuple[Array, Array]
 """Environment steps and values, ``[N]`` each."""
 
 
@@ -56,16 +59,21 @@ class Series:
         text: ``[N]`` words about the points.
     """
 
-    x: Sequence[float]
-    y: Sequence[float]
+    x: ArrayLike
+    y: ArrayLike
     name: str = ""
     kind: Literal["line", "points", "band", "step", "bars"] = "line"
-    low: Sequence[float | None] | None = None
-    high: Sequence[float | None] | None = None
+    low: Sequence[float | None] | Array | None = None
+    high: Sequence[float | None] | Array | None = None
     colour: str = PALETTE[0]
     faint: bool = False
     hollow: bool = False
     text: Sequence[str] | None = None
+
+    @property
+    def listed(self) -> bool:
+        """Whether it may stand in the legend."""
+        return bool(self.name) and not self.faint and self.kind != "band"
 
 
 @dataclass(frozen=True)
@@ -151,9 +159,10 @@ def _of_choice(choice: str, tables: Sequence[MetricsTable], name: str, window: i
     marks = []
     for table, (x, y) in zip(tables, lines, strict=True):
         low, high = (dict(zip(*table.series(f"{name}_{end}"), strict=True)) for end in ("low", "high"))
-        ends = [[end.get(int(step)) for step in x] for end in (low, high)] if low and between is None else [None, None]
+        ends = [[end.get(int(step)) for step in x] if low and between is None else None for end in (low, high)]
         keep = np.unique(np.linspace(0, len(x) - 1, CURVE_POINTS).astype(int)) if len(x) > CURVE_POINTS else slice(None)
-        marks.append(Series(x[keep], y[keep], choice, "line", *ends, colour=colour, faint=between is not None))
+        faint = between is not None
+        marks.append(Series(x[keep], y[keep], choice, "line", ends[0], ends[1], colour, faint))
     if between is not None:
         x, lowest, mean, highest = between
         marks += [Series(x, mean, choice, "band", lowest, highest, colour), Series(x, mean, choice, colour=colour)]
@@ -170,7 +179,7 @@ def smoothed(table: MetricsTable, name: str, window: int = SMOOTHING_POINTS) -> 
     return np.array(frames, float), (sums[ends] - sums[begins]) / (ends - begins)
 
 
-def band(lines: Sequence[Line]) -> tuple[np.ndarray, ...] | None:
+def band(lines: Sequence[Line]) -> tuple[Array, ...] | None:
     """Return steps, and at each the lowest, the mean and the highest of several lines, where all of them are.
 
     Args:
@@ -197,7 +206,7 @@ def draw(charts: Sequence[Chart], title: str = "", columns: int = 4) -> Figure:
     FigureCanvasAgg(figure)
     figure.suptitle(title, parse_math=False)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    listed: dict[str, object] = {}
+    listed: dict[str, Artist] = {}
     for chart, axes in zip(charts, panels, strict=False):
         _draw_chart(axes, chart)
         for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -205,7 +214,7 @@ def draw(charts: Sequence[Chart], title: str = "", columns: int = 4) -> Figure:
     for axes in panels[len(charts) :]:
         axes.set_axis_off()
     if len(listed) > 1:
-        figure.legend(listed.values(), listed.keys(), loc="outside right center", frameon=False)
+        figure.legend(list(listed.values()), list(listed), loc="outside right center", frameon=False)
     return figure
 
 
@@ -218,7 +227,7 @@ def save(figure: Figure, path: Path) -> None:
 def _draw_chart(axes: Axes, chart: Chart) -> None:
     named: set[str] = set()
     for series in chart.series:
-        label = series.name if series.name and series.name not in named and not series.faint else "_"
+        label = series.name if series.listed and series.name not in named else "_"
         named |= {series.name} if label != "_" else set()
         _draw_series(axes, series, label, bool(chart.rows))
     axes.set_title(chart.title, fontsize=10, parse_math=False)
@@ -241,7 +250,8 @@ def _draw_chart(axes: Axes, chart: Chart) -> None:
 
 
 def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
-    x, y, style = np.asarray(series.x, float), np.asarray(series.y, float), {"color": series.colour, "label": label}
+    x, y = np.asarray(series.x, float), np.asarray(series.y, float)
+    style: dict[str, Any] = {"color": series.colour, "label": label}
     ends = None if series.low is None or series.high is None else np.array([series.low, series.high], float)
     if series.kind == "band" and ends is not None:
         axes.fill_between(x, *ends, color=series.colour, alpha=0.18, linewidth=0)
@@ -262,8 +272,8 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
         return
     shape = "steps-post" if series.kind == "step" else "default"
     dash = ":" if series.hollow else "-"
-    thin = {"linewidth": 0.8, "alpha": 0.35} if series.faint else {"linewidth": 1.8}
-    axes.plot(x, y, drawstyle=shape, linestyle=dash, **thin, **style)
+    style |= {"linewidth": 0.8, "alpha": 0.35} if series.faint else {"linewidth": 1.8}
+    axes.plot(x, y, drawstyle=shape, linestyle=dash, **style)
 
 
 def _label(column: str) -> str:

@@ -1,6 +1,6 @@
-"""The page on extending izoo: a reward term and an observation column take one file each, and everything follows.
+"""The page on extending izoo: what a reward term, an observation column and a figure take, and what follows.
 
-Both are written into a copy of the package with the very code that the page shows; nothing else in the copy changes.
+They are written into a copy of the package with the very code that the page shows; nothing else in the copy changes.
 """
 
 from __future__ import annotations
@@ -80,6 +80,33 @@ numpy.savez(
 env.close()
 """
 
+FIGURE = """
+import contextlib
+import io
+import sys
+from pathlib import Path
+from izoo.contexts.procedural import procedural_context
+from izoo.envs import EnvConfig
+from izoo.metrics.summary import summarise
+from izoo.report import leaderboard, page, tables
+from izoo.results.rollout import evaluate_policy
+
+out = Path(sys.argv[1])
+contexts = [procedural_context(adoption=0.5, inflow_vph_per_lane=flow, approach="all") for flow in (400.0, 500.0)]
+config = EnvConfig(horizon_s=100.0, drain_s=50.0)
+options = {"workers": 0, "out": out, "cache": out / "cache", "progress": False}
+with contextlib.redirect_stdout(io.StringIO()):
+    table = evaluate_policy("constant_2.0", contexts, [1], config, **options)
+assert (table["hard_braking_s"] > 0).any()
+summary = summarise(table)
+tables.print_summary(summary, verbose=True)
+(out / "tables.md").write_text(tables.markdown(summary))
+page.write_report(out, replay=False)
+(path,) = leaderboard.write_entries(out)
+(group,) = leaderboard.merge([leaderboard.read_entry(path)])["groups"]
+assert "hard_braking_s" in group["summary"]["entries"]["constant_2.0"]["levels"]["all"]
+"""
+
 
 def shown(beginning: str) -> str:
     """The block of the page in which a line begins so."""
@@ -121,6 +148,13 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
     write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
+    definitions, tally = copy / "metrics" / "definitions.py", copy / "envs" / "mdp" / "tally.py"
+    named = shown('"hard_braking_s"').strip().replace('"  #', '",  #')
+    write_before(definitions, '    "due",', f"    {named}\n")
+    write_before(copy / "metrics" / "figures.py", "    )\n}\n", f"        {shown('Figure')[:-1]},\n", "FIGURES: dict")
+    write_before(tally, "_STEPS = EPISODE", '_HARD_BRAKING_S = METRIC["hard_braking_s"]\n')
+    line = "            sums[p, _REGION_TIME_S] += step_s\n"
+    write_before(tally, line, textwrap.indent(shown(r"sums\[p, _HARD"), 12 * " "))
     return copy
 
 
@@ -132,13 +166,14 @@ def facts(package: Path) -> dict[str, Any]:
     return found
 
 
-def test_one_file_each(package: Path) -> None:
+def test_no_other_file_changes(package: Path) -> None:
     changed = {
         path.relative_to(package).as_posix()
         for path in package.rglob("*.py")
         if path.read_bytes() != original(path.relative_to(package)).read_bytes()
     }
-    assert changed == {"envs/mdp/reward.py", "envs/mdp/observation.py"}
+    figure = {"metrics/figures.py", "metrics/definitions.py", "envs/mdp/tally.py"}
+    assert changed == {"envs/mdp/reward.py", "envs/mdp/observation.py", *figure}
 
 
 def original(place: Path) -> Path:
@@ -193,3 +228,15 @@ def test_a_rollout_pays_the_term_and_observes_the_column(package: Path, tmp_path
     expected = (0.25 * steps["fleet"] + 0.75 * steps["own"]) / 2.0
     np.testing.assert_allclose(steps["reward"][acts], expected[acts], rtol=1e-4, atol=1e-4)
     assert np.ptp(own[stays]) > 1.0 and not steps["reward"][~acts].any()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_figure_is_shown_wherever_figures_are(package: Path, tmp_path: Path) -> None:
+    console = run(package, "-c", FIGURE, str(tmp_path))
+    label = "hard braking per vehicle"
+    assert label in " ".join(console.split()), "on the console"
+    assert f"| {label} |" in (tmp_path / "tables.md").read_text(), "in Markdown"
+    assert label in (tmp_path / "report.html").read_text(), "on the page"
+    (path,) = (tmp_path / "leaderboard").glob("*.json")
+    assert "hard_braking_s" in json.loads(path.read_text())["rows"], "in leaderboard files"

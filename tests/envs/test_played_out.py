@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +13,9 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.emissions.moves import MovesSurrogate
-from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig, SumoParallelEnv, TwinEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig, SumoParallelEnv
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.blocked_demand import reach_times
 from izoo.errors import IzooError
@@ -26,6 +24,7 @@ from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic
 from tests.envs.conftest import MakeTwin
+from tests.envs.outcomes import driving, glide, lane, outcome, shifting, standing, stopping, uncommanded
 from tests.envs.reference import run_fcd
 from tests.envs.worlds import Driver, crossing, defer, same, set_action
 
@@ -34,13 +33,6 @@ CONFIG = EnvConfig(horizon_s=200.0, warmup_s=30.0, drain_s=600.0, emit=("metrics
 COHORT = tuple(name for name in APPROACH_METRICS if name.startswith("cohort"))
 TO_HORIZON = tuple(name for name in APPROACH_METRICS if name not in COHORT)
 Sums = dict[str, np.ndarray]
-
-
-def lane(**changes: Any) -> Context:
-    """One lane from one leg, on which the twin does what SUMO does."""
-    plan = {"phase_count": 1, "green_s": 30.0, "red_s": 30.0, "offset_s": 2.0, "speed_limit_mps": 15.0}
-    road = {"lane_count": 1, "inflow_vph_per_lane": 300.0, "lane_length_m": 250.0, "approach": "A", "adoption": 1 / 3}
-    return procedural_context(**(plan | road | changes))
 
 
 def hurry(state: TensorDictBase) -> TensorDictBase:
@@ -169,93 +161,6 @@ def test_sums_close_with_sumos_own_output(context: Context, tmp_path: Path) -> N
 # -- what cannot be gained by ------------------------------------------------------------------------------------------
 
 
-def driving(speed_of: Callable[[torch.Tensor, torch.Tensor, float], torch.Tensor], until_m: float = 0.0) -> Any:
-    """Return ``act(state, time_s)``: CVs head for a speed, and are left to their driver ``until_m`` before the line.
-
-    Args:
-        speed_of: maps speed (m/s), distance to the stop line (m) and time since the warm-up (s) to a speed.
-        until_m: below 0, CVs are commanded behind the line, too.
-    """
-
-    def act(state: TensorDictBase, time_s: float) -> TensorDictBase:
-        observation = state["agents", "observation"]
-        speed, distance = observation[..., 0] * 15.0, -observation[..., 1] * 250.0
-        wanted = speed_of(speed, distance, time_s)
-        state["agents", "action"] = ((wanted - speed) / CONFIG.step_s).clamp(-3.0, 2.6).unsqueeze(-1)
-        state["agents", "defer"] = distance < until_m
-        return state
-
-    return act
-
-
-def standing(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torch.Tensor:
-    return torch.zeros_like(speed)
-
-
-def stopping(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torch.Tensor:
-    """Stop for two minutes of six."""
-    return torch.full_like(speed, 0.0 if time_s % 360.0 < 120.0 else 40.0)
-
-
-def shifting(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torch.Tensor:
-    """Drive slowly up to the stop line, and make up for it behind it."""
-    return torch.where(distance > 0.0, 10.0, 40.0) * torch.ones_like(speed)
-
-
-def uncommanded(state: TensorDictBase, time_s: float) -> TensorDictBase:
-    return defer(state)
-
-
-def glide() -> Any:
-    from izoo.algos.scripted import make_driver
-
-    driver = make_driver("glide", CONFIG)
-    return lambda state, time_s: driver(state)
-
-
-class Outcome(NamedTuple):
-    """What became of contexts that were played side by side on the twin: ``[N]`` each."""
-
-    sums: Sums
-    local: np.ndarray
-    team: np.ndarray
-
-    @property
-    def cost(self) -> np.ndarray:
-        """CO2 in g and half a gram per second of delay, per vehicle of the cohort."""
-        grams = self.sums["cohort_region_co2_g"] + self.sums["cohort_blocked_co2_g"]
-        seconds = self.sums["cohort_region_delay_s"] + self.sums["cohort_blocked_s"]
-        return (grams + 0.5 * seconds) / self.sums["cohort"]
-
-    @property
-    def co2_g(self) -> np.ndarray:
-        """CO2 in g per vehicle of the cohort."""
-        return (self.sums["cohort_region_co2_g"] + self.sums["cohort_blocked_co2_g"]) / self.sums["cohort"]
-
-    @property
-    def to_line_g(self) -> float:
-        """The paper's form: CO2 up to the stop line per vehicle that crossed it within the horizon, of all contexts."""
-        return float(self.sums["emission_g"].sum() / self.sums["crossed"].sum())
-
-
-def outcome(contexts: list[Context], act: Any, config: EnvConfig) -> Outcome:
-    env = TwinEnv(
-        len(contexts),
-        lambda number: (contexts[number % len(contexts)], 4 + number),
-        **{"config": config, "threads": 1, "surrogate": "compiled"},
-    )
-    with contextlib.closing(env):
-        state, steps = env.reset(), 0
-        local, team = torch.zeros(len(contexts), dtype=torch.float64), torch.zeros(len(contexts), dtype=torch.float64)
-        while not state["done"].all():
-            state = env.step_lean(act(state, steps * config.decision_s))
-            steps += 1
-            local += state["agents", "reward"].sum((-1, -2))
-            team += state["team_reward"].squeeze(-1)
-    sums = {name: state["metrics", "approach", name].sum(-1).double().numpy() for name in APPROACH_METRICS}
-    return Outcome(sums, local.numpy(), team.numpy())
-
-
 def test_gaming_costs() -> None:
     """Keeping vehicles out, blocking the road, and driving so that what is saved up to the line is burned behind it.
 
@@ -283,39 +188,6 @@ def test_gaming_costs() -> None:
     for policy, baseline in ((keeping_out, free_of_some), (blocking, free), (shifting_, free)):
         assert (policy.sums["cohort"] == baseline.sums["cohort"]).all()
         assert policy.cost.mean() > baseline.cost.mean() and policy.team.sum() < baseline.team.sum()
-
-
-@pytest.mark.slow
-def test_rewards_order_drivers_as_the_measure_does() -> None:
-    """Five drivers on twelve procedural contexts as they were drawn; the measure is CO2 and half a gram per second."""
-    from izoo.contexts.procedural import ProceduralSource
-
-    config = EnvConfig(horizon_s=625.0, drain_s=600.0, reward=RewardConfig.fuel(), emit=("metrics", "team_reward"))
-    generator = np.random.default_rng(1)
-    drawn = [ProceduralSource().sample(generator).replace(adoption=1 / 3) for _ in range(12)]
-    # With the parameters of human drivers, CVs that nobody commands drive as at adoption 0, and can be paid.
-    human = [dataclasses.replace(context, cv_vehicle="human") for context in drawn]
-
-    def crawling(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torch.Tensor:
-        return torch.full_like(speed, 4.0)
-
-    found = {
-        "human": outcome(human, uncommanded, config),
-        "uncommanded": outcome(drawn, uncommanded, config),
-        "glide": outcome(drawn, glide(), config),
-        "crawling": outcome(drawn, driving(crawling), config),
-        "blocking": outcome(drawn, driving(stopping, -1e9), config),
-    }
-    free = found["uncommanded"].cost
-    measured = sorted(found, key=lambda name: (found[name].cost / free).mean())
-    for reward in ("local", "team"):
-        assert sorted(found, key=lambda name: -getattr(found[name], reward).sum()) == measured, reward
-    assert measured == ["glide", "uncommanded", "human", "crawling", "blocking"]
-    by_context = np.array([outcome.cost for outcome in found.values()])
-    by_team = np.array([-outcome.team for outcome in found.values()])
-    pairs = [(one, other) for one in range(5) for other in range(one)]
-    agree = [np.sign(by_context[i] - by_context[k]) == np.sign(by_team[i] - by_team[k]) for i, k in pairs]
-    assert np.mean(agree) > 0.95
 
 
 # -- rewards are what is measured --------------------------------------------------------------------------------------

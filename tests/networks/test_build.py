@@ -16,7 +16,7 @@ from izoo.contexts.movements import turn_of
 from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.networks.net import build
+from izoo.networks.net import netconvert
 from izoo.networks.net.build import build_net, net_key
 from izoo.networks.net.connections import signal_links
 from izoo.networks.road import read_road
@@ -199,7 +199,7 @@ def test_junctions_that_eat_a_leg_are_refused(cache):
 
 
 def test_messages_of_netconvert_reach_the_user(cache, monkeypatch):
-    monkeypatch.setitem(build._OPTIONS, "no-such-option", "1")
+    monkeypatch.setitem(netconvert._OPTIONS, "no-such-option", "1")
     with pytest.raises(IzooError, match="no-such-option"):
         build_net(procedural_intersection(lane_length_m=333.0), cache)
 

@@ -88,7 +88,9 @@ def test_table_sorts_and_filters(chromium, page: Path) -> None:
     assert sheet.locator("#filter-count").inner_text() == "4 of 4 rows"
     head = sheet.get_by_role("button", name="CO2 per vehicle (g)", exact=True)
     head.click()
-    place = [text.strip() for text in sheet.locator("#rows th[scope=col]").all_inner_texts()].index("CO2 per vehicle (g)")
+    place = [text.strip() for text in sheet.locator("#rows th[scope=col]").all_inner_texts()].index(
+        "CO2 per vehicle (g)"
+    )
     values = [float(text) for text in column(sheet, place)]
     assert values == sorted(values) and values[0] > 0.0
     assert sheet.locator("#rows th[aria-sort=ascending]").inner_text() == "CO2 per vehicle (g)"

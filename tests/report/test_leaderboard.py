@@ -1,4 +1,4 @@
-"""Leaderboard files: written from rows, checked, ranked, converted from the format before, and refused in one sentence."""
+"""Leaderboard files: written from rows, checked, ranked, converted, and refused in one sentence."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def test_what_is_wrong_with_a_file_is_a_mark() -> None:
     assert marks(other) == (f"model version {MODEL_VERSION + 1} of the simulation, not {MODEL_VERSION}",)
     made = table({"ppo": PPO})
     few = made.drop(made.index[(made["policy"] == "ppo") & (made["context_id"] == 3)])
-    assert marks(content(few)) == ("4 rows are missing of ppo",)
-    assert marks(content(made[made["policy"] != "human"])) == ("12 rows are missing of human",)
+    assert marks(content(few)) == ("rows of ppo are missing: 4",)
+    assert marks(content(made[made["policy"] != "human"])) == ("rows of human are missing: 12",)
     few = check(content(table({"ppo": (0.06, -1.0, 2)})), table({"ppo": (0.06, -1.0, 2)}), "file")
     assert few.marks == () and few.notes == ("2 training seeds of 4",)
     twin = content(made.assign(simulator="twin"))
@@ -117,8 +117,17 @@ def test_entries_that_cannot_be_compared_are_listed_without_rank() -> None:
         ["4 contexts fewer than others of the task"],
         ["its baselines drove otherwise than those of the other files"],
     ]
-    assert [row.label for row in board(group).groups[-1][1]] == ["ppo 2 (4 seeds)", "ppo 3 (4 seeds)"]
     json.dumps(group, allow_nan=False)
+
+
+def test_entries_of_another_model_are_ranked_among_themselves(tmp_path: Path, capsys: Any) -> None:
+    write_entry(tmp_path / "new.json", content())
+    write_entry(tmp_path / "old.json", sealed({**content(), "model_version": MODEL_VERSION + 1}))
+    assert command.main(["validate", str(tmp_path)]) == 1
+    assert command.main(["merge", str(tmp_path), "--out", str(tmp_path / "board")]) == 0
+    groups = json.loads((tmp_path / "board").read_text())["groups"]
+    assert [[line["rank"] for line in group["entries"]] for group in groups] == [[1], [1]]
+    assert f"model version {MODEL_VERSION + 1} of the simulation" in capsys.readouterr().out
 
 
 def _column(name: str, values: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
@@ -11,14 +10,17 @@ import pandas as pd
 import pytest
 from matplotlib import image
 
-from izoo import report, train
+from izoo import train
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.ppo_config import PPOConfig
 from izoo.conf.train_options import TrainConfig, training_env
 from izoo.envs import RewardConfig
-from izoo.reporting import sweeps
+from izoo.report import __main__ as report
+from izoo.report import sweeps
 from izoo.training import runs
 from izoo.training.records import MetricsTable
+from tests.report.made_tables import folder as results_folder
+from tests.report.made_tables import table as rows
 
 
 def make_run(
@@ -32,10 +34,9 @@ def make_run(
     table.append({"frames": frames, "seconds": 3600.0})
     validation = MetricsTable(folder / "validation.csv")
     for number, benefit in enumerate(benefits):
-        validation.append({"frames": number + 1, "benefit": benefit})
+        validation.append({"frames": number + 1, "co2_saved": benefit})
     if evaluated is not None:
-        entry = {"headline": "human", "against": {"human": {"all": {"exact": {"mean": {"value": evaluated}}}}}}
-        (folder / "summary.json").write_text(json.dumps({"policies": {"uncommanded": {}, "policy": entry}}))
+        results_folder(folder / "evaluations" / "last", rows({"ppo": (evaluated, 0.0, 1)}, places=7))
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def folder(tmp_path: Path) -> Path:
     for number, (algo, seed) in enumerate([(PPOConfig(), 0), (PPOConfig(), 1), (DDPGConfig(), 0), (DDPGConfig(), 1)]):
         config = TrainConfig(algo=algo, seed=seed, total_frames=1000)
         frames = 400 if number == 3 else 1000
-        benefits = (0.01, 0.03, 0.02) if seed == 0 else (0.05,)
+        benefits = (1.0, 3.0, 2.0) if seed == 0 else (5.0,)
         make_run(tmp_path / f"{number}-run", config, frames, -10.0 * number, benefits, 0.1 if seed == 0 else None)
     return tmp_path
 
@@ -54,17 +55,17 @@ def test_choices_are_averaged_over_their_seeds(folder: Path, capsys: pytest.Capt
     table = pd.read_csv(folder / sweeps.SWEEP_FILE)
     assert table["algo.name"].tolist() == ["ppo", "ddpg"], "hyper-parameters that one algorithm lacks do not vary"
     assert table["runs"].tolist() == [2, 2] and table["finished"].tolist() == [2, 1]
-    assert table["benefit_best_mean"].tolist() == pytest.approx([0.04, 0.04])
-    assert table["benefit_last_mean"].tolist() == pytest.approx([0.035, 0.035])
-    assert table["benefit_evaluation_mean"].tolist() == pytest.approx([0.1, 0.1])
-    assert table["return_mean"].tolist() == pytest.approx([-5.0, -25.0])
+    assert table["best"].tolist() == pytest.approx([4.0, 4.0])
+    assert table["last"].tolist() == pytest.approx([3.5, 3.5])
+    assert table["evaluation"].tolist() == pytest.approx([10.0, 10.0], abs=1.0)
+    assert table["return"].tolist() == pytest.approx([-5.0, -25.0])
     assert table["frames"].tolist() == [2000, 1400]
     assert table["hours_per_run"].tolist() == [1.0, 1.0]
     assert len(pd.read_csv(folder / sweeps.RUNS_FILE)) == 4
     assert image.imread(folder / sweeps.CURVES_FILE).shape[2] == 4
     out = capsys.readouterr().out
     assert "1/2" in out and "3-run: unfinished, 400 frames" in out
-    assert "4.0%" in out
+    assert "+4.0 %" in out
 
 
 def test_options_that_vary_become_columns(folder: Path) -> None:
@@ -73,7 +74,7 @@ def test_options_that_vary_become_columns(folder: Path) -> None:
     table = pd.read_csv(folder / sweeps.SWEEP_FILE)
     assert list(table.columns[:2]) == ["algo.lr", "algo.name"] or list(table.columns[:2]) == ["algo.name", "algo.lr"]
     assert len(table) == 3
-    assert pd.isna(table.loc[table["algo.lr"] == 1e-3, "benefit_best_mean"]).all()
+    assert pd.isna(table.loc[table["algo.lr"] == 1e-3, "best"]).all()
 
 
 def test_many_options_leave_a_table_that_can_be_read(
@@ -91,15 +92,15 @@ def test_many_options_leave_a_table_that_can_be_read(
         env = dataclasses.replace(training_env(), reward=RewardConfig(**changed))
         algo = PPOConfig(lr=1e-3 * (1 + number), gamma=0.9 + 0.01 * number, gae_lambda=0.9 + 0.01 * number)
         config = TrainConfig(algo=algo, env=env, total_frames=1000)
-        make_run(tmp_path / f"{number}-run", config, 1000, -1.0, (0.01 * (1 + number),), 0.1)
+        make_run(tmp_path / f"{number}-run", config, 1000, -1.0, (1.0 * (1 + number),), None)
     assert report.main([str(tmp_path)]) == 0
     out = capsys.readouterr().out
     table = pd.read_csv(tmp_path / sweeps.SWEEP_FILE)
     options = list(table.columns[: list(table.columns).index("runs")])
     assert len(options) > 8
-    assert f"{len(options)} options differ, of which 3 are shown; sweep.csv has all" in out
+    assert f"{len(options)} options differ, of which 2 are shown; sweep.csv has all" in out
     for number in range(3):
-        assert re.search(rf"│ *{number + 1}│{0.001 * (1 + number):g} *│.*{1 + number}\.0%", out), out
+        assert re.search(rf" {number + 1} +{0.001 * (1 + number):g} .*{1 + number}\.0 %", out), out
     ((title, choices),) = named.items()
     assert title == f"algo.lr, algo.gamma, algo.gae_lambda and {len(options) - 3} more"
     assert choices == ["row 1: 0.001, 0.9, 0.9", "row 2: 0.002, 0.91, 0.91", "row 3: 0.003, 0.92, 0.92"]
@@ -120,7 +121,7 @@ def test_options_of_the_page_are_refused(
 def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "5-run").mkdir()
     (folder / "5-run" / runs.CONFIG_FILE).write_text("algo: [")
-    (folder / "0-run" / "summary.json").write_text("{")
+    (folder / "0-run" / "evaluations" / "last" / "rows.csv").write_text("{")
     with (folder / "1-run" / runs.METRICS_FILE).open("a") as file:
         file.write("20")  # a row cut short by a kill
     assert report.main([str(folder)]) == 0

@@ -37,7 +37,7 @@ def test_three_media_agree(policies: dict) -> None:
         marked = shown.markdown().replace("\\", "")
         for row in shown.rows:
             for cell in row.cells:
-                for part in ([cell.number, cell.interval] if isinstance(cell, Cell) else [cell]):
+                for part in [cell.number, cell.interval] if isinstance(cell, Cell) else [cell]:
                     assert part in page and part in marked
         wide = printed(shown, 400)
         assert words(wide.split("\n", 1)[1]) == [w for w in words(marked) if w != "---"]

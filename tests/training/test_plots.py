@@ -1,4 +1,4 @@
-"""The learning curve can be read: labels stand apart, and legends cover no curve."""
+"""Learning curves: what is drawn of a run and of several, and that labels and legends can be read."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from izoo.training.paired import KEPT, SAVED
-from izoo.training.plots import PAIRED_PANELS, PANELS, VALIDATION_PANELS, draw_compared, draw_learning_curve
+from izoo.metrics.figures import FIGURES
+from izoo.training.plots import COMPARED, CURVES, curves, draw, learning_curve
 from izoo.training.records import MetricsTable
 
 
@@ -20,17 +20,14 @@ def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:
     return MetricsTable.read(path)
 
 
-@pytest.mark.parametrize("paired", [False, True])
 @pytest.mark.parametrize("frames_per_row", [50, 3_900, 1_234_567])
-def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: int, paired: bool) -> None:
-    compared = [name for panel in PAIRED_PANELS for name, _ in panel]
-    assert compared == [*SAVED.values(), KEPT], "they are the columns of metrics.csv"
-    metrics = table(tmp_path / "m.csv", [*(name for name, _ in PANELS), *compared * paired], frames_per_row)
-    validated = [name for panel in VALIDATION_PANELS for name, _ in panel]
-    figure = draw_learning_curve(metrics, "run", table(tmp_path / "v.csv", validated, frames_per_row))
+def test_labels_stand_apart(tmp_path: Path, frames_per_row: int) -> None:
+    metrics = table(tmp_path / "m.csv", list(CURVES), frames_per_row)
+    figure = draw(curves({"run": [(metrics, None)]}), "run")
     figure.canvas.draw()
-    assert len(figure.axes) == (8 if paired else 6)
-    for axes in figure.axes:
+    panels = [axes for axes in figure.axes if axes.axison]
+    assert len(panels) == len(CURVES)
+    for axes in panels:
         low, high = axes.get_xlim()
         shown = [
             label for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True) if low <= tick <= high
@@ -38,20 +35,24 @@ def test_labels_stand_apart_and_legends_outside(tmp_path: Path, frames_per_row: 
         boxes = [label.get_window_extent() for label in shown]
         assert len(boxes) > 2
         assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes)), [s.get_text() for s in shown]
-        legend = axes.get_legend()
-        assert legend is None or not legend.get_window_extent().overlaps(axes.get_window_extent())
-    assert sum(axes.get_legend() is not None for axes in figure.axes) == (4 if paired else 2)
+    learning_curve(metrics, tmp_path / "curve.png", "run")
+    assert (tmp_path / "curve.png").stat().st_size > 10_000
 
 
-def test_validations_have_their_intervals(tmp_path: Path) -> None:
-    metrics = table(tmp_path / "m.csv", [name for name, _ in PANELS], 50)
+def test_validations_come_first_with_their_intervals(tmp_path: Path) -> None:
+    metrics = table(tmp_path / "m.csv", ["return"], 50)
     validated = MetricsTable(tmp_path / "v.csv")
-    plain = dict.fromkeys((name for panel in VALIDATION_PANELS for name, _ in panel), 0.1)
-    validated.append({"frames": 500, **plain})
-    validated.append({"frames": 1000, **plain, "benefit_low": 0.02, "benefit_high": 0.15})
-    figure = draw_learning_curve(metrics, "run", validated)
-    lines = [segment for axes in figure.axes for part in axes.collections for segment in part.get_segments()]
-    assert [segment.tolist() for segment in lines] == [[[1000.0, 2.0], [1000.0, 15.0]]]
+    validated.append({"frames": 500, "co2_saved": 1.0, "unserved": 3.0})
+    validated.append({"frames": 1000, "co2_saved": 10.0, "unserved": 3.0, "co2_saved_low": 2.0, "co2_saved_high": 15.0})
+    charts = curves({"run": [(metrics, validated)]})
+    assert [chart.name for chart in charts] == ["curve-validation-co2-saved", "curve-return"]
+    assert FIGURES["co2_saved"].label in charts[0].title and charts[0].alt.endswith("run ends at 10.")
+    (axes, _) = draw(charts).axes
+    assert [segment.tolist() for part in axes.collections for segment in part.get_segments()] == [
+        [[1000.0, 2.0], [1000.0, 15.0]]
+    ]
+    several = curves({"run": [(metrics, validated), (metrics, validated)]})[0]
+    assert all(series.low is None for series in several.series if series.kind == "line"), "a band says it"
 
 
 def test_several_runs_of_a_choice_are_a_band_and_their_mean(tmp_path: Path) -> None:
@@ -62,23 +63,34 @@ def test_several_runs_of_a_choice_are_a_band_and_their_mean(tmp_path: Path) -> N
         for k in range(1, batches + 1):
             made.append({"frames": 100 * k, "return": value, "emission_g_per_vehicle": 80.0})
         tables.append(made)
-    figure = draw_compared({"ppo": tables, "ddpg": tables[:1]}, "training")
-    panel = figure.axes[0]
-    (area,) = panel.collections
-    corners = area.get_paths()[0].vertices
-    assert (corners[:, 1].min(), corners[:, 1].max()) == (-6.0, -1.0)
-    mean, single = panel.lines
-    assert mean.get_ydata() == pytest.approx([-3.0] * 100) and single.get_ydata() == pytest.approx([-1.0] * 33)
-    assert mean.get_xdata()[-1] == corners[:, 0].max() == 2000.0, "as far as all of them have come"
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo, 3 runs", "ddpg"]
+    choices = {"ppo": [(made, None) for made in tables], "ddpg": [(tables[0], None)]}
+    first, _ = curves(choices, COMPARED)
+    (area,) = (series for series in first.series if series.kind == "band")
+    assert (min(area.low), max(area.high)) == (-6.0, -1.0)  # type: ignore[arg-type]
+    mean, single = (series for series in first.series if series.kind == "line" and not series.faint)
+    assert list(mean.y) == pytest.approx([-3.0] * 100) and list(single.y) == pytest.approx([-1.0] * 40)  # type: ignore[arg-type]
+    assert list(mean.x)[-1] == list(area.x)[-1] == 2000.0, "as far as all of them have come"  # type: ignore[arg-type]
+    figure = draw([first])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo", "ddpg"]
+
+
+def test_running_means_are_over_a_fifth_of_the_values(tmp_path: Path) -> None:
+    made = MetricsTable(tmp_path / "m.csv")
+    for k in range(10):
+        made.append({"frames": k + 1, "return": float(k)})
+    (chart,) = curves({"run": [(made, None)]})
+    assert list(chart.series[0].y) == [0.0, *(k - 0.5 for k in range(1, 10))]  # type: ignore[arg-type]
 
 
 def test_long_names_of_choices_leave_room_for_the_panels(tmp_path: Path) -> None:
+    from izoo.training import plots
+
     made = table(tmp_path / "m.csv", ["return", "emission_g_per_vehicle"], 50)
-    figure = draw_compared({f"a{'x' * 300}1": [made], f"a{'x' * 300}2": [made], "short": [made]}, "sweep")
+    names = [f"a{'x' * 300}1", f"a{'x' * 300}2", "short"]
+    figure = draw(curves({plots._shortened(name): [(made, None)] for name in names}, COMPARED))
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         figure.canvas.draw()
-    names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert [(name[0], name[-1], len(name)) for name in names] == [("a", "1", 40), ("a", "2", 40), ("s", "t", 5)]
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [(name[0], name[-1], len(name)) for name in shown] == [("a", "1", 40), ("a", "2", 40), ("s", "t", 5)]
     assert all(axes.get_window_extent().width > 0.2 * figure.bbox.width for axes in figure.axes)

@@ -18,6 +18,7 @@ from izoo.envs.twin.twin_episode import TwinEpisode
 from izoo.envs.twin.whole_net import twin_traffic
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import write_routes
+from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.worlds import crossing
 
 pytestmark = pytest.mark.slow
@@ -59,6 +60,50 @@ def test_vehicles_wait_for_a_red_light_that_is_too_near_to_stop() -> None:
     entered = (sumo.lane >= 0).argmax(axis=0)[(sumo.lane >= 0).any(axis=0)]
     due = np.ceil(2.0 * case.traffic.depart_s[(sumo.lane >= 0).any(axis=0)])
     assert (entered - due > 20).any(), "nobody had to wait"
+
+
+ROOM_M = {"AB": 40.0, "AD": 20.0}
+"""What SUMO keeps free for lefts, which begin on the right here, and for rights, which begin on the left."""
+BEYOND_M = (-12.0, 0.0, 0.4, 0.6, 2.4, 2.6, 4.9, 5.1, 10.0, 12.0, 12.1, 14.4, 16.7, 16.8, 25.0)
+"""From the front of a vehicle that enters to the room for its changes."""
+
+
+@pytest.fixture(scope="module")
+def three_lanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A crossroads that vehicles enter on 8.1 m, whose end shows red for 10 s; the road behind is ``ROAD`` long."""
+    path = build_crossroads(tmp_path_factory.mktemp("three"), [(100.0, "G" * 20)], lanes=3, options=("--tls.set", "A"))
+    text = path.read_text()
+    links = text.count(' tl="A"')
+    phases = f'<phase duration="10" state="{"r" * links}"/><phase duration="90" state="{"G" * links}"/>'
+    text = re.sub(r'(<tlLogic id="A".*?>).*?(</tlLogic>)', rf"\g<1>{phases}\g<2>", text, flags=re.DOTALL)
+    for edge, length in (("AB2A", "8.1"), ("A2TL", "ROAD")):
+        text = re.sub(rf'(<lane id="{edge}_\d".*? length=)"[\d.]+"', rf'\g<1>"{length}"', text)
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("way", ROOM_M)
+@pytest.mark.parametrize(("step_ms", "count"), [(100, 1), (500, 3), (1000, 3)])
+def test_a_vehicle_that_must_change_twice_enters_where_a_step_leads_into_the_room(
+    way: str, step_ms: int, count: int, three_lanes: Path, tmp_path: Path
+) -> None:
+    """Before that it is dropped if it could not stop, and only when the light is green: whoever cannot stop waits."""
+    entered, steps = [], 60_000 // step_ms
+    for beyond_m in BEYOND_M:
+        path = tmp_path / f"{beyond_m}.net.xml"
+        path.write_text(three_lanes.read_text().replace("ROAD", f"{ROOM_M[way] + beyond_m + 5.1 - 8.1:.2f}"))
+        first = {"depart": 0.0, "way": way, "lane": 0 if way == "AB" else 2}
+        others = {"depart": 3.0, "decel_mps2": 2.0}, {"depart": 30.0, "tau_s": 0.3}
+        case = dataclasses.replace(
+            meeting(path, [first, *(first | other for other in others)][:count]), step_ms=step_ms
+        )
+        sumo, twin = play_sumo(case, steps), play_twin(case, steps)
+        departure = first_departure(case, sumo, twin, 1e-6)
+        assert departure is None, f"{beyond_m} m: {departure}"
+        assert not (sumo.lane[: 10_000 // step_ms] >= 0).any()
+        entered.append((sumo.lane[:, 0] >= 0).any())
+    into = np.array(BEYOND_M) < 5.0 * step_ms / 1000.0
+    assert np.array(entered)[into].all() and entered[-1] and not np.array(entered)[~into][0]
 
 
 def test_the_route_file_is_read_in_portions() -> None:

@@ -1,0 +1,149 @@
+"""Many nets in one call of netconvert: each the same as if it had been built alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from izoo.contexts.cities import rebuilt
+from izoo.contexts.procedural import procedural_intersection
+from izoo.contexts.spec import IntersectionSpec
+from izoo.errors import IzooError
+from izoo.networks.net import build, netconvert
+from izoo.networks.net.build import build_net, build_nets
+from izoo.networks.net.plain import PlainNet
+from tests.networks.worlds import CROSS, intersection
+
+POCKETS = {"left_pockets": 1, "pocket_length_m": 50.0}
+PROCEDURAL = [procedural_intersection(lanes, phases, green_s=24.0) for lanes in (1, 2, 3, 4) for phases in (1, 2)]
+ODD = [
+    intersection((0.0, 90.0, 180.0), 3, 2, grade=0.04, **POCKETS),
+    intersection((0.0, 60.0, 120.0, 180.0, 240.0, 300.0), 2, grade=-0.1, right_on_red=True),
+    intersection((10.0, 60.0, 170.0, 215.0, 290.0), 3),
+]
+IMPOSSIBLE = dataclasses.replace(procedural_intersection(4, 2, lane_length_m=30.0), name="test/short")
+REFUSED = dataclasses.replace(intersection(CROSS, 2), name="test/refused")
+
+
+def one_way(bearings: tuple[float, ...]) -> IntersectionSpec:
+    """The first leg has no approach, so that no ghost lies there, and the box around the nodes ends at a zero."""
+    whole = intersection(bearings, 2)
+    return dataclasses.replace(whole, legs=(dataclasses.replace(whole.legs[0], approach=None), *whole.legs[1:]))
+
+
+def city(name: str) -> list[IntersectionSpec]:
+    """Some intersections of a city, with grades; most have four legs, some three."""
+    specs = rebuilt.get(name)
+    return [specs[index] for index in range(0, len(specs), len(specs) // 10)]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files of a cache."""
+    return {path.name: path.read_bytes() for path in (folder / "nets").iterdir()}
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names for which netconvert was called."""
+    made: list[str] = []
+    run = netconvert._run
+    monkeypatch.setattr(netconvert, "_run", lambda name, *rest: made.append(name) or run(name, *rest))
+    return made
+
+
+def test_nets_are_the_same_as_alone(tmp_path: Path, calls: list[str]) -> None:
+    towns = [*city("salt_lake_city"), *city("atlanta")]
+    assert any(leg.approach.grade for spec in towns for leg in spec.legs if leg.approach)
+    zeros = [one_way(bearings) for bearings in ((0.0, 90.0, 270.0), (180.0, 270.0), (90.0, 0.0), (270.0, 180.0))]
+    specs = [*PROCEDURAL, *ODD, *towns, *zeros]
+    together = build_nets(specs, tmp_path / "together")
+    assert len(calls) == 1
+    alone = [build_net(spec, tmp_path / "alone") for spec in specs]
+    assert [path.name for path in together] == [path.name for path in alone]
+    assert contents(tmp_path / "together") == contents(tmp_path / "alone")
+
+
+def test_large_requests_are_built_in_parts(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "TOGETHER", 3)
+    paths = build_nets(PROCEDURAL, tmp_path)
+    assert len(calls) == 3
+    assert paths == [build_net(spec, tmp_path) for spec in PROCEDURAL]
+
+
+def test_paths_come_in_the_order_of_the_specs_and_nothing_is_built_twice(tmp_path: Path, calls: list[str]) -> None:
+    finished = tmp_path / "own.net.xml"
+    finished.write_text("<net/>")
+    own = dataclasses.replace(intersection(), source="dataset", net_path=str(finished))
+    renamed = dataclasses.replace(PROCEDURAL[0], name="test/another")
+    paths = build_nets([PROCEDURAL[1], own, PROCEDURAL[0], PROCEDURAL[1], renamed], tmp_path)
+    assert len(set(paths)) == 3
+    assert paths[1] == finished
+    assert paths[0] == paths[3] == build_net(PROCEDURAL[1], tmp_path)
+    assert paths[2] == paths[4] == build_net(PROCEDURAL[0], tmp_path)
+    assert build_nets([own], tmp_path / "never") == [finished]
+    assert build_nets([], tmp_path / "never") == []
+    assert not (tmp_path / "never").exists()
+    assert len(calls) == 1
+
+
+def test_everything_cached_is_left_alone(tmp_path: Path, calls: list[str]) -> None:
+    paths = build_nets(PROCEDURAL, tmp_path)
+    before = [path.stat().st_mtime_ns for path in paths]
+    assert build_nets(PROCEDURAL, tmp_path) == paths
+    assert [path.stat().st_mtime_ns for path in paths] == before
+    assert len(calls) == 1
+
+
+def test_damaged_entries_are_rebuilt(tmp_path: Path) -> None:
+    paths = build_nets(PROCEDURAL, tmp_path)
+    whole = contents(tmp_path)
+    for path in paths[2:5]:
+        path.write_bytes(path.read_bytes()[:-100])
+    build_nets(PROCEDURAL, tmp_path)
+    assert contents(tmp_path) == whole
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_an_impossible_one_stops_no_other(refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain_net = build.plain_net
+
+    def broken(spec: IntersectionSpec, plan: object) -> PlainNet:
+        plain = plain_net(spec, plan)
+        if spec is not REFUSED:
+            return plain
+        return dataclasses.replace(plain, edges=plain.edges.replace('from="TL" to="A"', 'from="TL" to="nowhere"'))
+
+    monkeypatch.setattr(build, "plain_net", broken)
+    bad, reason = (REFUSED, "nowhere") if refused else (IMPOSSIBLE, "leg A is too short")
+    with pytest.raises(IzooError, match=f"intersection {bad.name}") as raised:
+        build_nets([*PROCEDURAL[:5], bad, *PROCEDURAL[5:]], tmp_path / "together")
+    assert reason in str(raised.value)
+    build_nets(PROCEDURAL, tmp_path / "good")
+    assert contents(tmp_path / "together") == contents(tmp_path / "good")
+    with pytest.raises(IzooError) as alone:
+        build_net(bad, tmp_path / "good")
+    assert str(alone.value) == str(raised.value)
+
+
+def build_from(folder: str, specs: Sequence[IntersectionSpec], barrier) -> None:
+    """Build at the same time as another process."""
+    barrier.wait()
+    build_nets(specs, Path(folder))
+
+
+def test_two_processes_build_at_once(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    barrier = context.Barrier(2)
+    shares = (PROCEDURAL, [*ODD, *PROCEDURAL])
+    workers = [context.Process(target=build_from, args=(str(tmp_path / "shared"), specs, barrier)) for specs in shares]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(timeout=120)
+    assert [worker.exitcode for worker in workers] == [0, 0]
+    build_nets(shares[1], tmp_path / "alone")
+    assert contents(tmp_path / "shared") == contents(tmp_path / "alone")
