@@ -8,6 +8,7 @@ may be stopped at any time; the same command goes on.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
@@ -92,13 +93,18 @@ class Bench:
     def options(self, name: str, seed: int) -> TrainConfig:
         """Return the options of a row's training run."""
         from izoo.benchmarks.training_runs import TRAIN_FOLDER
+
+        start = ROWS[name].start
+        path = None if start is None else str(self.folder / TRAIN_FOLDER / start / f"seed{seed}")
+        return dataclasses.replace(self._of_row(name), seed=seed, start=path)
+
+    @functools.cache  # noqa: B019 - a bench lives as long as its command
+    def _of_row(self, name: str) -> TrainConfig:
         from izoo.conf.compose import compose_config
         from izoo.conf.train_options import TrainConfig
 
         threads = [] if self.config.threads is None else [f"twin.threads={self.config.threads}"]
-        words = last_of([*SETTING, *ROWS[name].words, *self.config.train, *threads, f"seed={seed}"])
-        if ROWS[name].start is not None:
-            words.append(f"start='{self.folder / TRAIN_FOLDER / str(ROWS[name].start) / f'seed{seed}'}'")
+        words = last_of([*SETTING, *ROWS[name].words, *self.config.train, *threads])
         return compose_config("train", TrainConfig, words)
 
     def env(self, name: str = REFERENCE) -> EnvConfig:

@@ -19,9 +19,14 @@ QUICK = [
 ]
 
 
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> ablation.Bench:
+    folder = tmp_path_factory.mktemp("ablation")
+    return ablation.Bench(AblationConfig(num_contexts=2, out=str(folder)), folder)
+
+
 @pytest.mark.parametrize("name", list(ROWS))
-def test_every_row_is_a_training_run(name: str, tmp_path: Path) -> None:
-    bench = ablation.Bench(AblationConfig(num_contexts=2, out=str(tmp_path)), tmp_path)
+def test_every_row_is_a_training_run(name: str, bench: ablation.Bench) -> None:
     options = bench.runs.wanted[name, 3]
     assert options.seed == 3 and options.simulator == "twin"
     start = ROWS[name].start
