@@ -287,7 +287,7 @@ class EcoDrivingEnv(EcoDrivingBase):
       ``[1]``, ``("metrics", "approach", ...)`` ``[P]`` and ``("metrics", "episode", ...)`` ``[1]``, final at the last
       step.
 
-    A CV that leaves the region is terminated (value zero); at the horizon everyone still present is truncated
+    A CV that leaves the region is terminated (value zero); at the episode's end everyone still present is truncated
     (bootstrap). The episode's ``return`` is the sum over steps of the mean reward over the agents that acted.
     """
 

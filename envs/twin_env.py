@@ -44,7 +44,9 @@ class TwinEnv(EcoDrivingBase):
     """``N`` intersections on the twin, all in this process; batch size ``[N]``, and else what ``SumoParallelEnv`` is.
 
     A context and a seed give the same trajectory whatever the number of environments and threads, and whatever was
-    played before. While episodes run, another thread prepares those that come next.
+    played before. Where episodes are played out (``config.drain_s``) each environment ends by itself; until all have
+    ended, those that have may be stepped on, and stay as they are: done, with nothing in their slots. While episodes
+    run, another thread prepares those that come next.
 
     Args:
         num_envs: ``N``.
@@ -98,10 +100,10 @@ class TwinEnv(EcoDrivingBase):
         So environments that began together are each in another phase of their episodes.
 
         Args:
-            decisions: ``[N]``, fewer than an episode has left.
+            decisions: ``[N]``, fewer than an episode has left until its horizon.
 
         Raises:
-            IzooError: an episode would end.
+            IzooError: an episode would come to its horizon.
         """
         self.require_started("advance")
         with self.used_by_one_thread():

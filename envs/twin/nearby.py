@@ -37,6 +37,7 @@ from izoo.envs.twin.arrays import (
     NOW_MS,
     POSITION,
     SPEED,
+    TAIL_LANES,
     TAU,
     VARIANT,
 )
@@ -230,9 +231,13 @@ def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no
     if state.lanes[lane, LANE_TAILS] > 0:
         other = tail_on(net, traffic, state, lane, v)
         if other >= 0:
-            # Its front has gone on: beside ``v``, and nobody counts behind it; or another way.
-            if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == net.lane_ints[state.ints[v, LANE], LANE_EDGE]:
+            # Its front has gone on: beside ``v`` or past it, and nobody counts behind it; or another way.
+            edge = net.lane_ints[state.ints[v, LANE], LANE_EDGE]
+            if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == edge:
                 return -1, 0.0, True
+            for k in range(state.ints[other, TAIL_LANES]):
+                if net.lane_ints[state.tail_lane[other, k], LANE_EDGE] == edge:
+                    return -1, 0.0, True
             gap = way - net.lane_floats[lane, LANE_LENGTH] + back - traffic.floats[other, MIN_GAP]
             if gap <= 0.0:
                 return other, gap, True

@@ -87,7 +87,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
       ``config.lane_change`` a dictionary: these as ``acceleration``, and ``lane_change`` ``[A]`` (0 right, 1 keep, 2
       left).
     - reward: the mean over the CVs that acted, 0 where there was none.
-    - terminated: never; truncated: the horizon.
+    - terminated: never; truncated: the end of the episode.
     - info: ``reward`` ``[A]``, ``reward_vector`` ``[A, R]`` (:data:`izoo.envs.mdp.reward.REWARD_VECTOR`), ``vehicle``
       ``[A]`` (number in the episode's demand, -1 where empty), ``agent_terminated`` ``[A]`` (the CV left: its value is
       zero), ``time_s``; at the episode's end ``metrics``.

@@ -167,6 +167,7 @@ check(json.loads(RECORD.read_text()), MODEL_VERSION, {{key: played(key) for key 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1500)
 def test_a_changed_constant_of_car_following_is_noticed(tmp_path: Path) -> None:
     """In a copy of the package, compiled anew, whose number stays what it is; SUMO's episodes are what they were."""
     for name in ("izoo", "izoo.envs"):
