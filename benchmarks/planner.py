@@ -32,6 +32,9 @@ AT_ONCE = 16
 """Intersections that are played side by side."""
 HEARD: list[Callable[[int], None]] = []
 """What is told how many decisions the planner has made in an episode: a policy that is played is a copy."""
+WAY_G_PER_M = 0.3
+"""About what a vehicle burns per metre, with delay. A trial is paid this for the way that vehicles have driven: at its
+end more still lies ahead of those that were slowed down, and otherwise putting off would pay."""
 LEAST_GAIN = 1e-3
 """Advice is changed for no less, in units of what human driving burns in a step: rounding is no reason."""
 
@@ -104,9 +107,8 @@ def settings(config: PlannerConfig) -> EnvConfig:
     from izoo.envs import RewardConfig
     from izoo.results.rollout import evaluated
 
-    return evaluated(
-        dataclasses.replace(config.env, hold_s=config.every_s, reward=RewardConfig.fuel_team(), emit=("team_reward",))
-    )
+    reward = dataclasses.replace(RewardConfig.fuel_team(), speed=WAY_G_PER_M * config.env.step_s)
+    return evaluated(dataclasses.replace(config.env, hold_s=config.every_s, reward=reward, emit=("team_reward",)))
 
 
 @dataclass(frozen=True)

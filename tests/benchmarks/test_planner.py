@@ -66,7 +66,7 @@ def test_the_planner_burns_less_than_uncommanded_cvs(tmp_path: Path) -> None:
     sums = table.groupby("policy")[["cohort", "cohort_left", "cohort_region_co2_g", "cohort_blocked_co2_g"]].sum()
     assert (sums["cohort"] == sums["cohort_left"]).all() and sums["cohort"].nunique() == 1
     burned = dict(zip(sums.index, FIGURES["co2_g"].value(sums, sums), strict=True))
-    assert burned["planner"] < 0.99 * burned["uncommanded"]
+    assert burned["planner"] < 0.97 * burned["uncommanded"]
 
 
 @pytest.mark.slow
