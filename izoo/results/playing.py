@@ -6,7 +6,7 @@ import contextlib
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -91,7 +91,12 @@ class EpisodeFailed(RuntimeError):
 
 
 def run_episode(
-    env: EcoDrivingEnv, policy: Policy, context: Context, seed: int, record: Sequence[str] = ()
+    env: EcoDrivingEnv,
+    policy: Policy,
+    context: Context,
+    seed: int,
+    record: Sequence[str] = (),
+    beat: Callable[[], None] | None = None,
 ) -> Measured:
     """Play one episode.
 
@@ -103,13 +108,20 @@ def run_episode(
         policy: reads ``("agents", "observation")`` and ``("agents", "mask")``, writes ``("agents", "action")``.
         context, seed: what is played.
         record: of :data:`RECORDS`, which ``env`` emits.
+        beat: called before every decision.
     """
     with _seeded((int(context.content_hash[:15], 16) ^ seed) & _SEED_MASK):
-        (series,) = play(env, policy, env.reset(context=context, seed=seed), record)
+        (series,) = play(env, policy, env.reset(context=context, seed=seed), record, beat)
     return measured(env, context, series)
 
 
-def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase, record: Sequence[str] = ()) -> list[Series]:
+def play(
+    env: EcoDrivingBase,
+    policy: Policy,
+    tensordict: TensorDictBase,
+    record: Sequence[str] = (),
+    beat: Callable[[], None] | None = None,
+) -> list[Series]:
     """Step from a reset until all episodes have ended; return what was recorded, per environment.
 
     The policy finds ``is_init``, true in the first step alone, and what it has written before: at the root, or under
@@ -124,6 +136,8 @@ def play(env: EcoDrivingBase, policy: Policy, tensordict: TensorDictBase, record
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         while True:
             lengths += env.frames["done"][:, 0] == 0
+            if beat is not None:
+                beat()
             result = act(tensordict)
             if result is None or ("agents", "action") not in result.keys(include_nested=True):
                 raise IzooError(
@@ -171,7 +185,7 @@ class Player:
     """
 
     setup: Setup
-    beat: Callable[[], Any] | None = None
+    beat: Callable[[], None] | None = None
     _env: EcoDrivingEnv | None = field(default=None, init=False)
 
     def play(self, job: Job) -> Measured:
@@ -179,26 +193,12 @@ class Player:
         if self._env is None:
             self._env = EcoDrivingEnv(config=self.setup.config, simulator=self.setup.simulator)
         policy: Policy = cloudpickle.loads(self.setup.policies[job.key])
-        act = policy if self.beat is None else _Beating(policy, self.beat)
-        return run_episode(self._env, act, job.context, job.seed, self.setup.record)
+        return run_episode(self._env, policy, job.context, job.seed, self.setup.record, self.beat)
 
     def close(self) -> None:
         """End the simulation."""
         if self._env is not None:
             self._env.close(raise_if_closed=False)
-
-
-class _Beating:
-    """A policy that tells its parent process, from decision to decision, that it goes on."""
-
-    def __init__(self, policy: Policy, beat: Callable[[], Any]) -> None:
-        self.policy, self.beat = policy, beat
-        if hasattr(policy, "bind"):
-            self.bind = lambda env: _Beating(policy.bind(env), beat)
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.beat()
-        return self.policy(tensordict)
 
 
 @contextlib.contextmanager

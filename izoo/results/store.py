@@ -88,6 +88,11 @@ class Manifest:
         record = self.policies.get(policy, {}).get(train_seed, PolicyRecord())
         return from_mapping(EnvConfig, {**self.env, **(record.env or {})})
 
+    def shared(self) -> dict[str, Any]:
+        """Return what all rows of the folder share."""
+        env = {name: self.env.get(name) for name in SHARED}
+        return {**env, "model_version": self.model_version, "sumo": self.versions.get("sumo")}
+
 
 class Store:
     """A results folder, or a table in memory alone.
@@ -143,9 +148,7 @@ class Store:
             known.setdefault(name, {})[train_seed] = record
         if stale:
             self._rows = [row for row in self._rows if (row["policy"], row["train_seed"]) not in stale]
-            self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
-            if self.path is not None:
-                write_text(self.path / ROWS_FILE, _lines([dict(zip(COLUMNS, COLUMNS, strict=True)), *self._rows]))
+            self._rewrite()
         self._update(policies=known, complete=False)
 
     def keep_contexts(self, contexts: Iterable[Context]) -> None:
@@ -159,8 +162,7 @@ class Store:
         self.done |= {tuple(row[column] for column in EPISODE) for row in rows}
         if self.path is not None:
             with (self.path / ROWS_FILE).open("a", encoding="utf-8", newline="") as file:
-                header = [] if file.tell() else [dict(zip(COLUMNS, COLUMNS, strict=True))]
-                file.write(_lines([*header, *rows]))
+                file.write(_lines(rows, header=not file.tell()))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -173,20 +175,17 @@ class Store:
             if (path / ROWS_FILE).exists():
                 raise IzooError(f"{path} has a {ROWS_FILE} without its {MANIFEST_FILE}; choose another folder.")
             return
-        old, new = read_manifest(path), self.manifest
-        shared = {name: new.env[name] for name in SHARED}
-        check_same(
-            {**{name: old.env.get(name) for name in SHARED}, "model_version": old.model_version}
-            | {"sumo": old.versions.get("sumo")},
-            {**shared, "model_version": new.model_version, "sumo": new.versions["sumo"]},
-            f"{path} holds results",
-        )
-        self.manifest = dataclasses.replace(old, versions=new.versions)
+        old = read_manifest(path)
+        check_same(old.shared(), self.manifest.shared(), f"{path} holds results")
+        self.manifest = dataclasses.replace(old, versions=self.manifest.versions)
         if (path / ROWS_FILE).exists():
             whole, self._rows = _read_rows(path / ROWS_FILE)
-            if not whole:
-                write_text(path / ROWS_FILE, _lines([dict(zip(COLUMNS, COLUMNS, strict=True)), *self._rows]))
-            self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
+            self._rewrite(to_file=not whole)
+
+    def _rewrite(self, to_file: bool = True) -> None:
+        self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
+        if self.path is not None and to_file:
+            write_text(self.path / ROWS_FILE, _lines(self._rows, header=True))
 
     def _update(self, **changes: Any) -> None:
         self.manifest = dataclasses.replace(self.manifest, **changes)
@@ -233,14 +232,10 @@ def read_manifest(folder: Path | str) -> Manifest:
         raise IzooError(f"{path} cannot be read ({error}); evaluate again into another folder.") from error
 
 
-def settings(config: EnvConfig, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Return the settings that change numbers, or those of ``names``, as plain values for JSON."""
+def settings(config: EnvConfig) -> dict[str, Any]:
+    """Return the settings that change numbers, as plain values for JSON."""
     values = json.loads(json.dumps(dataclasses.asdict(config)))
-    return {
-        name: value
-        for name, value in values.items()
-        if name not in INDIFFERENT and (names is None or name in tuple(names))
-    }
+    return {name: value for name, value in values.items() if name not in INDIFFERENT}
 
 
 def own_settings(config: EnvConfig) -> dict[str, Any]:
@@ -274,9 +269,11 @@ def _refuse_earlier(folder: Path) -> None:
         raise IzooError(f"{folder} was written by an earlier version of izoo; evaluate again into another folder.")
 
 
-def _lines(rows: Iterable[Row]) -> str:
+def _lines(rows: Iterable[Row], header: bool) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([row[column] for column in COLUMNS] for row in rows)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([COLUMNS] * header)
+    writer.writerows([row[column] for column in COLUMNS] for row in rows)
     return text.getvalue()
 
 

@@ -136,7 +136,7 @@ def test_a_context_without_demand_is_left_out_and_said(contexts: list[Context], 
     summary = summarise(table)
     assert summary["n"]["contexts"] == 1 and summary["n"]["left_out"] == [nobody.name]
     alone = summarise(evaluate_policy("glide", [nobody], [1], SHORT, **options))
-    assert alone["verdict"] == "Nothing can be said of CO2: no context has demand."
+    assert "no context has demand" in alone["verdict"]
 
 
 def test_a_drain_that_is_too_short_for_anybody_is_seen(contexts: list[Context], cache: Path) -> None:
