@@ -107,7 +107,7 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
         "rows": context_rows(results.evaluations),
         "columns": _columns(several=len(results.evaluations) > 1),
         "features": FEATURES,
-        "measure": {"key": SAVED, "label": plots.figure_label(SAVED)},
+        "measure": {"key": SAVED, "label": f"{FIGURES[SAVED].label} ({FIGURES[SAVED].unit})"},
         "colours": plots.colours(list(policies)),
         "scenes": [scene for scene, _ in played],
     }
