@@ -25,7 +25,7 @@ from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.envs import RewardConfig
 from izoo.errors import IzooError
-from izoo.reporting.results import read_results
+from izoo.results.store import read_manifest
 
 
 @pytest.mark.parametrize(("name", "cls"), [("train", TrainConfig), ("collect", CollectConfig)])
@@ -197,7 +197,7 @@ def test_commands_that_compose_options_can_be_swept(
     words = ["protocol=systematicity", "algos=[uncommanded]", "test_limit=1", "horizon_s=60", "num_workers=0"]
     outs = ["eval_seeds=3,4", f"out={tmp_path}/${{eval_seeds}}"]
     assert generalization.main(["-m", *words, *outs, f"cache={tmp_path / 'cache'}"]) == 0
-    assert all(read_results(tmp_path / name).complete for name in "34")
+    assert all(read_manifest(tmp_path / name).complete for name in "34")
 
 
 @pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])

@@ -262,8 +262,9 @@ def merge(found: Sequence[Entry]) -> dict[str, Any]:
     Returns:
         ``format``, and ``groups``: per task, simulator and model version ``summary`` of the entries without faults
         (:func:`izoo.metrics.summary.summarise`; ``None`` where there is none), and ``entries``: ``name`` in the
-        summary, ``rank`` or ``None``, ``source``, ``policy``, ``hash``, ``marks``, ``notes``, best first. Superseded files form
-        groups of their own, with ``paper``, :func:`izoo.metrics.paper_form.paper_form` by name, in place of a summary.
+        summary, ``rank`` or ``None``, ``source``, ``policy``, ``hash``, ``marks``, ``notes``, best first. Superseded
+        files form groups of their own, with ``paper`` (:func:`izoo.metrics.paper_form.paper_form` by name) in place of
+        a summary.
     """
     groups: dict[tuple[str, str, int, bool], dict[str, Entry]] = {}
     for entry in found:

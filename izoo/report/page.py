@@ -23,7 +23,7 @@ from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.report import plots, tables
 from izoo.report.published import paper_table, published_for
 from izoo.report.replay import Player, scenes
-from izoo.report.report_data import Evaluation, Results, collect, context_rows, with_title
+from izoo.report.report_data import Evaluation, Results, collect, context_rows
 from izoo.report.tables import SAVED
 from izoo.training.plots import Chart, curves
 
@@ -74,7 +74,8 @@ def write_report(
     Raises:
         IzooError: the folder holds no whole results, or the page cannot be written.
     """
-    found = with_title(collect(results, partial), title)
+    found = collect(results, partial)
+    found = dataclasses.replace(found, title=found.title if title is None else title)
     path = out or results / PAGE_FILE
     if path.is_dir():
         raise IzooError(f"{path} is a folder; name a file: out={path / PAGE_FILE}.")

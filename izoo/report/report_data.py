@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -180,11 +179,6 @@ def context_rows(evaluations: tuple[Evaluation, ...]) -> dict[str, list[Any]]:
     columns = ["context", "policy", "test", *FIGURES, *FEATURES, "train_seeds"]
     rows = pd.concat(parts) if parts else pd.DataFrame(columns=columns)
     return {name: [_short(value) for value in rows[name]] for name in columns}
-
-
-def with_title(results: Results, title: str | None) -> Results:
-    """Return the results under another title, where there is one."""
-    return results if title is None else dataclasses.replace(results, title=title)
 
 
 def _short(value: Any) -> Any:

@@ -226,6 +226,11 @@ def check_collector(config: TrainConfig) -> None:
             "env.lane_change=true asks the policy for lane changes as well, but izoo's learners command accelerations "
             "alone; leave it out."
         )
+    if config.env.drain_s:
+        raise IzooError(
+            f"env.drain_s is {config.env.drain_s:g}, but training episodes end at their horizon; leave it at 0. "
+            "Evaluations play their episodes out by themselves."
+        )
     if config.simulator == "twin":
         check_settings(config.env)
         if config.twin.surrogate == "cuda":

@@ -75,6 +75,8 @@ def check_command(words: list[str]) -> None:
 def _check_izoo(module_name: str, words: list[str]) -> None:
     """Let the command itself read its words, up to where it would begin."""
     module = importlib.import_module(module_name)
+    if not hasattr(module, "main"):
+        module = importlib.import_module(f"{module_name}.__main__")
     command = getattr(module, "COMMAND", None)
     if isinstance(command, OptionCommand):
         options = command.options([word for word in words if not word.startswith("-")])
@@ -88,8 +90,6 @@ def _check_izoo(module_name: str, words: list[str]) -> None:
     if module_name.startswith("izoo.docs.examples."):
         inspect.signature(module.main).bind(*words)  # tests/test_examples.py runs it
         return
-    if not hasattr(module, "main"):
-        module = importlib.import_module(f"{module_name}.__main__")
     parse = argparse.ArgumentParser.parse_args
 
     def parse_and_stop(parser: argparse.ArgumentParser, args: Any = None, namespace: Any = None) -> None:

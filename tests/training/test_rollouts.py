@@ -168,6 +168,11 @@ def test_training_is_refused_where_lane_changes_are_asked_for() -> None:
         check_collector(TrainConfig(env=EnvConfig(lane_change=True)))
 
 
+def test_training_episodes_are_not_played_out() -> None:
+    with pytest.raises(IzooError, match="leave it at 0"):
+        check_collector(TrainConfig(env=EnvConfig(drain_s=600.0)))
+
+
 class Deferring(TensorDictModuleBase):
     """Leaves every other slot to SUMO, where the flags are not all 0, and brakes with the others."""
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo import collect, evaluate, report, train, zoo
+from izoo import collect, evaluate, train, zoo
 from izoo.algos.action import AdviseAction
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
@@ -30,10 +30,12 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
+from izoo.report import __main__ as report
 from izoo.results import read_table
 from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import read_manifest
 from izoo.zoo import shelf
+from tests.report.made_tables import folder, table
 
 CONFIG = TrainConfig(
     algo=PPOConfig(hidden=(16,)), action=AdviseAction(), env=EnvConfig(horizon_s=75.0, hold_s=3.0, emit=())
@@ -167,10 +169,13 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     assert torch.equal(*acted)
     assert ZOO.main(["export", str(run), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
-    (tmp_path / "evaluation.partial.jsonl").touch()
     words = ["export", str(run), "--out", str(tmp_path / "other.pt"), "--evaluation", str(tmp_path)]
     assert ZOO.main(words) == 2 and not (tmp_path / "other.pt").exists()
-    assert "interrupted" in capsys.readouterr().err
+    assert "is not a results folder" in capsys.readouterr().err
+    results = folder(tmp_path / "results", table({"mine": (0.06, -1.0, 1)}))
+    assert ZOO.main([*words[:-1], str(results)]) == 0
+    card = (tmp_path / "other.md").read_text()
+    assert "| CO2 saved, over uncommanded | +6." in card and "mine saves 6." in card
 
 
 @pytest.mark.parametrize(
