@@ -158,7 +158,8 @@ class Campaign:
 
     def _admit(self, job: Job) -> Policy:
         """Tell the store which weights are tested, which drops rows of others, and return the policy."""
-        entry, env, known = job.entry, self.envs[job.entry.name], {}
+        entry, env = job.entry, self.envs[job.entry.name]
+        known: dict[str, Any] = {}
         if entry.kind == "trained":
             path = selected(self.runs.run_dir(job.key), self.config.select)
             given: Any = runs.load_policy(path)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,7 +184,7 @@ def compare_steps(
     return kept.table(plays)
 
 
-def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> Mapping[str, Any]:
+def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> dict[str, Any]:
     from izoo.benchmarks.ladder import COUNTED, ks_distance
     from izoo.networks.net.build import build_net
     from izoo.networks.road import read_road
@@ -193,7 +193,7 @@ def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> Ma
     sumo, twin = played.motions
     road = read_road(build_net(context.intersection))
     distances = {"ks_speed": ks_distance(sumo.speed, twin.speed), "ks_accel": ks_distance(sumo.accel, twin.accel)}
-    counts = dict.fromkeys(COUNTED)
+    counts: dict[str, float | None] = dict.fromkeys(COUNTED)
     for side, conduct in zip(("sumo", "twin"), played.conducts or (), strict=False):
         counts |= {f"{name}_{side}": count for name, count in conduct.counts().items()}
     return {

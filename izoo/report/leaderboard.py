@@ -36,7 +36,7 @@ from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
 from izoo.report.published import BENEFIT, paper_table
 from izoo.report.tables import SAVED, Table
-from izoo.results.schema import COLUMNS, FEATURES, IDENTITY
+from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, WHOLE
 from izoo.results.store import PolicyRecord, read_manifest, read_table
 from izoo.training.plots import Chart, save
 from izoo.training.plots import draw as draw_charts
@@ -147,9 +147,9 @@ def unpacked(rows: Mapping[str, Any]) -> pd.DataFrame:
             numbers = table[name].astype(float)
         except (TypeError, ValueError) as error:
             raise IzooError(f"rows/{name}: {error}.") from error
-        if (numbers.abs() > LARGEST).any():
+        if name not in WHOLE and (numbers.abs() > LARGEST).any():
             raise IzooError(f"rows/{name}: a number is beyond {LARGEST:g}.")
-        table[name] = table[name].astype("Int64") if name in {"seed", "train_seed", "context_id"} else numbers
+        table[name] = table[name].astype("Int64") if name in WHOLE else numbers
     if table.duplicated(list(KEY)).any():
         raise IzooError("rows: an episode's approach is there twice.")
     return table.reindex(columns=[name for name in COLUMNS if name in table or not name.startswith("episode_")])
@@ -346,5 +346,7 @@ def _rounded(value: Any) -> Any:
         return None
     if isinstance(value, str):
         return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)  # a seed may have 19 digits
     number = float(f"{float(value):.{DIGITS}g}")
     return int(number) if number.is_integer() and abs(number) < 2**53 else number

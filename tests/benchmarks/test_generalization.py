@@ -102,7 +102,7 @@ def test_everything_is_there(done: tuple[Path, Path]) -> None:
     record = read_manifest(done[0]).policies["ppo"][0]
     assert (record.kind, record.algo, record.frames) == ("trained", "ppo", 750) and record.weights
     assert (done[0] / str(record.source)).is_file()
-    assert leaderboard(["validate", str(done[0] / "leaderboard" / "ppo.json")]) in (0, 1)
+    assert leaderboard(["validate", str(done[0] / "leaderboard" / "ppo.json")]) == 0
     found = collect(done[0])
     assert set(found.evaluations[0].policies) == ENTRIES - {"human"} and list(found.curves) == ["ppo"]
 
