@@ -307,7 +307,7 @@ MISSING = {
 @pytest.mark.parametrize("words", MISSING)
 def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path: Path) -> None:
     name, *rest = words.split(" ")
-    module = "contexts.__main__" if name == "contexts" else name
+    module = f"{name}.__main__" if name in ("contexts", "report") else name
     program = (
         f"import sys; from izoo.{module} import main; sys.exit((main({rest}) != 2) + 2 * ('torch' in sys.modules))"
     )

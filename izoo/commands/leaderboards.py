@@ -100,17 +100,20 @@ def _convert(options: argparse.Namespace) -> None:
 
 
 def _read(paths: Sequence[Path]) -> list[Any]:
+    files = _paths(paths)
     from izoo.report import leaderboard
 
-    return [leaderboard.read_entry(path) for path in _paths(paths)]
+    return [leaderboard.read_entry(path) for path in files]
 
 
 def _paths(paths: Sequence[Path]) -> list[Path]:
     """Return the files, and those in the folders but for merged leaderboards."""
     found: list[Path] = []
     for path in paths:
+        if not path.exists():
+            raise IzooError(f"{path} does not exist; give leaderboard files, or folders that hold some.")
         inside = [file for file in sorted(path.glob("*.json")) if not _is_merged(file)] if path.is_dir() else [path]
-        if not inside or not inside[0].exists():
+        if not inside:
             raise IzooError(f"{path} holds no leaderboard file; give leaderboard files, or folders that hold some.")
         found += inside
     return found
