@@ -11,8 +11,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from izoo.benchmarks.conduct import COUNTS, rates
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.files import replacing
-from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
 from izoo.metrics.summary import summarise

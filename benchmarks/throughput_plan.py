@@ -10,7 +10,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import episode_seed
 from izoo.envs import EnvConfig
-from izoo.metrics.definitions import EPISODE_METRICS
+from izoo.envs.mdp.tally import EPISODE_METRICS
 
 WARMUP_S = 350.0
 """Time in which the region fills, with nobody commanding."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from izoo.benchmarks.stopwatch import seconds_per_step
-from izoo.metrics.definitions import EPISODE_METRICS
+from izoo.envs.mdp.tally import EPISODE_METRICS
 
 PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP", "play": "all three"}
 """Parts of a step and their headings: orders, driving and where vehicles are then; the surrogate, with what it needs

@@ -13,9 +13,9 @@ from torch import Tensor
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.specs import DONE
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change")}
 """What can be commanded: the key of each array of a frame that the parent writes."""

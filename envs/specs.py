@@ -13,7 +13,7 @@ from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, TEAM_REWARD, observation_names
 from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 
 DONE = ("terminated", "truncated", "done")
 

@@ -33,7 +33,6 @@ SOURCES = {
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
     "izoo.envs": ("config.py", "tape.py", "mdp/*.py", "twin/*.py"),
-    "izoo.metrics": ("definitions.py",),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""

@@ -11,7 +11,6 @@ from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
-from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
 from izoo.envs.mdp.motion import road_arrays
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.share import HERE
@@ -29,7 +28,7 @@ from izoo.envs.mdp.state import (
     YIELDING,
 )
 from izoo.envs.mdp.step import give_orders, make_frame
-from izoo.envs.mdp.tally import book_unfinished
+from izoo.envs.mdp.tally import EPISODE_METRIC, METRIC, book_unfinished
 from izoo.envs.mdp.world import (
     HELD,
     MEMBERS,

@@ -6,8 +6,8 @@ import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2
-from izoo.envs.mdp.frame import METRIC
 from izoo.envs.mdp.state import APPROACH, COMMANDED, DEFERRED, LOCATION, SPEED, TARGET, YIELDING
+from izoo.envs.mdp.tally import METRIC
 from izoo.networks.road import INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5

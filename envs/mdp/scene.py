@@ -19,7 +19,7 @@ class Scene(NamedTuple):
         time_s: simulated time, warm-up included.
         vehicles: the columns of ``("vehicles", name)``, ``[n]`` each: everybody in the region.
         colour: ``[P, Q]`` 0 green, 1 yellow, 2 red.
-        approach_metrics: ``[P, M]`` sums so far, columns :data:`izoo.metrics.definitions.APPROACH_METRICS`.
+        approach_metrics: ``[P, M]`` sums so far, columns :data:`izoo.envs.mdp.tally.APPROACH_METRICS`.
     """
 
     context: Context

@@ -8,7 +8,6 @@ stands in a leaver's place; the lowest free number goes first.
 from __future__ import annotations
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.frame import EPISODE_METRIC, METRIC
 from izoo.envs.mdp.share import BLOCKED, HERE
 from izoo.envs.mdp.state import (
     ACCEL,
@@ -27,7 +26,7 @@ from izoo.envs.mdp.state import (
     NUMBER,
     PRESENT,
 )
-from izoo.envs.mdp.tally import book_entry
+from izoo.envs.mdp.tally import EPISODE_METRIC, METRIC, book_entry
 from izoo.envs.mdp.world import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]

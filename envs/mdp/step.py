@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from izoo.compiling import compiled
 from izoo.emissions.kernel import emission_rate
-from izoo.envs.mdp.frame import EPISODE_METRIC
 from izoo.envs.mdp.motion import place
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
@@ -18,7 +17,7 @@ from izoo.envs.mdp.share import count_blocked, share_out
 from izoo.envs.mdp.signals import phase_driven, read_clock
 from izoo.envs.mdp.slots import release
 from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
-from izoo.envs.mdp.tally import account, account_cohort, sum_episode
+from izoo.envs.mdp.tally import EPISODE_METRIC, account, account_cohort, sum_episode
 from izoo.envs.mdp.world import FREE, HELD, MEMBERS, SUSPECTS, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]

@@ -21,8 +21,8 @@ from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, idle_rates, reach_tim
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.units import Units, units_of
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.mdp.frame import EPISODE_METRIC
 from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.slots import let_go, take_in
 from izoo.envs.mdp.state import (
@@ -22,6 +21,7 @@ from izoo.envs.mdp.state import (
     YIELDING,
 )
 from izoo.envs.mdp.step import conclude, settle, take_orders
+from izoo.envs.mdp.tally import EPISODE_METRIC
 from izoo.envs.mdp.world import MEMBERS, SUSPECTS
 from izoo.envs.twin.arrays import (
     ACCEL as TWIN_ACCEL,

@@ -18,14 +18,14 @@ from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, SIMULATORS, EnvConfig, checked_config
-from izoo.envs.mdp.frame import EPISODE_METRIC, frame_bytes, map_frames, row_of
+from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
 from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts

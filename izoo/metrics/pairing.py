@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.metrics.figures import Array
 from izoo.metrics.statistics import pooled
 
@@ -22,7 +21,6 @@ BASELINES = (UNCOMMANDED, HUMAN)
 PAIR = ("simulator", "context_hash", "seed", "approach")
 """What a policy row and its baseline row agree on."""
 CONTEXT = ["train_seed", "context_hash"]
-SUMS = list(APPROACH_METRICS)
 
 
 class Paired(NamedTuple):
@@ -42,7 +40,7 @@ class Paired(NamedTuple):
 def of_policy(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the contexts (as in :class:`Paired`) and the sums of a policy."""
     rows = table[table["policy"] == policy]
-    return _contexts(rows), _sums(rows, rows[SUMS].to_numpy(float))
+    return _contexts(rows), _sums(rows, rows)
 
 
 def matched(table: pd.DataFrame, policy: str, baseline: str) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -73,7 +71,7 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     Contexts without demand (a cohort of 0) are left out.
     """
     rows, others = matched(table, policy, baseline)
-    own, beside = (_sums(rows, part[SUMS].to_numpy(float)) for part in (rows, others))
+    own, beside = (_sums(rows, part) for part in (rows, others))
     kept = (own["cohort"] > 0).to_numpy()
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
@@ -117,10 +115,14 @@ def _contexts(rows: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index()
 
 
-def _sums(rows: pd.DataFrame, sums: np.ndarray) -> pd.DataFrame:
-    """Add sums ``[N, M]``, a row for each of ``rows``, by training seed and context; mean over episode seeds."""
+def _sums(rows: pd.DataFrame, played: pd.DataFrame) -> pd.DataFrame:
+    """Add the numbers of ``played``, a row for each of ``rows``, by training seed and context; mean over episode seeds.
+
+    All columns of floating-point numbers are added up; figures read the sums and counts among them.
+    """
+    sums = played.select_dtypes("float")
     keys = rows.groupby(CONTEXT, sort=False)
     number = keys.ngroup().to_numpy()
     added = np.zeros((keys.ngroups, sums.shape[1]))
-    np.add.at(added, number, sums)
-    return pd.DataFrame(added / keys["seed"].nunique().to_numpy()[:, None], columns=SUMS)
+    np.add.at(added, number, sums.to_numpy())
+    return pd.DataFrame(added / keys["seed"].nunique().to_numpy()[:, None], columns=sums.columns)

@@ -25,9 +25,9 @@ from jsonschema import Draft202012Validator
 
 from izoo.console import counted
 from izoo.envs import MODEL_VERSION
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
-from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, PAIR, UNCOMMANDED, pair
 from izoo.metrics.paper_form import paper_form

@@ -19,9 +19,9 @@ from izoo.algos import overview
 from izoo.algos.base import OBSERVATION, Keys
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.tape import Tape
 from izoo.envs.twin_env import TwinEnv
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import past
 from izoo.training.levels import Levels
 

@@ -24,7 +24,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
 from izoo.envs.mdp.frame import TEAM_REWARD, TOTALS
-from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
 from izoo.results.rollout import Play, Played, rollout
@@ -55,7 +55,7 @@ class Episode(NamedTuple):
 
     Attributes:
         team_reward: ``[decisions]`` float32, the reward's fleet part.
-        sums: ``[M]``, :data:`~izoo.metrics.definitions.APPROACH_METRICS` added over approaches.
+        sums: ``[M]``, :data:`~izoo.envs.mdp.tally.APPROACH_METRICS` added over approaches.
     """
 
     team_reward: NDArray[np.float32]

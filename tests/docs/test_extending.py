@@ -148,9 +148,9 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
     write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
-    definitions, tally = copy / "metrics" / "definitions.py", copy / "envs" / "mdp" / "tally.py"
+    tally = copy / "envs" / "mdp" / "tally.py"
     named = shown('"hard_braking_s"').strip().replace('"  #', '",  #')
-    write_before(definitions, '    "due",', f"    {named}\n")
+    write_before(tally, '    "due",', f"    {named}\n")
     write_before(copy / "metrics" / "figures.py", "    )\n}\n", f"        {shown('Figure')[:-1]},\n", "FIGURES: dict")
     write_before(tally, "_STEPS = EPISODE", '_HARD_BRAKING_S = METRIC["hard_braking_s"]\n')
     line = "            sums[p, _REGION_TIME_S] += step_s\n"
@@ -172,7 +172,7 @@ def test_no_other_file_changes(package: Path) -> None:
         for path in package.rglob("*.py")
         if path.read_bytes() != original(path.relative_to(package)).read_bytes()
     }
-    figure = {"metrics/figures.py", "metrics/definitions.py", "envs/mdp/tally.py"}
+    figure = {"metrics/figures.py", "envs/mdp/tally.py"}
     assert changed == {"envs/mdp/reward.py", "envs/mdp/observation.py", *figure}
 
 

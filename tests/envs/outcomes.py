@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.metrics.definitions import APPROACH_METRICS
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from tests.envs.worlds import defer
 
 Drive = Callable[[TensorDictBase, float], TensorDictBase]

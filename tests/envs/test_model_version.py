@@ -24,8 +24,8 @@ from tensordict import TensorDictBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import MODEL_VERSION, EcoDrivingEnv, EnvConfig, RewardConfig
+from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS, EPISODE_METRICS
 from tests.envs.worlds import Driver, crossing, defer, set_action, steer_and_change
 
 RECORD = Path(__file__).with_name("model_version.json")

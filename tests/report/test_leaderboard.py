@@ -15,8 +15,8 @@ from matplotlib import image
 
 from izoo import leaderboard as command
 from izoo.envs import MODEL_VERSION
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import summarise
 from izoo.report import leaderboard

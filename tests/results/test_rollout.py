@@ -14,8 +14,8 @@ from pandas.testing import assert_frame_equal
 
 from izoo.algos.scripted import UncommandedDriver
 from izoo.contexts.context import Context
+from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.errors import IzooError
-from izoo.metrics.definitions import APPROACH_METRICS
 from izoo.results import evaluate_policy, read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.contexts_file import read_contexts
