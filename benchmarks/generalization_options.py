@@ -130,7 +130,7 @@ class GeneralizationConfig:
             contexts in the same number of frames.
         train_warmup_s: warm-up of a training episode, where it differs from the evaluation's: short episodes would
             otherwise show little but roads that are still filling.
-        eval_seeds: paired episodes per test context, 3 or more; null: the scale's.
+        eval_seeds: paired episodes per test context; null: the scale's.
         test_limit: most test contexts, drawn reproducibly; null: the scale's; 0: all.
         human_vehicles: also test every entry on CVs whose vehicle parameters are those of human-driven ones, where all
             that differs from human driving is due to commands; takes as long again.
@@ -199,7 +199,7 @@ class GeneralizationConfig:
             "horizon_s": (30, 86400),
             "train_horizon_s": (30, 86400),
             "train_warmup_s": (0, 86400),
-            "eval_seeds": (3, 10**6),
+            "eval_seeds": (1, 10**6),
             "test_limit": (0, 10**7),
             "train_workers": (1, 1024),
             "num_envs": (1, 65536),

@@ -157,7 +157,7 @@ class ValidationConfig:
         contexts: how many contexts are drawn from the validation split; where contexts have no splits, or too few
             intersections for one, from the training contexts. The more, the smaller the losses that keep weights from
             becoming the best.
-        seeds: paired episodes per context, 3 or more.
+        seeds: paired episodes per context.
         simulator: what plays them: ``sumo``, which is what counts, or ``twin``, its compiled copy.
     """
 
@@ -170,7 +170,7 @@ class ValidationConfig:
         check_types("validation", self)
         check_range("validation.every_batches", self.every_batches, 0, 10**9)
         check_range("validation.contexts", self.contexts, 1, 10**6)
-        check_range("validation.seeds", self.seeds, 3, 10**6)
+        check_range("validation.seeds", self.seeds, 1, 10**6)
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class BriefEvaluationConfig:
 
     Attributes:
         contexts: how many contexts are drawn for it; 0 leaves it out.
-        seeds: paired episodes per context, 3 or more.
+        seeds: paired episodes per context.
     """
 
     contexts: int = 2
@@ -188,7 +188,7 @@ class BriefEvaluationConfig:
     def __post_init__(self) -> None:
         check_types("evaluation", self)
         check_range("evaluation.contexts", self.contexts, 0, 10**6)
-        check_range("evaluation.seeds", self.seeds, 3, 10**6)
+        check_range("evaluation.seeds", self.seeds, 1, 10**6)
 
 
 def training_env() -> EnvConfig:
