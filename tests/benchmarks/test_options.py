@@ -191,7 +191,7 @@ def test_runs_have_the_options_of_the_protocol() -> None:
         ({"train_options": ("algo.gamma=0.9", "seed=3")}, "by seeds"),
         ({"train_options": ("+contexts.split=all",)}, "by protocol"),
         ({"train_options": ("env.horizon_s=100",)}, "train_horizon_s"),
-        ({"eval_seeds": 2}, "eval_seeds"),
+        ({"eval_seeds": 0}, "eval_seeds"),
         ({"train_options": ("simulator=twin",)}, "by simulator or train_simulator"),
         ({"num_envs": 8}, "set train_workers, or train_simulator=twin"),
         ({"simulator": "twin", "train_simulator": "sumo", "num_envs": 8}, "train_simulator=twin"),
