@@ -30,6 +30,8 @@ INIT = "is_init"
 """Key ``[*B, 1]``, as of TorchRL's ``InitTracker``: whether an episode begins."""
 RECORDS = (TEAM_REWARD,)
 """What can be recorded per decision."""
+SIDE_BY_SIDE = 64
+"""Episodes that are played at once on the twin."""
 _SEED_MASK = 2**63 - 1
 
 
@@ -82,7 +84,7 @@ class Setup:
     simulator: str = "sumo"
     workers: int = 2
     record: tuple[str, ...] = ()
-    side_by_side: int = 64
+    side_by_side: int = SIDE_BY_SIDE
     surrogate: str = "compiled"
 
 

@@ -23,15 +23,13 @@ from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES, HUMAN
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.playing import RECORDS, Job, Measured, Policy, Series, Setup
+from izoo.results.playing import RECORDS, SIDE_BY_SIDE, Job, Measured, Policy, Series, Setup
 from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import Key, PolicyRecord, Store
 from izoo.zoo.shelf import WEIGHTS
 
-SIDE_BY_SIDE = 64
-"""Episodes that are played at once on the twin."""
 EXECUTORS = {
     "processes": "izoo.results.processes:Processes",
     "batch": "izoo.results.batch:Batch",
