@@ -132,7 +132,7 @@ class Bench:
                     self._train_and_play(name, seed)
 
     def _train_and_play(self, name: str, seed: int) -> None:
-        from izoo.benchmarks.comparing import missing
+        from izoo.results.rollout import missing
         from izoo.training import checkpoint, runs
 
         key, begins_others = (name, seed), name in {row.start for row in ROWS.values()}
@@ -153,15 +153,15 @@ class Bench:
         return [Play(name, seed, *episode) for episode in self.episodes]
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
-        from izoo.benchmarks.comparing import play
         from izoo.cores import usable_cores
         from izoo.results.policies import as_policy
+        from izoo.results.rollout import play_missing
 
         env = self.env(name if name in ROWS else REFERENCE)
         named = as_policy(given, env, name)
         self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
         options = {"task": TASK, "workers": self.config.threads or usable_cores()}
-        play(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
+        play_missing(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
 
 
 def last_of(words: Sequence[str]) -> list[str]:

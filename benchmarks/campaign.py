@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.benchmarks.comparing import check_settings, missing, play, summaries, write_summaries
+from izoo.benchmarks.comparing import check_settings, summaries, write_summaries
 from izoo.benchmarks.contestants import contestant, selected, untrained
 from izoo.benchmarks.generalization_options import SWEPT, Entry, GeneralizationConfig
 from izoo.benchmarks.pace import Pace
@@ -25,7 +25,7 @@ from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
 from izoo.metrics.summary import Summary
 from izoo.results.policies import as_policy
-from izoo.results.rollout import Play, Policy
+from izoo.results.rollout import Play, Policy, missing, play_missing
 from izoo.results.store import Store
 from izoo.training import checkpoint, runs
 from izoo.training.collectors import check_collector
@@ -180,7 +180,7 @@ class Campaign:
         if wants_best and checkpoint.best_of(self.runs.run_dir(job.key)) is None:
             print("The run was too short to be validated: its last weights are tested.", flush=True)
         for task, plays in self._plays(job).items():
-            play(
+            play_missing(
                 self.store,
                 plays,
                 {job.key: policy},

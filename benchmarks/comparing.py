@@ -1,8 +1,7 @@
-"""What the benchmarks that compare policies share: a folder with its settings, and plays that its store lacks."""
+"""What the benchmarks that compare policies share: a folder with its settings, and summaries of several tasks."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,11 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from yaml import YAMLError
 
-from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.files import read_text, write_json, write_text
-from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import Summary, summarise
-from izoo.report.tables import Cell, headline, print_summary
-from izoo.results.rollout import Play, rollout
-from izoo.results.store import Store, check_same
+from izoo.report.tables import headline, print_summary
+from izoo.results.store import check_same
 from izoo.training.runs import plain_yaml
 
 SETTINGS_FILE, SUMMARY_FILE = "settings.yaml", "summary.json"
@@ -55,21 +50,6 @@ def check_settings(
     write_text(path, OmegaConf.to_yaml(wanted))
 
 
-def missing(store: Store, plays: Iterable[Play], simulator: str) -> list[Play]:
-    """Return the plays whose rows the store lacks."""
-    return [p for p in plays if (p.policy, p.train_seed, simulator, p.context.content_hash, p.seed) not in store.done]
-
-
-def play(
-    store: Store, plays: Iterable[Play], policies: Mapping[Any, Any], config: EnvConfig, simulator: str, **options: Any
-) -> None:
-    """Play what the store lacks, and keep it; ``options`` as :func:`izoo.results.rollout.rollout` takes them."""
-    todo = missing(store, plays, simulator)
-    with contextlib.closing(rollout(todo, policies, config, simulator=simulator, **options)) as playing:
-        for played in playing:
-            store.add(played.rows)
-
-
 def summaries(table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
     """Sum up tasks of a table, each by itself."""
     return [summarise(table[table["task"] == task]) for task in tasks]
@@ -86,14 +66,6 @@ def show(found: Sequence[Summary], verbose: bool = False) -> None:
     for summary in reversed(found[1:]):
         console.print(headline(summary).rich(console.width))
     print_summary(found[0], verbose, console)
-
-
-def figure(summary: Summary, name: str, key: str = "co2_saved", baseline: str = UNCOMMANDED) -> Cell:
-    """Return a figure of an entry over a baseline, in the main block of a summary."""
-    found = summary["entries"][name]["against"].get(baseline, {}).get(summary["block"])
-    estimate = found["figures"][key] if found else dict.fromkeys(("value", "low", "high"))
-    declared = FIGURES[key]
-    return Cell(estimate["value"], estimate["low"], estimate["high"], declared.unit, declared.digits, signed=True)
 
 
 def _grew(old: Any, new: Any) -> bool:

@@ -46,10 +46,10 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
         IzooError: ``out`` is no folder of this command, or was made with other options.
     """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.benchmarks.comparing import check_settings, missing, play, show, summaries, write_summaries
+    from izoo.benchmarks.comparing import check_settings, show, summaries, write_summaries
     from izoo.cores import usable_cores
     from izoo.results.policies import as_policy
-    from izoo.results.rollout import Play
+    from izoo.results.rollout import Play, missing, play_missing
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.results.store import PolicyRecord, Store
 
@@ -70,12 +70,12 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
                 driver = as_policy(name, env)
                 store.admit({name: driver.record})
                 plays = [Play(name, 0, *each) for each in episodes]
-                play(store, plays, {name: driver.policy}, env, "twin", **options)
+                play_missing(store, plays, {name: driver.policy}, env, "twin", **options)
             store.admit({PLANNER: PolicyRecord()})
             todo = missing(store, [Play(PLANNER, 0, *each) for each in episodes], "twin")
             for part in shown(todo, env, task):
                 own = {"record": ("team_reward",), "progress": False, **options}
-                play(store, part, {PLANNER: Planning(config)}, env, "twin", **own)
+                play_missing(store, part, {PLANNER: Planning(config)}, env, "twin", **own)
     table, found = store.table, summaries(store.table, tasks.values())
     if folder is not None:
         write_summaries(folder, found)
@@ -208,19 +208,22 @@ def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
     """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
     from rich.console import Console
 
-    from izoo.benchmarks.comparing import figure
-    from izoo.metrics.summary import summarise
-    from izoo.report.tables import Row, Table
+    from izoo.metrics.pairing import UNCOMMANDED
+    from izoo.metrics.summary import Summary, summarise
+    from izoo.report.tables import Cell, Row, Table, figure_cell
+
+    def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
+        return figure_cell(summary["entries"][name], key, UNCOMMANDED, summary["block"])
 
     figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
     console, rows, said = Console(), [], []
     for task in tasks:
         part = table[table["task"] == task]
-        said.append(f"{figure(summarise(part), PLANNER)} with {task}")
+        said.append(f"{gained(summarise(part), PLANNER)} with {task}")
         for kind, lanes in (("one lane", part["lane_count"] <= 1), ("several lanes", part["lane_count"] > 1)):
             if lanes.any():
                 summary = summarise(part[lanes])
-                cells = (figure(summary, name, key) for name, key in figures)
+                cells = (gained(summary, name, key) for name, key in figures)
                 rows.append(Row(f"{task}, {kind}", (str(summary["n"]["contexts"]), *cells)))
     columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
     shown = Table(

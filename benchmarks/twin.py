@@ -101,8 +101,7 @@ def play_all(
     """
     import pandas as pd
 
-    from izoo.benchmarks.comparing import play
-    from izoo.results.rollout import Play
+    from izoo.results.rollout import Play, play_missing
     from izoo.results.schema import EPISODE
     from izoo.results.store import Store
 
@@ -116,7 +115,7 @@ def play_all(
                 print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
                 plays = [Play(policy.name, 0, context, seed) for context in contexts for seed in seeds.of(context)]
                 options = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
-                play(store, plays, {policy.name: policy.policy}, env, simulator, **options)
+                play_missing(store, plays, {policy.name: policy.policy}, env, simulator, **options)
                 wanted += [(p.policy, 0, simulator, p.context.content_hash, p.seed) for p in plays]
     table = store.table
     return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]

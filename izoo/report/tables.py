@@ -19,6 +19,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from izoo.console import counted, plain
+from izoo.envs.config import SIMULATOR_NAMES
 from izoo.metrics.figures import FIGURES, HEADLINE, Figure
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
 from izoo.metrics.summary import BLOCKS
@@ -203,7 +204,7 @@ def ranking(summary: Mapping[str, Any]) -> list[str]:
     """Return the entries by CO2 saved over uncommanded, slower ones last."""
 
     def place(name: str) -> tuple[bool, float]:
-        saved = _cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]).value
+        saved = figure_cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]).value
         return is_slower(summary, name), math.inf if saved is None else -saved
 
     return sorted(summary["entries"], key=place)
@@ -229,10 +230,10 @@ def entry_columns() -> tuple[str, ...]:
 def entry_row(summary: Mapping[str, Any], name: str) -> Row:
     """Return the row of an entry in :func:`entries`."""
     entry, block = summary["entries"][name], summary["block"]
-    cells: list[Cell | str] = [_cell(entry, f, UNCOMMANDED, block) for f in HEADLINE if FIGURES[f].paired]
-    cells += [_cell(entry, SAVED, HUMAN, block), _shares(entry, block)]
+    cells: list[Cell | str] = [figure_cell(entry, f, UNCOMMANDED, block) for f in HEADLINE if FIGURES[f].paired]
+    cells += [figure_cell(entry, SAVED, HUMAN, block), _shares(entry, block)]
     label = name + (f" ({entry['train_seeds']} seeds)" if entry.get("train_seeds", 0) > 1 else "")
-    return Row(label, (*cells, *(_cell(entry, f, UNCOMMANDED, block) for f in BESIDE)))
+    return Row(label, (*cells, *(figure_cell(entry, f, UNCOMMANDED, block) for f in BESIDE)))
 
 
 def details(summary: Mapping[str, Any]) -> list[Table]:
@@ -262,10 +263,10 @@ def compared(summary: Mapping[str, Any]) -> list[str]:
 
 def counts(summary: Mapping[str, Any]) -> str:
     """Say on what the figures rest."""
-    n, played = summary["n"], {"sumo": "SUMO", "twin": "the twin"}
+    n = summary["n"]
     text = f"{counted(n['contexts'], 'context')} on {counted(n['intersections'], 'intersection')}, "
     text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
-    text += f"played on {' and '.join(played.get(name, name) for name in summary['simulators'])}. "
+    text += f"played on {' and '.join(SIMULATOR_NAMES[name] for name in summary['simulators'])}. "
     text += "Interquartile means over intersections; brackets: 95 % intervals."
     if any(entry.get("slower") for entry in summary["entries"].values()):
         text += f" Slower: the delay is shown to be above that of {UNCOMMANDED}."
@@ -293,7 +294,7 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
     paired = [f for f in figures if FIGURES[f].paired]
     against = [b for b in BASELINES if b in entry["against"]]
     rows: list[tuple[str, list[Cell | str]]] = [
-        (f"{FIGURES[f].label}, over {b}", [_cell(entry, f, b, block) for block in blocks])
+        (f"{FIGURES[f].label}, over {b}", [figure_cell(entry, f, b, block) for block in blocks])
         for b in against
         for f in paired
         if most is None or b == against[0] or f == SAVED
@@ -332,7 +333,7 @@ def _task(summary: Mapping[str, Any]) -> str:
     return f" on {summary['task']}" if summary.get("task") else ""
 
 
-def _cell(entry: Mapping[str, Any], figure: str, baseline: str, block: str) -> Cell:
+def figure_cell(entry: Mapping[str, Any], figure: str, baseline: str, block: str) -> Cell:
     """A figure of an entry over a baseline, or its level where it compares with nothing."""
     declared = FIGURES[figure]
     if not declared.paired:

@@ -204,18 +204,30 @@ def evaluate_policy(
     store = Store(out, task=task, config=config)
     with store.open(records):
         store.keep_contexts(every)
-        plays = [
-            Play(*key, context, seed)
-            for context in every
-            for seed in seeds_of(seeds, context)
-            for key in keys
-            if (*key, simulator, context.content_hash, seed) not in store.done
-        ]
+        plays = [Play(*key, context, seed) for context in every for seed in seeds_of(seeds, context) for key in keys]
         options: dict[str, Any] = {"executor": executor, "workers": workers, "cache": cache, "progress": progress}
-        with contextlib.closing(rollout(plays, policies, config, task=task, simulator=simulator, **options)) as playing:
-            for played in playing:
-                store.add(played.rows)
+        play_missing(store, plays, policies, config, simulator, task=task, **options)
     return store.table
+
+
+def missing(store: Store, plays: Iterable[Play], simulator: str) -> list[Play]:
+    """Return the plays whose rows a store lacks."""
+    return [p for p in plays if (p.policy, p.train_seed, simulator, p.context.content_hash, p.seed) not in store.done]
+
+
+def play_missing(
+    store: Store,
+    plays: Iterable[Play],
+    policies: Mapping[Key, Policy],
+    config: EnvConfig,
+    simulator: str,
+    **options: Any,
+) -> None:
+    """Play what a store lacks, and keep it; ``options`` as :func:`rollout` takes them."""
+    todo = missing(store, plays, simulator)
+    with contextlib.closing(rollout(todo, policies, config, simulator=simulator, **options)) as playing:
+        for played in playing:
+            store.add(played.rows)
 
 
 def evaluated(config: EnvConfig) -> EnvConfig:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.comparing import check_settings, missing
+from izoo.benchmarks.comparing import check_settings
 from izoo.benchmarks.journal import Journal
 from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
-from izoo.results.rollout import Play
+from izoo.results.rollout import Play, missing
 from izoo.results.store import Store
 
 CONTEXT = procedural_context()
