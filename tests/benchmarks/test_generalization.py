@@ -253,7 +253,7 @@ def test_what_was_trained_otherwise_or_not_to_its_end_is_not_taken_over(
     (copy / "manifest.json").write_text(json.dumps(manifest))
     checkpoint.listed(copy / "train/ppo/seed0")[-1].unlink()
     monkeypatch.setattr(training_runs, "train", stop)
-    monkeypatch.setattr(campaign, "play", lambda *_, **__: None)
+    monkeypatch.setattr(campaign, "play_missing", lambda *_, **__: None)
     assert generalization.main([*elsewhere(copy), *out]) == 130
     assert "still to be trained: ppo seed 0.\n" in capsys.readouterr().out
 
