@@ -2,7 +2,8 @@
 
 Each reads ``("agents", "mask")`` ``[*B, A]``, and some ``("agents", "observation")`` ``[*B, A, F]``; all write
 ``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and most ``("agents", "defer")`` ``[*B, A]``, where true leaves a CV to
-the simulator's own driver for the step. :func:`make_driver` builds one by name.
+the simulator's own driver for the step. Where the environment takes desired speeds, those that say them write these,
+``[*B, A, D]``. :func:`make_driver` builds one by name.
 """
 
 from __future__ import annotations
@@ -17,9 +18,17 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from izoo.algos.base import ACTION, MASK, OBSERVATION
-from izoo.algos.registry import cap_share
+from izoo.algos.registry import CAP, cap_share
 from izoo.contexts.features import feature
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, EnvConfig
+from izoo.envs.config import (
+    ACCELERATION,
+    ACTION_HIGH_MPS2,
+    ACTION_LOW_MPS2,
+    KEEP_LANE,
+    MIN_SHARE,
+    SPEED,
+    EnvConfig,
+)
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
@@ -33,41 +42,53 @@ class UncommandedDriver(TensorDictModuleBase):
     With adoption 0 there are no CVs, and this is human driving.
 
     Args:
-        lane_change: whether the environment takes lane changes; all are "keep", and left to the simulator, too.
+        config: settings of the environment; ``None``: it takes accelerations. Lane changes, where it takes them, are
+            all "keep", and left to the simulator, too.
     """
 
-    def __init__(self, lane_change: bool = False) -> None:
+    def __init__(self, config: EnvConfig | None = None) -> None:
         super().__init__()
+        lane_change = config is not None and config.lane_change
         self.in_keys, self.out_keys = [MASK], [ACTION, DEFER, *([LANE_CHANGE] if lane_change else [])]
+        self.size = 1 if config is None else config.action_size
+        self.idle = 1.0 if config is not None and config.action == SPEED else 0.0
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write accelerations of 0, ``[*B, A, 1]``, and ``defer``, all true, ``[*B, A]``."""
+        """Write accelerations of 0, or desired speeds of 1, ``[*B, A, D]``, and ``defer``, all true, ``[*B, A]``."""
         mask = tensordict.get(MASK)
-        tensordict.set(ACTION, torch.zeros(*mask.shape, 1))
+        tensordict.set(ACTION, torch.full((*mask.shape, self.size), self.idle))
         if LANE_CHANGE in self.out_keys:
             tensordict.set(LANE_CHANGE, torch.full_like(mask, KEEP_LANE, dtype=torch.int64))
         return tensordict.set(DEFER, torch.ones_like(mask))
 
 
 class RandomDriver(TensorDictModuleBase):
-    """Every CV draws its acceleration uniformly, anew in each step.
+    """Every CV draws its acceleration, or its desired speeds, uniformly, anew in each step.
 
     Args:
+        config: settings of the environment; ``None``: it takes accelerations.
         low, high: bounds of the acceleration, m/s^2.
         seed: of the draws; ``None`` takes torch's default generator, which evaluation seeds for each episode. A copy,
             such as one that is sent to another process, begins to draw anew.
     """
 
-    def __init__(self, low: float = ACTION_LOW_MPS2, high: float = ACTION_HIGH_MPS2, seed: int | None = 0) -> None:
+    def __init__(
+        self,
+        low: float = ACTION_LOW_MPS2,
+        high: float = ACTION_HIGH_MPS2,
+        seed: int | None = 0,
+        config: EnvConfig | None = None,
+    ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [MASK], [ACTION]
-        self.low, self.high = low, high
+        self.size = 1 if config is None else config.action_size
+        self.low, self.high = (MIN_SHARE, 1.0) if config is not None and config.action == SPEED else (low, high)
         self._seed = seed
         self._generator: torch.Generator | None = None  # made at the first draw: PyTorch cannot send it to a process
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write accelerations ``[*B, A, 1]``."""
-        shape = (*tensordict.get(MASK).shape, 1)
+        """Write actions ``[*B, A, D]``."""
+        shape = (*tensordict.get(MASK).shape, self.size)
         if self._generator is None and self._seed is not None:
             self._generator = torch.Generator().manual_seed(self._seed)
         uniform = torch.rand(shape, generator=self._generator)
@@ -144,7 +165,8 @@ class CappedSpeed(ScriptedDriver):
 
     Args:
         config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
-        share: of the limit, above 0 and up to 1.
+        share: of the limit, above 0 and up to 1. Where the environment takes desired speeds, they are this, and each
+            vehicle's own car-following keeps to it; accelerations do so nearly.
     """
 
     brake_mps2 = 1.5
@@ -153,12 +175,27 @@ class CappedSpeed(ScriptedDriver):
 
     def __init__(self, config: EnvConfig, share: float) -> None:
         super().__init__()
+        self.share, self.speeds = share, config.action_size if config.action == SPEED else 0
+        if self.speeds:
+            if share < MIN_SHARE:
+                raise IzooError(
+                    f"{CAP}{share:g} is below the least desired speed of env.action=speed; give {MIN_SHARE:g} or more."
+                )
+            return
         names = observation_names(config)
         if "context_speed_limit_mps" not in names:
             raise IzooError("a speed cap needs the limit in the observation; add speed_limit_mps to env.observed.")
-        self.share, self.response_s = share, max(1.0, config.decision_s)
+        self.response_s = max(1.0, config.decision_s)
         self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
         self.limit_scale = feature("speed_limit_mps").scale
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action keys."""
+        if not self.speeds:
+            return super().forward(tensordict)
+        mask = tensordict.get(MASK)
+        tensordict.set(ACTION, torch.full((*mask.shape, self.speeds), self.share))
+        return tensordict.set(DEFER, torch.zeros_like(mask))
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         speed = observation[..., self.speed] * SPEED_SCALE_MPS
@@ -368,19 +405,27 @@ class Glide(ScriptedDriver):
 
 
 DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
-    "human": lambda config: UncommandedDriver(config.lane_change),
-    "uncommanded": lambda config: UncommandedDriver(config.lane_change),
+    "human": UncommandedDriver,
+    "uncommanded": UncommandedDriver,
     "constant": ConstantSpeed,
     "constant_2.0": lambda config: ConstantAcceleration(2.0),
-    "random": lambda config: RandomDriver(seed=None),
+    "random": lambda config: RandomDriver(seed=None, config=config),
     "glide": Glide,
 }
 """Scripted drivers by name. ``human`` is human driving only where the adoption is 0, which evaluation sees to."""
+COMMANDING = ("constant", "constant_2.0", "glide")
+"""Those of them that command accelerations in every step."""
 
 
 def make_driver(name: str, config: EnvConfig) -> TensorDictModuleBase:
-    """Return the scripted driver ``name`` for environments with ``config``."""
+    """Return the scripted driver ``name`` for environments with ``config``.
+
+    Raises:
+        IzooError: there is none, or it commands accelerations anew in every step and the environment takes none.
+    """
     share = cap_share(name)
+    if name in COMMANDING or (share is not None and config.action == ACCELERATION):
+        config.require_accelerations(name, ", or choose uncommanded, random or, with env.action=speed, cap_SHARE")
     if share is not None:
         return CappedSpeed(config, share)
     if name not in DRIVERS:

@@ -56,6 +56,7 @@ class PlannerConfig:
             check_range("caps", cap, 1e-3, 1.0)
         if not (self.adoptions and self.caps):
             raise IzooError("adoptions and caps each need one entry or more.")
+        self.env.require_accelerations("the planner")
         check_range("every_s", self.every_s, self.env.step_s, 60.0, "s")
         if abs(self.every_s / self.env.step_s - round(self.every_s / self.env.step_s)) > 1e-6:
             raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")

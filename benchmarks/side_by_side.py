@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from izoo.benchmarks.conduct import Conduct
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.scene import Scene
 from izoo.results.playing import Policy
 
@@ -97,6 +98,8 @@ class SideBySide:
     """
 
     def __init__(self, config: EnvConfig) -> None:
+        if config.decide != STEP:  # the same episode, and every step of it is compared
+            config = dataclasses.replace(config, hold_s=config.step_s)
         self._sumo, self._twin = (EcoDrivingEnv(config=config, worker=0, simulator=name) for name in ("sumo", "twin"))
 
     def close(self) -> None:

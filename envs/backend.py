@@ -25,7 +25,10 @@ from izoo.networks.road import INSIDE, RoadNet, read_road
 from izoo.traffic.sampling import Traffic, sample_traffic, with_late_vehicle
 
 CLOSED = "this environment is closed; make another one."
-_OF_SLOTS = ("observation", "reward", "reward_vector", "mask", "agent_terminated", "agent_truncated", "agent_done")
+_OF_SLOTS = (
+    *("observation", "reward", "reward_vector", "mask", "decides"),
+    *("agent_terminated", "agent_truncated", "agent_done"),
+)
 
 
 class Play(NamedTuple):
@@ -64,8 +67,9 @@ class Backend(Protocol):
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Take the commands from the frames, simulate one decision of every environment, and write the next frames.
 
-        A decision is ``config.hold_steps`` steps, and fewer where the horizon comes or the episode ends. Where episodes
-        are played out, each environment ends by itself, and stays as it is while others go on.
+        A decision is ``config.hold_steps`` steps, and fewer where the horizon comes or the episode ends, or, with a
+        ``config.decide`` other than ``step``, a CV of that environment is to decide. Where episodes are played out,
+        each environment ends by itself, and stays as it is while others go on.
 
         Args:
             meanwhile: may be called once while a simulation is waited for.
@@ -99,6 +103,7 @@ def rest_where_ended(config: EnvConfig, frames: dict[str, np.ndarray]) -> np.nda
         raise IzooError(f"the episode ended after {steps:.0f} steps; call reset() before the next step.")
     for name in (*_OF_SLOTS, TEAM_REWARD):
         frames[name][ended] = 0
+    frames["number"][ended] = -1
     return ended
 
 

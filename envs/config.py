@@ -11,12 +11,19 @@ from izoo.errors import IzooError, check_choice, check_range, check_types
 
 __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
+MIN_SHARE = 0.1
+"""Lower bound of a desired speed, as a share of the limit."""
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 MAX_WORKERS = 1024
 SIMULATOR_NAMES = {"sumo": "SUMO", "twin": "the twin"}
 SIMULATORS = tuple(SIMULATOR_NAMES)
-EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward")
+EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward", "number")
+STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
+SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
+ACCELERATION, SPEED = "acceleration", "speed"
+ACTIONS = (ACCELERATION, SPEED)
+WHOLE_WAY, BEFORE_AND_BEHIND = ("speed",), ("speed_before", "speed_behind")
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,15 @@ class EnvConfig:
             is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
             (until then its own driver drives). The last decision of an episode may be shorter. A commanded lane change
             is repeated in every step, so one decision may cross several lanes; rows of vehicles, unlike agents' slots,
-            may be handed on within a decision, which ``vehicle_number`` tells.
+            may be handed on within a decision, which ``vehicle_number`` tells. Where ``decide`` is not ``step``, the
+            longest that a step of the environment plays on; ``None``: until a CV is to decide.
+        decide: when a CV decides: in every ``step`` (of ``hold_s``); once per ``vehicle``, when it enters; or once per
+            ``vehicle_and_line``, and once more when it has crossed the stop line. Its decision is carried out until
+            its next, and a step of the environment plays on until a CV is to decide, the horizon, or the end.
+        action: what a decision is: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
+            the vehicle's own car-following keeps to; 1 leaves it alone.
+        action_parts: numbers of an action ``speed``: one for the whole way (``speed``), or one each before and behind
+            the stop line (``speed_before``, ``speed_behind``).
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
         warmup_s: time at the start in which nothing is controlled or measured.
         drain_s: an episode is played out: after the horizon no further demand comes, and simulation and control go on
@@ -45,7 +60,8 @@ class EnvConfig:
         reward: weights of the reward.
         emit: groups of keys that are emitted besides ``agents``: any of ``vehicles``, ``signal``, ``context``,
             ``metrics``, ``reward_vector``, ``team_reward`` (the reward's fleet part, whether or not a CV is there to be
-            paid). Fewer groups make stepping and storage cheaper.
+            paid), ``number`` (``("agents", "number")``, the vehicle's number in the demand, which goes with a
+            ``decide`` other than ``step`` in any case). Fewer groups make stepping and storage cheaper.
         recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
         watchdog_s: a worker that does not answer for this long is replaced.
         gui: open sumo-gui (one environment, in this process).
@@ -56,6 +72,9 @@ class EnvConfig:
 
     step_s: float = 0.5
     hold_s: float | None = None
+    decide: str = STEP
+    action: str = ACCELERATION
+    action_parts: tuple[str, ...] = WHOLE_WAY
     horizon_s: float = 1000.0
     warmup_s: float = 25.0
     drain_s: float = 0.0
@@ -76,7 +95,7 @@ class EnvConfig:
     def __post_init__(self) -> None:
         check_types("env", self)
         # Hydra hands over lists; tuples keep the config hashable.
-        for name in ("neighbours", "emit"):
+        for name in ("neighbours", "emit", "action_parts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "observed", check_observed(self.observed))
         for name in self.neighbours:
@@ -93,6 +112,7 @@ class EnvConfig:
                 f"env.step_s is {self.step_s:g}, and simulators keep time in whole milliseconds. Give {near}."
             )
         self._check_hold()
+        self._check_decisions()
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
         check_range("drain_s", self.drain_s, 0.0, 86400.0, "s")
@@ -122,10 +142,49 @@ class EnvConfig:
                 f"lasts whole steps. Give {' or '.join(f'{value:g}' for value in near)}, or null for one step."
             )
 
+    def _check_decisions(self) -> None:
+        check_choice("env.decide", self.decide, SCOPES)
+        check_choice("env.action", self.action, ACTIONS)
+        if self.action_parts not in (WHOLE_WAY, BEFORE_AND_BEHIND):
+            raise IzooError(
+                f"env.action_parts is {list(self.action_parts)}; give {list(WHOLE_WAY)} for one speed all the way, or "
+                f"{list(BEFORE_AND_BEHIND)} for one before and one behind the stop line."
+            )
+        if self.action != SPEED and self.action_parts != WHOLE_WAY:
+            raise IzooError(
+                f"env.action_parts is {list(self.action_parts)}, parts of a desired speed, and env.action is "
+                f"{self.action}; set env.action=speed too."
+            )
+        if self.lane_change and (self.decide != STEP or self.action != ACCELERATION):
+            raise IzooError(
+                f"env.lane_change goes with accelerations in every step, and env.decide is {self.decide} and "
+                f"env.action {self.action}; leave lane_change off, or set env.decide=step and env.action=acceleration."
+            )
+
+    def require_accelerations(self, what: str, instead: str = "") -> None:
+        """Raise :class:`IzooError` unless CVs are commanded accelerations in every step, or every ``hold_s``.
+
+        Args:
+            what: needs that, the beginning of a sentence.
+            instead: another way out, the end of it.
+        """
+        if (self.decide, self.action) != (STEP, ACCELERATION):
+            raise IzooError(
+                f"{what} commands accelerations in every step, and env.decide is {self.decide} and env.action "
+                f"{self.action}; set env.decide=step and env.action=acceleration{instead}."
+            )
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action, ``D``."""
+        return len(self.action_parts) if self.action == SPEED else 1
+
     @property
     def hold_steps(self) -> int:
-        """Simulation steps of a decision."""
-        return 1 if self.hold_s is None else round(self.hold_s / self.step_s)
+        """Simulation steps of a decision, at most where ``decide`` is not ``step``."""
+        if self.hold_s is None:
+            return 1 if self.decide == STEP else self.total_steps
+        return round(self.hold_s / self.step_s)
 
     @property
     def decision_s(self) -> float:
@@ -134,7 +193,13 @@ class EnvConfig:
 
     @property
     def decisions(self) -> int:
-        """Decisions of an episode up to its horizon: steps as a policy sees them."""
+        """Decisions of an episode up to its horizon: steps as a policy sees them.
+
+        Where ``decide`` is not ``step`` their number is not known beforehand; this is how many simulation steps there
+        are, at most as many steps as a policy can see.
+        """
+        if self.decide != STEP:
+            return self.control_steps
         return -(-self.control_steps // self.hold_steps)
 
     @property

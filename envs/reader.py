@@ -10,17 +10,17 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import SPEED, EnvConfig
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
-from izoo.envs.specs import DONE
+from izoo.envs.specs import DONE, optional
 from izoo.errors import IzooError
 
 COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change")}
 """What can be commanded: the key of each array of a frame that the parent writes."""
 _AGENT_LEAVES = {"mask": "mask", "vehicle": "agent_vehicle"}
-"""Arrays of a frame by their key under ``"agents"``, ``[*B, A]``."""
+"""Arrays of a frame by their key under ``"agents"``, ``[*B, A]``; and those of :func:`~izoo.envs.specs.optional`."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
 
@@ -110,14 +110,15 @@ class FrameReader:
         for name, array in arrays.items():
             tensor = torch.from_numpy(array)
             self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
-        self._agent_keys = (*_AGENT_LEAVES, *_AGENT_COLUMNS)
+        agent_leaves = _AGENT_LEAVES | {name: name for name in optional(config)}
+        self._agent_keys = (*agent_leaves, *_AGENT_COLUMNS)
         self._root_keys = (*DONE, *leaves)
-        sources = [self.tensors[name] for name in _AGENT_LEAVES.values()]
+        sources = [self.tensors[name] for name in agent_leaves.values()]
         sources += [self.tensors[name].unsqueeze(-1) for name in _AGENT_COLUMNS.values()]
         sources += [self.tensors[name] for name in self._root_keys]
         self._sources = [tensor.numpy() for tensor in sources]
-        self.action_shape = torch.Size((*self.agents_batch, 1))
-        self._action = self.tensors["action"].unsqueeze(-1)
+        self.action_shape = torch.Size((*self.agents_batch, config.action_size))
+        self._action = self.tensors["action"]
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
         self.observations: Observations = Copies(arrays["observation"])
 
@@ -131,9 +132,10 @@ class FrameReader:
         action = None if agents is None else agents.get("action", None)
         if action is None or action.shape != self.action_shape or not action.is_floating_point():
             got = "missing" if action is None else f"{action.dtype} of shape {list(action.shape)}"
+            parts = ", ".join(self.config.action_parts)
+            what = f"shares of the speed limit ({parts})" if self.config.action == SPEED else "accelerations in m/s^2"
             raise IzooError(
-                f"('agents', 'action') is {got}; give accelerations in m/s^2 as a float tensor of shape "
-                f"{list(self.action_shape)}."
+                f"('agents', 'action') is {got}; give {what} as a float tensor of shape {list(self.action_shape)}."
             )
         defer = agents.get("defer", None)
         if defer is not None and defer.numel() != self.agents_batch.numel():

@@ -9,13 +9,18 @@ from __future__ import annotations
 import torch
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, TEAM_REWARD, observation_names
 from izoo.envs.mdp.reward import REWARD_VECTOR
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 
 DONE = ("terminated", "truncated", "done")
+
+
+def optional(config: EnvConfig) -> tuple[str, ...]:
+    """Return the leaves ``[*B, A]`` under ``"agents"`` that not every environment emits."""
+    return ("decides", "number") if config.decide != STEP else ("number",) if "number" in config.emit else ()
 
 
 def observation_spec(config: EnvConfig, batch: torch.Size) -> Composite:
@@ -53,6 +58,9 @@ def _agents(config: EnvConfig, batch: torch.Size, a: int, f: int) -> Composite:
         vehicle=Unbounded((*batch, a), dtype=torch.int64),
         shape=(*batch, a),
     )
+    columns = {"decides": _flag((*batch, a)), "number": Unbounded((*batch, a), dtype=torch.int64)}
+    for name in optional(config):
+        agents[name] = columns[name]
     if "reward_vector" in config.emit:
         agents["reward_vector"] = Unbounded((*batch, a, len(REWARD_VECTOR)))
     return agents
@@ -75,9 +83,10 @@ def context_spec(batch: torch.Size) -> Composite:
 
 
 def action_spec(config: EnvConfig, batch: torch.Size) -> Composite:
-    """Acceleration in m/s^2 per agent slot, and the lane change where it is enabled."""
+    """Per agent slot an acceleration in m/s^2 or shares of the speed limit, and the lane change where it is enabled."""
     a = (*batch, config.num_agents)
-    agents = Composite(action=Bounded(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (*a, 1)), shape=a)
+    low, high = (MIN_SHARE, 1.0) if config.action == SPEED else (ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+    agents = Composite(action=Bounded(low, high, (*a, config.action_size)), shape=a)
     if config.lane_change:
         agents["lane_change"] = Categorical(3, shape=a)
     return Composite(agents=agents, shape=batch)

@@ -9,7 +9,7 @@ import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
 from izoo.envs.mdp.motion import road_arrays
 from izoo.envs.mdp.scene import Scene
@@ -56,11 +56,14 @@ class Orders(NamedTuple):
         command: rows whose speed is commanded anew; a command holds until the next one.
         target_mps: the speeds.
         release: rows that are no longer commanded.
+        capped, cap_mps: rows with a new maximum speed, which stays, and the speeds.
     """
 
     command: np.ndarray
     target_mps: np.ndarray
     release: np.ndarray
+    capped: np.ndarray
+    cap_mps: np.ndarray
 
 
 class Ending(NamedTuple):
@@ -191,7 +194,7 @@ class Episode:
         """
         self.started_s = started_s
         self._demand.fate[early], self._demand.came[early] = HERE, 0
-        make_frame(self.world, reading, started_s, False)
+        make_frame(self.world, reading, started_s, False, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
@@ -210,8 +213,11 @@ class Episode:
         if self.over:
             raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
         tables = self.tables
-        commands, releases = give_orders(self.world)
-        return Orders(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases])
+        commands, releases, caps = give_orders(self.world)
+        return Orders(
+            *(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases]),
+            *(tables.capped[:caps], tables.cap_mps[:caps]),
+        )
 
     def leave(self, row: int) -> None:
         """Remove a vehicle that has left the region from the members."""
@@ -224,13 +230,19 @@ class Episode:
             self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
-    def observe(self, reading: Reading) -> np.ndarray:
+    def observe(self, reading: Reading, everybody_left: Callable[[], bool]) -> np.ndarray:
         """Write the frame after a step, from the members' present positions.
+
+        Args:
+            reading: of the members.
+            everybody_left: as for :meth:`end_step`.
 
         Returns:
             Rows of agents on a lane that does not lead to their exit: :meth:`give_way` says which of them are slowed.
         """
-        make_frame(self.world, reading, self.started_s + (self.steps + 1) * self.config.step_s, True)
+        playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
+        time_s = self.started_s + (self.steps + 1) * self.config.step_s
+        make_frame(self.world, reading, time_s, True, playing_out and everybody_left())
         return self.tables.suspects[: self.tables.cursor[SUSPECTS]]
 
     def give_way(self, rows: Sequence[int]) -> None:

@@ -84,6 +84,7 @@ def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
         for slot in range(tables.agent_row.shape[0]):
             if tables.agent_row[slot] == FREE:
                 tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
+                tables.stage[slot] = 0
                 return
     tables.episode[_UNSLOTTED] += 1
 

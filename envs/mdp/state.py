@@ -60,6 +60,7 @@ ENTRY_M = FLOATS.keep("entry_m")  # path position where it entered
 TTC = FLOATS.keep("ttc_s")
 DELAY = FLOATS.keep("delay_s")  # time lost in the last step, against driving at the limit
 TARGET = FLOATS.keep("target_mps")  # speed that was commanded last
+CAP = FLOATS.keep("cap_mps")  # maximum speed that the simulator was told last, 0 before the first
 
 LOCATION = INTS.emit("location")  # 0 approaching, 1 inside the junction, 2 leaving
 APPROACH = INTS.emit("approach")  # index of the approach that it came from

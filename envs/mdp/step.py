@@ -11,23 +11,46 @@ from izoo.emissions.kernel import emission_rate
 from izoo.envs.mdp.motion import place
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observe import observe
-from izoo.envs.mdp.orders import plan_commands
+from izoo.envs.mdp.orders import plan_caps, plan_commands
 from izoo.envs.mdp.pay import NUM_TERMS, pay, reward_terms, team_pay
 from izoo.envs.mdp.share import count_blocked, share_out
 from izoo.envs.mdp.signals import phase_driven, read_clock
 from izoo.envs.mdp.slots import release
-from izoo.envs.mdp.state import ACCEL, AGENT, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, PRESENT, SPEED, STEADY, WRONG_LANE
+from izoo.envs.mdp.state import (
+    ACCEL,
+    AGENT,
+    ELECTRIC,
+    EMISSION,
+    GRADE,
+    LOCATION,
+    MOVES_CLASS,
+    NUMBER,
+    PRESENT,
+    SPEED,
+    STEADY,
+    WRONG_LANE,
+)
 from izoo.envs.mdp.tally import EPISODE_METRIC, account, account_cohort, sum_episode
-from izoo.envs.mdp.world import FREE, HELD, MEMBERS, SUSPECTS, sums_to_horizon
+from izoo.envs.mdp.world import (
+    EVERY_STEP,
+    FREE,
+    HELD,
+    MEMBERS,
+    ONCE_AND_BEHIND,
+    SUSPECTS,
+    sums_to_horizon,
+)
+from izoo.networks.road import APPROACHING
 
 _STEPS = EPISODE_METRIC["steps"]
 
 
 @compiled(borrows=True)
 def take_orders(world):  # type: ignore[no-untyped-def]
-    """Turn the frame's actions into orders for the coming step; return how many commands and releases there are.
+    """Turn the frame's actions into orders for the coming step; return how many commands, releases and caps there are.
 
-    The actions are those of the present decision: they are for those who were there when it began.
+    The actions are those of the present decision: they are for those who were there when it began, and of them, where
+    not everybody decides in every step, for those who were to; what the others decided last stays in force.
     """
     tables, frame = world.tables, world.frame
     begins = tables.cursor[HELD] == 0
@@ -37,11 +60,35 @@ def take_orders(world):  # type: ignore[no-untyped-def]
             tables.acting[a] = tables.agent_row[a]
         elif tables.agent_row[a] < 0:
             tables.acting[a] = -1
-    return plan_commands(
+    action, defer = frame.action, frame.defer
+    if world.rules.scope != EVERY_STEP:
+        if begins:
+            _keep_decisions(tables, frame)
+        action, defer = tables.decision, tables.left
+    if world.rules.speeds:
+        return plan_caps(
+            tables.agent_row,
+            tables.acting,
+            action,
+            defer,
+            world.rules.step_s,
+            world.road,
+            world.rules.exit_limit_mps,
+            tables.floats,
+            tables.ints,
+            tables.flags,
+            sums_to_horizon(world),
+            tables.command,
+            tables.release,
+            tables.target_mps,
+            tables.capped,
+            tables.cap_mps,
+        )
+    commands, releases = plan_commands(
         tables.agent_row,
         tables.acting,
-        frame.action,
-        frame.defer,
+        action,
+        defer,
         world.rules.step_s,
         tables.floats,
         tables.ints,
@@ -51,6 +98,36 @@ def take_orders(world):  # type: ignore[no-untyped-def]
         tables.release,
         tables.target_mps,
     )
+    return commands, releases, 0
+
+
+@compiled(borrows=True)
+def _keep_decisions(tables, frame):  # type: ignore[no-untyped-def]
+    """Keep what those have decided who were to."""
+    for a in range(tables.agent_row.shape[0]):
+        r = tables.agent_row[a]
+        if r >= 0 and frame.decides[a]:
+            for d in range(frame.action.shape[1]):
+                tables.decision[a, d] = frame.action[a, d]
+            tables.left[a] = frame.defer[a]
+            tables.stage[a] = 1 if tables.ints[r, LOCATION] == APPROACHING else 2
+
+
+@compiled(borrows=True)
+def _is_due(tables, rules, a):  # type: ignore[no-untyped-def]
+    """Whether the agent in a slot is to decide before the coming step, where not everybody does."""
+    r = tables.agent_row[a]
+    if r < 0 or tables.stage[a] == 0:
+        return r >= 0
+    return rules.scope == ONCE_AND_BEHIND and tables.stage[a] == 1 and tables.ints[r, LOCATION] != APPROACHING
+
+
+@compiled(borrows=True)
+def _anybody_due(tables, rules):  # type: ignore[no-untyped-def]
+    due = False
+    for a in range(tables.agent_row.shape[0]):
+        due = due or _is_due(tables, rules, a)
+    return due
 
 
 @compiled
@@ -106,7 +183,7 @@ def emit_one(world, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
+def conclude(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
     """Count the step, pay the agents, and write the next frame.
 
     Within a decision, rewards add up, and who has left stays marked as terminated; what the next decision is made from
@@ -116,6 +193,8 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
         world: the :class:`~izoo.envs.mdp.world.World`, settled, with the members' CO2.
         time_s: simulated time after the step.
         measured: whether the step counts (the first frame of an episode does not).
+        empty: whether no vehicle is in the network or will be; then a decision that lasts until somebody is to decide
+            ends.
     """
     tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
     rows = tables.members[: tables.cursor[MEMBERS]]
@@ -156,12 +235,14 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
     if begins:
         out.team_reward[0] = 0.0
     if measured:
-        empty = rows.shape[0] == 0
-        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, empty)
+        nobody = rows.shape[0] == 0
+        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, nobody)
     release(tables, out.agent_terminated, out.agent_done, begins)
     if measured:
         sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, sums, tables.episode)
         tables.cursor[HELD] = (tables.cursor[HELD] + 1) % rules.hold_steps
+        if rules.scope != EVERY_STEP and (empty or _anybody_due(tables, rules)):
+            tables.cursor[HELD] = 0
         # The horizon and the end of an episode end a decision, however short.
         if tables.episode[_STEPS] == rules.control_steps or tables.episode[_STEPS] == rules.total_steps:
             tables.cursor[HELD] = 0
@@ -182,11 +263,11 @@ def conclude(world, time_s, measured):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def make_frame(world, reading, time_s, measured):  # type: ignore[no-untyped-def]
+def make_frame(world, reading, time_s, measured, empty):  # type: ignore[no-untyped-def]
     """Turn what a simulator reported into the next frame: :func:`settle`, :func:`emit_co2`, :func:`conclude`."""
     settle(world, reading)
     emit_co2(world)
-    conclude(world, time_s, measured)
+    conclude(world, time_s, measured, empty)
 
 
 @compiled(borrows=True)
@@ -207,6 +288,13 @@ def _emit(world):  # type: ignore[no-untyped-def]
     for a in range(tables.agent_row.shape[0]):
         out.mask[a] = tables.agent_row[a] >= 0
         out.agent_vehicle[a] = max(tables.agent_row[a], 0)
+    if rules.emit_number:
+        for a in range(tables.agent_row.shape[0]):
+            row = tables.agent_row[a]
+            out.number[a] = tables.ints[row, NUMBER] if row >= 0 else -1
+    if rules.scope != EVERY_STEP:
+        for a in range(tables.agent_row.shape[0]):
+            out.decides[a] = _is_due(tables, rules, a)
     if rules.emit_vehicles:
         emit_vehicles(tables.floats, tables.ints, tables.flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
     if rules.emit_signal:

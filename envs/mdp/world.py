@@ -16,14 +16,14 @@ from numba.extending import infer_getattr, lower_getattr_generic, lower_setattr_
 from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import SCOPES, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, idle_rates, reach_times
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.pay import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
 from izoo.envs.mdp.state import FLAGS, FLOATS, INTS
 from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.units import Units, units_of
-from izoo.networks.road import RoadNet
+from izoo.networks.road import LEAVING, RoadNet
 from izoo.traffic.sampling import Traffic
 
 MIN_CAPACITY = 256
@@ -33,6 +33,8 @@ _DATA_WORD = 3
 (MEMBERS, LEAVERS, SUSPECTS, HELD, DUE) = range(5)
 """Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, how many steps of the present
 decision have been played, and how many vehicles could have come to the region so far."""
+EVERY_STEP, ONCE, ONCE_AND_BEHIND = range(len(SCOPES))
+"""Values of :attr:`Rules.scope`."""
 FREE, FREED = -1, -2
 """Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
 decision and cannot until the next."""
@@ -54,6 +56,10 @@ class Tables(NamedTuple):
         order, lane_start: ``[C]`` and ``[L + 1]``, the members sorted by lane and position.
         command, target_mps, release: ``[A]`` orders for the coming step: rows with their speeds, and rows that are no
             longer commanded.
+        capped, cap_mps: ``[A]`` the same: rows with a new maximum speed.
+        decision, left: ``[A, D]`` and ``[A]`` what the agent decided last, and whether it is left to its driver; where
+            agents decide in every step, those of the frame count.
+        stage: ``[A]`` uint8, whether it has not decided yet (0), has, and once more behind the stop line (2).
         cursor: ``[5]`` how far the lists above are filled, and how far decision and demand are.
     """
 
@@ -73,6 +79,11 @@ class Tables(NamedTuple):
     command: np.ndarray
     target_mps: np.ndarray
     release: np.ndarray
+    capped: np.ndarray
+    cap_mps: np.ndarray
+    decision: np.ndarray
+    left: np.ndarray
+    stage: np.ndarray
     cursor: np.ndarray
 
 
@@ -100,6 +111,11 @@ def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables
         command=np.zeros(a, np.int64),
         target_mps=np.zeros(a),
         release=np.zeros(a, np.int64),
+        capped=np.zeros(a, np.int64),
+        cap_mps=np.zeros(a),
+        decision=np.zeros((a, config.action_size), np.float32),
+        left=np.zeros(a, np.uint8),
+        stage=np.zeros(a, np.uint8),
         cursor=np.zeros(5, np.int64),
     )
 
@@ -207,9 +223,12 @@ def demand_arrays(
 
 
 class Rules(NamedTuple):
-    """What stays fixed for an episode: weather, engine, reward and its units, sensors, and what is emitted."""
+    """What stays fixed for an episode: decisions, weather, engine, reward and units, sensors, and what is emitted."""
 
     step_s: float
+    scope: int
+    speeds: bool
+    exit_limit_mps: np.ndarray
     hold_steps: int
     control_steps: int
     total_steps: int
@@ -229,6 +248,7 @@ class Rules(NamedTuple):
     emit_vehicles: bool
     emit_signal: bool
     emit_metrics: bool
+    emit_number: bool
 
 
 def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffic, surrogates: KernelWeights) -> Rules:
@@ -239,6 +259,9 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
         units = units_of(context, road, traffic, surrogates, config.horizon_s, config.step_s)
     return Rules(
         step_s=config.step_s,
+        scope=SCOPES.index(config.decide),
+        speeds=config.action == SPEED,
+        exit_limit_mps=_exit_limits(road),
         hold_steps=config.hold_steps,
         control_steps=config.control_steps,
         total_steps=config.total_steps,
@@ -258,7 +281,16 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
         emit_vehicles="vehicles" in config.emit,
         emit_signal="signal" in config.emit,
         emit_metrics="metrics" in config.emit,
+        emit_number=config.decide != STEP or "number" in config.emit,
     )
+
+
+def _exit_limits(road: RoadNet) -> np.ndarray:
+    """Return the speed limit in m/s of each exit, ``[Q]``."""
+    limits = np.zeros(len(road.exits))
+    leaving = road.lane_location == LEAVING
+    np.maximum.at(limits, road.lane_exit[leaving], road.lane_limit_mps[leaving])
+    return limits
 
 
 class Frame(NamedTuple):
@@ -269,6 +301,8 @@ class Frame(NamedTuple):
     lane_change: np.ndarray
     observation: np.ndarray
     mask: np.ndarray
+    decides: np.ndarray
+    number: np.ndarray
     agent_vehicle: np.ndarray
     agent_terminated: np.ndarray
     agent_done: np.ndarray

@@ -212,6 +212,11 @@ class SumoSession:
         for name, speed in zip(names, speeds_mps, strict=True):
             set_speed(name, speed)
 
+    def limit_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
+        """Set the maximum speed of vehicles for good: their own car-following keeps to it."""
+        for name, speed in zip(names, speeds_mps, strict=True):
+            self._vehicle.setMaxSpeed(name, speed)
+
     def take_lane_changes(self, name: str) -> None:
         """Let SUMO change this vehicle's lane only where its route needs it; commands obey safety gaps."""
         self._vehicle.setLaneChangeMode(name, 0b001000000001)

@@ -139,7 +139,7 @@ class SumoSimulator:
             if (rear, other) not in self._collided and rear in self.names.row_of:
                 self._collided.add((rear, other))
                 episode.collide(self.names.row_of[rear])
-        suspects = episode.observe(reading)
+        suspects = episode.observe(reading, session.is_empty)
         self.names.forget(leavers)
         episode.give_way(self._slowed(suspects) if len(suspects) else ())
         episode.end_step(self._ending, session.is_empty)
@@ -155,17 +155,19 @@ class SumoSimulator:
         self._elapsed += 1
 
     def _pass_on_orders(self) -> None:
-        command, target_mps, release = self.episode.orders()
+        command, target_mps, release, capped, cap_mps = self.episode.orders()
         if len(release):
             self.session.command_speeds(self.names.of(release.tolist()), [-1.0] * len(release))
         self.session.command_speeds(self.names.of(command.tolist()), target_mps.tolist())
+        if len(capped):
+            self.session.limit_speeds(self.names.of(capped.tolist()), cap_mps.tolist())
         if self.config.lane_change:
             self._pass_on_lane_changes()
 
     def _pass_on_lane_changes(self) -> None:
         """Pass lane changes on; a CV that asks to be left to SUMO changes lanes as SUMO has it."""
         frame, tables, session = self.frame, self.episode.tables, self.session
-        asks = (frame["defer"] != 0) | np.isnan(frame["action"]) | (tables.acting < 0)
+        asks = (frame["defer"] != 0) | np.isnan(frame["action"][:, 0]) | (tables.acting < 0)
         slots = np.flatnonzero(tables.agent_row >= 0).tolist()
         for a, name in zip(slots, self.names.of(tables.agent_row[slots].tolist()), strict=True):
             change = int(frame["lane_change"][a])

@@ -18,7 +18,6 @@ from izoo.envs.twin.arrays import (
     LANE_EDGE,
     LANE_INSIDE,
     LANE_LENGTH,
-    LANE_LIMIT,
     LEFT_SPACE,
     LENGTH,
     LOOK_AHEAD_SPEED,
@@ -30,10 +29,19 @@ from izoo.envs.twin.arrays import (
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
     TAU,
+    TOP_SPEED,
     WAITING_MS,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, least_speed, most_speed, secure_gap, stop_speed
+from izoo.envs.twin.following import (
+    brake_gap,
+    desired_speed,
+    follow_speed,
+    least_speed,
+    most_speed,
+    secure_gap,
+    stop_speed,
+)
 from izoo.envs.twin.lane_flags import (
     BLOCKED,
     BLOCKED_BY_FOLLOWER,
@@ -112,7 +120,7 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
         space = state.floats[v, LEFT_SPACE] - blocker - POSITION_EPS
         if space > 0.0:
             # Leave room for the one who must cross over.
-            limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+            limit = desired_speed(net, state, v, state.ints[v, LANE])
             safe = stop_speed(driver, space, speed, limit, driver[DECEL], step_s)
             high = min(high, safe)
             if safe < wish:
@@ -154,7 +162,7 @@ def slow_for_blocked(net, traffic, state, v, blocked, flags, step_s):  # type: i
     if gap <= POSITION_EPS or speed >= driver[DECEL]:
         return flags
     other = state.floats[blocked, SPEED]
-    limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    limit = desired_speed(net, state, v, state.ints[v, LANE])
     add_advice(state, v, follow_speed(driver, gap - POSITION_EPS, speed, other, limit, step_s))
     return flags | (BLOCKS_BEHIND_STANDING if other < STANDING_MPS else BLOCKS_BEHIND)
 
@@ -185,7 +193,7 @@ def _can_reserve(traffic, state, v, room, step_s):  # type: ignore[no-untyped-de
 def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remaining_s, step_s):  # type: ignore[no-untyped-def]
     """Fall back behind, or pass, a ``leader`` on the wanted lane; return the speed (m/s) aimed at, -1 to pass it."""
     driver, speed, floats = traffic.floats[v], state.floats[v, SPEED], state.floats
-    limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    limit = desired_speed(net, state, v, state.ints[v, LANE])
     left = floats[v, LEFT_SPACE] - floats[v, BLOCKER_LENGTH]
     planned = min(speed, stop_speed(driver, left, speed, limit, driver[DECEL], step_s))
     for k in range(state.ints[v, ADVICES]):
@@ -242,12 +250,13 @@ def inform_follower(  # type: ignore[no-untyped-def]
         return
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     helper, other = traffic.floats[follower], state.floats[follower, SPEED]
-    limit = net.lane_floats[state.ints[follower, LANE], LANE_LIMIT]
+    limit = desired_speed(net, state, follower, state.ints[follower, LANE])
     flags = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
     if not blocked & BLOCKED_BY_FOLLOWER:
         if blocked & BLOCKED_BY_LEADER:
             state.ints[follower, CHANGE_STATE] |= flags
-            add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, step_s))
+            top = state.floats[follower, TOP_SPEED]
+            add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, top, step_s))
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
     # Whether one that was asked to drop back by so much in the last step is that much slower, rounding decides.
@@ -281,12 +290,12 @@ def inform_follower(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _speed_staying_behind(helper, gap, speed, planned, limit, step_s):  # type: ignore[no-untyped-def]
+def _speed_staying_behind(helper, gap, speed, planned, limit, top, step_s):  # type: ignore[no-untyped-def]
     """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room.
 
     It keeps its speed where the gap is secure after the step, and otherwise slows down as much as it comfortably can.
     """
-    left = gap + (planned - most_speed(helper, speed, step_s)) * step_s
+    left = gap + (planned - most_speed(helper, speed, top, step_s)) * step_s
     faster = follow_speed(helper, left, speed, planned, limit, step_s)
     if faster >= speed:
         return faster

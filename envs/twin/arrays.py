@@ -166,14 +166,16 @@ NOT_YET, WAITING, DRIVING, ARRIVED, DROPPED = range(5)
     COMMAND,
     BLOCKER_LENGTH,
     LEFT_SPACE,
+    TOP_SPEED,
     LOOK_AHEAD_SPEED,
     SPEED_GAIN,
     SPEED_GAIN_RIGHT,
     KEEP_RIGHT,
-) = range(11)
+) = range(12)
 """Columns of :attr:`TwinState.floats`: front bumper on its lane (m); m/s; acceleration of the last step (m/s^2); speed
 that SUMO itself would have chosen in the last step ("speed without TraCI", m/s); commanded speed (m/s), NaN for none;
-lane changing's memories. The first eight are a line of the processor's cache."""
+two of lane changing's memories; the vehicle's maximum speed (m/s); the other memories. The first eight are a line of
+the processor's cache."""
 
 (
     STATUS,

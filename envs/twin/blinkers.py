@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.arrays import CHANGE_STATE, LANE, LANE_LENGTH, LANE_LIMIT, LINK_DIRECTION, POSITION, VARIANT
+from izoo.envs.twin.arrays import CHANGE_STATE, LANE, LANE_LENGTH, LINK_DIRECTION, POSITION, VARIANT
 from izoo.envs.twin.compiled import compiled
+from izoo.envs.twin.following import desired_speed
 from izoo.envs.twin.lane_flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
 
 _RIGHT, _LEFT = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
-"""A vehicle blinks before a turn that it would reach so soon at the limit."""
+"""A vehicle blinks before a turn that it would reach so soon at its desired speed."""
 _MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING
 _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 
@@ -29,7 +30,7 @@ def blinkers(net, state, v):  # type: ignore[no-untyped-def]
         return _RIGHT
     lane = state.ints[v, LANE]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    if left_m >= _AHEAD_S * net.lane_floats[lane, LANE_LIMIT]:
+    if left_m >= _AHEAD_S * desired_speed(net, state, v, lane):
         return 0
     link = net.best_link[state.ints[v, VARIANT], lane]
     if link < 0:

@@ -22,7 +22,7 @@ from izoo.envs.mdp.state import (
 )
 from izoo.envs.mdp.step import conclude, settle, take_orders
 from izoo.envs.mdp.tally import EPISODE_METRIC
-from izoo.envs.mdp.world import MEMBERS, SUSPECTS
+from izoo.envs.mdp.world import EVERY_STEP, HELD, MEMBERS, SUSPECTS
 from izoo.envs.twin.arrays import (
     ACCEL as TWIN_ACCEL,
 )
@@ -36,9 +36,12 @@ from izoo.envs.twin.arrays import (
     LANE,
     LANE_BACK,
     LANE_REGION,
+    NEXT_DEPARTURE,
+    ON_ROAD,
     POSITION,
     SIGNALS,
     STATUS,
+    TOP_SPEED,
     open_net,
     open_state,
 )
@@ -96,10 +99,12 @@ def conclude_all(addresses, like, ranges):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def play_all(addresses, steps, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
+def play_all(addresses, steps, until_due, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
     """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment.
 
     Args:
+        steps: int64; where environments play ``until_due``, the most, and then how many were played.
+        until_due: whether each plays on only until a decision ends.
         addresses, step_ms, lane_change, like, ranges: as for :func:`drive_all`.
         rows: a :class:`~izoo.envs.twin.emitting.Rows` for the vehicles of any :data:`GROUP` environments.
     """
@@ -118,6 +123,10 @@ def play_all(addresses, steps, step_ms, lane_change, like, rows, ranges):  # typ
             # Behind them, for its memory, who is played next.
             rows.chosen[n] = rows.chosen[0] if played + 1 < most else addresses[last % count]
             _play_group(rows.chosen[: n + 1], n, step_ms, lane_change, like, rows, ranges)
+            if until_due:
+                for k in range(first, last):
+                    if steps[k] > played + 1 and world_at(addresses[k, WORLD_AT], like).tables.cursor[HELD] == 0:
+                        steps[k] = played + 1
 
 
 @compiled(borrows=True)
@@ -157,8 +166,11 @@ def _drive(world, addresses, k, step_ms, lane_change, ranges):  # type: ignore[n
 
 @compiled(borrows=True)
 def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
-    commands, releases = take_orders(world)
+    commands, releases, caps = take_orders(world)
     _command(world.tables, state, commands, releases)
+    for j in range(caps):
+        number = world.tables.ints[world.tables.capped[j], NUMBER]
+        state.floats[number, TOP_SPEED] = world.tables.cap_mps[j]
     if lane_change:
         frame = world.frame
         _command_lanes(world.tables, state, frame.action, frame.defer, frame.lane_change)
@@ -181,7 +193,7 @@ def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[n
         if row < 0:
             continue
         v = tables.ints[row, NUMBER]
-        asks = defer[a] != 0 or np.isnan(action[a]) or tables.acting[a] < 0
+        asks = defer[a] != 0 or np.isnan(action[a, 0]) or tables.acting[a] < 0
         state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
         if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
             state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE
@@ -244,8 +256,19 @@ def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
     guests = open_guests(addresses[k, GUESTS_AT])
     steps = world.tables.episode[_STEPS] + 1.0
     step_s = world.rules.step_s
-    conclude(world, guests.begun_s[0] + steps * step_s, True)
-    _give_way(world.tables, open_state(addresses[k, STATE_AT]), step_s)
+    state = open_state(addresses[k, STATE_AT])
+    playing_out = world.rules.scope != EVERY_STEP and steps > world.rules.control_steps
+    conclude(world, guests.begun_s[0] + steps * step_s, True, playing_out and everybody_left(state))
+    _give_way(world.tables, state, step_s)
+
+
+@compiled(borrows=True)
+def everybody_left(state):  # type: ignore[no-untyped-def]
+    """Whether no vehicle is on the road, waits to enter it, or is yet to depart."""
+    here = state.clock[ON_ROAD] > 0 or state.clock[NEXT_DEPARTURE] < state.ints.shape[0]
+    for lane in range(state.waiting_first.shape[0]):
+        here = here or state.waiting_first[lane] >= 0
+    return not here
 
 
 @compiled(borrows=True)

@@ -150,7 +150,7 @@ def _list_world(world, ranges):  # type: ignore[no-untyped-def]
         _list(ranges, place_of(numbers), rows * _WORD_BYTES)
     for numbers in (tables.agent_row, tables.acting, tables.lane_start, frame.agent_vehicle):
         _list(ranges, place_of(numbers), numbers.size * _WORD_BYTES)
-    for values in (frame.action, frame.reward):
-        _list(ranges, place_of(values), values.size * _WORD_BYTES // 2)
+    _list(ranges, place_of(frame.action), frame.action.size * _WORD_BYTES // 2)
+    _list(ranges, place_of(frame.reward), frame.reward.size * _WORD_BYTES // 2)
     for marks in (frame.defer, frame.mask, frame.agent_terminated, frame.agent_done):
         _list(ranges, place_of(marks), marks.size)

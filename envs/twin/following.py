@@ -10,15 +10,22 @@ import math
 
 import numpy as np
 
-from izoo.envs.twin.arrays import DECEL, EMERGENCY_DECEL, MAX_ACCEL, MIN_GAP, TAU, TWO_ROOT_AB
+from izoo.envs.twin.arrays import (
+    DECEL,
+    EMERGENCY_DECEL,
+    LANE_LIMIT,
+    MAX_ACCEL,
+    MIN_GAP,
+    TAU,
+    TOP_SPEED,
+    TWO_ROOT_AB,
+)
 from izoo.envs.twin.compiled import compiled, fused
 from izoo.envs.twin.margins import EPS
 
 SUB_STEP_S = 0.25
 FREE_GAP_M = 1e6
 COMFORT_DECEL_MPS2 = 1.5
-TOP_SPEED_MPS = 200.0 / 3.6
-"""Of every vehicle: the default of the vehicle class, above all limits that nets have."""
 
 
 @compiled
@@ -125,9 +132,15 @@ def least_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def most_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed after one step of full acceleration."""
-    return min(speed + driver[MAX_ACCEL] * step_s, TOP_SPEED_MPS)
+def desired_speed(net, state, v, lane):  # type: ignore[no-untyped-def]
+    """Return the speed (m/s) that vehicle ``v`` would have on an empty ``lane``."""
+    return min(net.lane_floats[lane, LANE_LIMIT], state.floats[v, TOP_SPEED])
+
+
+@compiled
+def most_speed(driver, speed, top, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed after one step of full acceleration, up to the vehicle's own maximum ``top``."""
+    return min(speed + driver[MAX_ACCEL] * step_s, top)
 
 
 @compiled
@@ -142,9 +155,9 @@ def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untype
 
 
 @compiled
-def speed_after(way, speed, accel):  # type: ignore[no-untyped-def]
-    """Return the speed (m/s) after ``way`` m of even acceleration, at most what vehicles can."""
-    return min(TOP_SPEED_MPS, np.sqrt(2.0 * way * accel + speed * speed))
+def speed_after(way, speed, accel, top):  # type: ignore[no-untyped-def]
+    """Return the speed (m/s) after ``way`` m of even acceleration, up to the vehicle's own maximum ``top``."""
+    return min(top, np.sqrt(2.0 * way * accel + speed * speed))
 
 
 @compiled

@@ -14,7 +14,6 @@ from izoo.envs.twin.arrays import (
     LANE_FRONT,
     LANE_INSIDE,
     LANE_LENGTH,
-    LANE_LIMIT,
     LANE_TAILS,
     LENGTH,
     LINK_CONT,
@@ -48,7 +47,7 @@ from izoo.envs.twin.conflicts import (
     NOWHERE,
     PARTING,
 )
-from izoo.envs.twin.following import brake_gap, follow_speed, stop_speed
+from izoo.envs.twin.following import brake_gap, desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
 from izoo.envs.twin.margins import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.order import back_on
@@ -203,7 +202,7 @@ def _heed(net, traffic, state, v, w, link, row, distance_m, best, passing, reque
     crosses = kind == CROSSING
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    wish = desired_speed(net, state, v, state.ints[v, LANE])
     to_way = distance_m - net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
     if crosses:
         nearer = _conflict_at_wait(net, link, distance_m, to_conflict)

@@ -12,7 +12,6 @@ from izoo.envs.twin.arrays import (
     LANE_FRONT,
     LANE_INSIDE,
     LANE_LENGTH,
-    LANE_LIMIT,
     LANE_TAILS,
     LENGTH,
     LINK_ENTRY,
@@ -34,7 +33,7 @@ from izoo.envs.twin.conflicts import (
     NOWHERE,
     PARTING,
 )
-from izoo.envs.twin.following import follow_speed, stop_speed
+from izoo.envs.twin.following import desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.inside import gap_before, is_before_wait
 from izoo.envs.twin.lights import RED
 from izoo.envs.twin.margins import POSITION_EPS
@@ -51,7 +50,7 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
         distance_m: from the front of ``v``, whatever its lane, to ``link``.
     """
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    wish = desired_speed(net, state, v, state.ints[v, LANE])
     found, found_gap, least = -1, 0.0, math.inf
     ahead = net.link_ints[link, LINK_FROM]
     inside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1

@@ -24,7 +24,6 @@ from izoo.envs.twin.arrays import (
     LANE_EDGE,
     LANE_INSIDE,
     LANE_LENGTH,
-    LANE_LIMIT,
     LINK_CONT,
     LINK_NEXT,
     LINK_PROGRAM,
@@ -37,6 +36,7 @@ from izoo.envs.twin.arrays import (
     SPEED,
     STATUS,
     TAIL_LANES,
+    TOP_SPEED,
     VARIANT,
     WAITING_MS,
 )
@@ -44,7 +44,7 @@ from izoo.envs.twin.best_lanes import find_variant
 from izoo.envs.twin.blinkers import blinkers
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.crossing import lose_turn, may_pass, note_request, pass_link, slows_before
-from izoo.envs.twin.following import brake_gap, least_speed, most_speed, stop_speed
+from izoo.envs.twin.following import brake_gap, desired_speed, least_speed, most_speed, stop_speed
 from izoo.envs.twin.lights import OFF_YELLOW, RED, YELLOW
 from izoo.envs.twin.margins import EPS, POSITION_EPS, STANDING_MPS, VISIBILITY_M
 from izoo.envs.twin.order import drop_tail, lay_tail, take_out
@@ -62,7 +62,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
     comfortable = brake_gap(speed, driver[DECEL], 0.0, step_s)
-    fastest = most_speed(driver, speed, step_s)
+    fastest = most_speed(driver, speed, state.floats[v, TOP_SPEED], step_s)
     safe = fastest
     needed = needed_wait = needed_m = 0.0
     needed_can_brake = waits = False
@@ -107,7 +107,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
-            wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+            wish = desired_speed(net, state, v, state.ints[v, LANE])
             stop = stop_speed(driver, needed_m, speed, wish, driver[DECEL], step_s)
             safe, waits = min(safe, max(slowest, stop)), True
         # Who goes on shall not be held up by lane changes.
@@ -124,8 +124,8 @@ def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[n
     speed = floats[v, SPEED]
     hardest = max(0.0, speed - driver[EMERGENCY_DECEL] * step_s)
     slowest = least_speed(driver, speed, step_s)
-    fastest = most_speed(driver, speed, step_s)
-    limit = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    fastest = most_speed(driver, speed, floats[v, TOP_SPEED], step_s)
+    limit = desired_speed(net, state, v, state.ints[v, LANE])
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advise(net, traffic, state, v, low, high, high, step_s)

@@ -43,7 +43,7 @@ from izoo.envs.twin.arrays import (
 )
 from izoo.envs.twin.compiled import compiled
 from izoo.envs.twin.conflicts import CONFLICT_BEHIND, CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
-from izoo.envs.twin.following import brake_gap, follow_speed, secure_gap
+from izoo.envs.twin.following import brake_gap, desired_speed, follow_speed, secure_gap
 from izoo.envs.twin.leaders_inside import leader_in_conflict
 from izoo.envs.twin.lights import is_major
 from izoo.envs.twin.margins import STANDING_MPS
@@ -111,7 +111,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
     variant = state.ints[v, VARIANT]
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
     seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    wish = net.lane_floats[state.ints[v, LANE], LANE_LIMIT]
+    wish = desired_speed(net, state, v, state.ints[v, LANE])
     found, found_gap, least = -1, 0.0, math.inf
     while seen <= reach or net.lane_ints[lane, LANE_INSIDE]:
         link = net.best_link[variant, lane]
@@ -134,7 +134,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
                 safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], wish, step_s)
             if safe < least:
                 found, found_gap, least = leader, gap, safe
-        limit = net.lane_floats[lane, LANE_LIMIT]
+        limit = desired_speed(net, state, v, lane)
         if limit < speed:
             reach = brake_gap(limit, driver[DECEL], driver[TAU], step_s)
         seen += net.lane_floats[lane, LANE_LENGTH]

@@ -47,6 +47,7 @@ from izoo.envs.twin.arrays import (
     ROUTE,
     SPEED,
     TAU,
+    TOP_SPEED,
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
@@ -87,8 +88,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     route = traffic.ints[v, ROUTE]
     variant = ints[v, VARIANT]
     speed, lane = floats[v, SPEED], ints[v, LANE]
-    wish = net.lane_floats[lane, LANE_LIMIT]
-    fastest = most_speed(driver, speed, step_s)
+    top = floats[v, TOP_SPEED]
+    wish = min(net.lane_floats[lane, LANE_LIMIT], top)
+    fastest = most_speed(driver, speed, top, step_s)
     slowest = least_speed(driver, speed, step_s)
     reach = fastest * step_s + brake_gap(fastest, driver[DECEL], driver[TAU], step_s)
     seen = net.lane_floats[lane, LANE_LENGTH] - floats[v, POSITION]
@@ -98,7 +100,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     command = floats[v, COMMAND]
     if not math.isnan(command):
         best = max(min(command, best), slowest)
-    passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL]))
+    passing = min(wish, speed_after(seen, best, driver[MAX_ACCEL], top))
     beyond = slowed_for_minor = False
     lane_limit = wish
     # On a free road the speed depends on the limit alone, and lanes mostly have the same.
@@ -171,15 +173,15 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
         arrival_speed = passing
         if slows_before(net, state, link) and braking < seen and seen > VISIBILITY_M:
-            top = safe_stop_speed(VISIBILITY_M, driver[DECEL], 0.0, step_s)
-            arrival_speed = min(passing, speed_after(VISIBILITY_M, top, driver[MAX_ACCEL]))
+            seeing = safe_stop_speed(VISIBILITY_M, driver[DECEL], 0.0, step_s)
+            arrival_speed = min(passing, speed_after(VISIBILITY_M, seeing, driver[MAX_ACCEL], top))
             slowed_for_minor = True
         enter_ms = state.clock[NOW_MS] - step_ms + int(1000.0 * arrival_time_s(driver, seen, best, arrival_speed) + 0.5)
         next_lane = net.link_ints[link, LINK_NEXT]
         next_length = net.lane_floats[next_lane, LANE_LENGTH]
-        lane_limit = net.lane_floats[next_lane, LANE_LIMIT]
+        lane_limit = min(net.lane_floats[next_lane, LANE_LIMIT], top)
         inside_m = next_length if net.lane_ints[next_lane, LANE_INSIDE] == 1 else 0.0
-        leave_speed = min(lane_limit, speed_after(inside_m, arrival_speed, driver[MAX_ACCEL]))
+        leave_speed = min(lane_limit, speed_after(inside_m, arrival_speed, driver[MAX_ACCEL], top))
         values[ITEM_PASS] = best
         values[ITEM_ARRIVAL_SPEED], values[ITEM_LEAVE_SPEED] = arrival_speed, leave_speed
         values[ITEM_BRAKED_SPEED] = braked_speed(driver, seen, best, arrival_speed, step_s)
@@ -206,7 +208,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         else:
             seen_roads += next_length
         seen += next_length
-        passing = min(speed_after(next_length, best, driver[MAX_ACCEL]), lane_limit)
+        passing = min(speed_after(next_length, best, driver[MAX_ACCEL], top), lane_limit)
         leader = last_on(net, traffic, state, lane, v)
     ints[v, FIRST_ITEM], ints[v, ITEMS] = first, count
     state.clock[ITEM_TOTAL] = first + count

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from izoo.envs.mdp.orders import TOP_SPEED_MPS
 from izoo.envs.twin.active import activate_busy, forget_empty
 from izoo.envs.twin.advising import forget_advice
 from izoo.envs.twin.arrays import (
@@ -34,6 +35,7 @@ from izoo.envs.twin.arrays import (
     STATE,
     STEP_COUNT,
     STOOD_FOR,
+    TOP_SPEED,
     VARIANT,
     VEHICLE_FLOATS,
     VEHICLE_INTS,
@@ -99,6 +101,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         getattr(state, name)[:] = -1
     state.program_switch_ms[:] = -1
     state.floats[:, COMMAND] = np.nan
+    state.floats[:, TOP_SPEED] = TOP_SPEED_MPS
     state.ints[:, [LANE, AHEAD, BEHIND, VARIANT, CHANGE_UNTIL_MS, STOOD_FOR]] = -1
     state.ints[:, [ENTERED_MS, JUNCTION_MS, CONFLICT_MS]] = NEVER_MS
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1

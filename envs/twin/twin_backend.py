@@ -20,7 +20,7 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import CLOSED, Play, rest_where_ended
-from izoo.envs.config import KEEP_LANE, EnvConfig
+from izoo.envs.config import KEEP_LANE, STEP, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.scene import Scene
 from izoo.envs.twin.crew import Crew
@@ -207,7 +207,8 @@ class TwinBackend:
         self._run(0)
         ended = rest_where_ended(self.config, self.frames)
         with self._whole():
-            self._play(np.minimum(self._until_horizon_or_end(), self.config.hold_steps), meanwhile)
+            until_due = self.config.decide != STEP
+            self._play(np.minimum(self._until_horizon_or_end(), self.config.hold_steps), meanwhile, until_due)
             for index in np.flatnonzero((self._left <= self.config.drain_steps) & ~ended).tolist():
                 run = self._run(index)
                 run.end_step()
@@ -227,8 +228,13 @@ class TwinBackend:
             decisions: ``[N]``; so few that no episode comes to its horizon.
 
         Raises:
-            IzooError: an episode would come to its horizon.
+            IzooError: an episode would come to its horizon, or decisions last until somebody is to decide.
         """
+        if self.config.decide != STEP:
+            raise IzooError(
+                f"advance() counts decisions of one length, and with env.decide={self.config.decide} each lasts until "
+                "a CV is to decide; set env.decide=step."
+            )
         try:
             given = np.asarray(decisions)
         except ValueError:  # lists of other lengths
@@ -259,33 +265,43 @@ class TwinBackend:
             self._runs[:] = [None] * self.num_envs
             raise
 
-    def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
-        """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads."""
+    def _play(self, steps: np.ndarray, meanwhile: Callable[[], None] | None = None, until_due: bool = False) -> None:
+        """Simulate ``steps`` ``[N]`` in each environment, which are shared out among the threads.
+
+        With ``until_due``, so many at most: each plays on until one of its CVs is to decide.
+        """
         like = self._run(0).episode.world
         with _one_torch_thread(self.threads > 1):
-            self._crew.work(lambda thread: self._play_share(thread, steps, like), meanwhile)
+            self._crew.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
         self._left -= steps
 
-    def _play_share(self, thread: int, steps: np.ndarray, like: Any) -> None:
+    def _play_share(self, thread: int, steps: np.ndarray, until_due: bool, like: Any) -> None:
         """Simulate a thread's share of the environments, whose working memory is on its desk."""
         share = self._shares[thread]
-        self._drive_share(self._addresses[share], steps[share], self._emitters[thread], self._ranges[thread], like)
+        self._drive_share(share, steps[share], until_due, self._emitters[thread], self._ranges[thread], like)
         if self.played is not None and self.threads > 1:
             self.played(share)
 
     def _drive_share(
-        self, addresses: np.ndarray, steps: np.ndarray, emitter: Emitter, ranges: np.ndarray, like: Any
+        self, share: slice, steps: np.ndarray, until_due: bool, emitter: Emitter, ranges: np.ndarray, like: Any
     ) -> None:
+        addresses = self._addresses[share]
         if self.surrogate == "compiled":
             rows = emitter.rows(GROUP * self._most_vehicles)
-            play_all(addresses, steps, self._step_ms, self.config.lane_change, like, rows, ranges)
+            play_all(addresses, steps, until_due, self._step_ms, self.config.lane_change, like, rows, ranges)
             return
-        for step in range(int(steps.max())):
+        step = 0
+        while (steps > step).any():
             # From here on, those that have been played are left out.
             chosen = addresses if steps.min() > step else addresses[steps > step]
             drive_all(chosen, self._step_ms, self.config.lane_change, like, emitter.by_class, ranges)
             emitter.emit(chosen, like)
             conclude_all(chosen, like, ranges)
+            step += 1
+            if until_due:
+                for k in np.flatnonzero(steps > step).tolist():
+                    if self._run(share.start + k).episode.between_decisions:
+                        steps[k] = step
 
     def _run(self, index: int) -> TwinRun:
         run = self._runs[index]

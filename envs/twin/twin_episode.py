@@ -13,6 +13,7 @@ from izoo.envs.twin.arrays import (
     SPEED,
     STATE,
     STATUS,
+    TOP_SPEED,
     TRAFFIC,
     WORKING,
     TwinNet,
@@ -57,6 +58,10 @@ class TwinEpisode:
     def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
         """Command speeds until further notice; NaN gives control back."""
         self.state.floats[vehicles, COMMAND] = speeds_mps
+
+    def limit(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
+        """Set the maximum speed of vehicles."""
+        self.state.floats[vehicles, TOP_SPEED] = speeds_mps
 
     @property
     def status(self) -> np.ndarray:

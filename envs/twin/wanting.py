@@ -49,7 +49,7 @@ from izoo.envs.twin.arrays import (
     VARIANT,
 )
 from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.following import brake_gap, follow_speed, safe_stop_speed, secure_gap
+from izoo.envs.twin.following import brake_gap, desired_speed, follow_speed, safe_stop_speed, secure_gap
 from izoo.envs.twin.lane_flags import (
     BLOCKS_FOLLOWER,
     COMMANDED,
@@ -127,7 +127,7 @@ def want(  # type: ignore[no-untyped-def]
     lane, variant = ints[v, LANE], ints[v, VARIANT]
     other = lane + side
     position, speed = floats[v, POSITION], floats[v, SPEED]
-    limit = net.lane_floats[lane, LANE_LIMIT]
+    limit = desired_speed(net, state, v, lane)
     right = side < 0
     own_offset = net.best_offset[variant, lane]
     offset = own_offset
@@ -189,7 +189,7 @@ def want(  # type: ignore[no-untyped-def]
             follower_gap, blocked, flags, step_s,
         )  # fmt: skip
         return flags
-    if right and offset == 0 and limit > _MOTORWAY_MPS and ahead_speed > STANDING_MPS:
+    if right and offset == 0 and net.lane_floats[lane, LANE_LIMIT] > _MOTORWAY_MPS and ahead_speed > STANDING_MPS:
         return flags | STAY | STRATEGIC
     return _want_freely(
         net,
@@ -273,7 +273,7 @@ def _want_freely(  # type: ignore[no-untyped-def]
     other, right = lane + side, side < 0
     toward = RIGHTWARD if right else LEFTWARD
     speed = floats[v, SPEED]
-    limit, other_limit = net.lane_floats[lane, LANE_LIMIT], net.lane_floats[other, LANE_LIMIT]
+    limit, other_limit = desired_speed(net, state, v, lane), desired_speed(net, state, v, other)
     other_length = net.best_length[variant, other]
     allowed = other_length / (abs(offset) + 1) > needed
 
@@ -295,7 +295,8 @@ def _want_freely(  # type: ignore[no-untyped-def]
             floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] * math.pow(0.5, step_s))
         else:
             floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] + step_s * gain)
-            _grow_keep_right(traffic, state, v, limit, other_length, beside, beside_gap, step_s)
+            share = limit / net.lane_floats[lane, LANE_LIMIT]
+            _grow_keep_right(traffic, state, v, limit, share, other_length, beside, beside_gap, step_s)
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
                 if _is_granted(net, state, v, request):
@@ -359,10 +360,10 @@ def _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s):
 
 
 @compiled
-def _grow_keep_right(traffic, state, v, limit, other_length, beside, gap, step_s):  # type: ignore[no-untyped-def]
+def _grow_keep_right(traffic, state, v, limit, share, other_length, beside, gap, step_s):  # type: ignore[no-untyped-def]
     """Grow the wish to keep right by the share of time for which one could go there at full speed."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    acceptance_s = _ACCEPTANCE_S * max(1.0, speed)
+    acceptance_s = _ACCEPTANCE_S * share * max(1.0, speed)
     full = max(0.0, other_length - brake_gap(limit, driver[DECEL], driver[TAU], step_s))
     full_s = min(acceptance_s, full / limit)
     if beside >= 0 and state.floats[beside, SPEED] < limit:

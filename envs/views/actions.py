@@ -8,7 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, KEEP_LANE, LANE_CHANGES, EnvConfig
+from izoo.envs.config import (
+    ACTION_HIGH_MPS2,
+    ACTION_LOW_MPS2,
+    KEEP_LANE,
+    LANE_CHANGES,
+    MIN_SHARE,
+    SPEED,
+    EnvConfig,
+)
 from izoo.errors import IzooError
 
 
@@ -16,7 +24,7 @@ class Commands(NamedTuple):
     """What the CVs are told for one step.
 
     Attributes:
-        action: ``[A]`` accelerations in m/s^2; NaN leaves a CV to SUMO and is counted.
+        action: ``[A, D]`` accelerations in m/s^2, or shares of the speed limit; NaN leaves a CV to SUMO and is counted.
         defer: ``[A]`` bool, CVs to leave to SUMO.
         lane_change: ``[A]`` 0 right, 1 keep, 2 left; read where the environment's settings have ``lane_change``.
     """
@@ -29,28 +37,39 @@ class Commands(NamedTuple):
 def action_space(config: EnvConfig, count: int | None) -> spaces.Space[Any]:
     """Return the space of a view's actions: accelerations, and with ``lane_change`` a dictionary of two entries.
 
+    Where actions are desired speeds, shares of the speed limit; of each vehicle one, or one before and one behind the
+    stop line.
+
     Args:
         config: the environment's settings.
         count: how many vehicles act together; ``None``: one does, whose lane change is a number instead of an array.
     """
-    acceleration = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, (1 if count is None else count,), np.float32)
+    if config.action == SPEED:
+        return spaces.Box(MIN_SHARE, 1.0, _shape(config, count), np.float32)
+    acceleration = spaces.Box(ACTION_LOW_MPS2, ACTION_HIGH_MPS2, _shape(config, count), np.float32)
     if not config.lane_change:
         return acceleration
     lanes = spaces.Discrete(LANE_CHANGES) if count is None else spaces.MultiDiscrete([LANE_CHANGES] * count)
     return spaces.Dict(acceleration=acceleration, lane_change=lanes)
 
 
+def _shape(config: EnvConfig, count: int | None) -> tuple[int, ...]:
+    """Return the shape of the numbers of an action."""
+    size = config.action_size
+    return (size,) if count is None else (count,) if size == 1 else (count, size)
+
+
 def read_action(
     config: EnvConfig, action: Any, count: int | None, what: str = "the action"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return accelerations and lane changes of an action, each ``[count]`` (``[1]`` for ``None``); see the space.
+    """Return the numbers ``[count, D]`` and lane changes ``[count]`` of an action (``[1, ...]`` for ``None``).
 
     Raises:
         IzooError: an entry is missing or unknown, or is of another shape or type.
     """
     shape = (1,) if count is None else (count,)
     if not config.lane_change:
-        return _accelerations(action, shape, what), np.full(shape, KEEP_LANE, np.int64)
+        return _numbers(config, action, count, what), np.full(shape, KEEP_LANE, np.int64)
     if not isinstance(action, Mapping) or set(action) != {"acceleration", "lane_change"}:
         got = f"has the keys {sorted(action)}" if isinstance(action, Mapping) else f"is a {type(action).__name__}"
         raise IzooError(
@@ -65,14 +84,15 @@ def read_action(
             f"'lane_change' of {what} is {lanes.dtype} of shape {list(lanes.shape)} with the values {shown}; give "
             f"whole numbers of shape {list(legal)}: 0 right, 1 keep, 2 left."
         )
-    return _accelerations(action["acceleration"], shape, f"'acceleration' of {what}"), lanes.reshape(shape)
+    return _numbers(config, action["acceleration"], count, f"'acceleration' of {what}"), lanes.reshape(shape)
 
 
-def _accelerations(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    array = np.asarray(values)
+def _numbers(config: EnvConfig, values: Any, count: int | None, what: str) -> np.ndarray:
+    array, shape = np.asarray(values), _shape(config, count)
     if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
+        kind = "shares of the speed limit" if config.action == SPEED else "accelerations in m/s^2"
         raise IzooError(
-            f"{what} is {array.dtype} of shape {list(array.shape)}; give accelerations in m/s^2 as floating-point "
-            f"numbers of shape {list(shape)}."
+            f"{what} is {array.dtype} of shape {list(array.shape)}; give {kind} as floating-point numbers of shape "
+            f"{list(shape)}."
         )
-    return array
+    return array.reshape(-1, config.action_size)

@@ -20,7 +20,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.host import RENDER_MODES, Host, render_modes
@@ -82,8 +82,10 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
     """All controlled vehicles (CVs) as one agent, in ``A`` slots of ``F`` features, padded.
 
     - observation: ``observation`` ``[A, F]`` float32 (columns in :attr:`observation_names`; zero in empty slots) and
-      ``mask`` ``[A]`` int8: the slot holds a CV.
+      ``mask`` ``[A]`` int8: the slot holds a CV. Where ``config.decide`` is not ``step`` also ``decides`` ``[A]`` int8:
+      the CV is to decide, and the actions of others are not read.
     - action: ``[A]`` accelerations in m/s^2, cut to [-4.5, 2.6]; NaN leaves a CV to SUMO and is counted. With
+      ``config.action`` of ``speed`` shares of the speed limit, ``[A]``, or ``[A, 2]`` with two ``action_parts``. With
       ``config.lane_change`` a dictionary: these as ``acceleration``, and ``lane_change`` ``[A]`` (0 right, 1 keep, 2
       left).
     - reward: the mean over the CVs that acted, 0 where there was none.
@@ -96,9 +98,13 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         a, f = self.config.num_agents, len(self.observation_names)
-        self.observation_space: Any = spaces.Dict(
-            observation=spaces.Box(-np.inf, np.inf, (a, f), np.float32), mask=spaces.MultiBinary(a)
-        )
+        entries: dict[str, Any] = {
+            "observation": spaces.Box(-np.inf, np.inf, (a, f), np.float32),
+            "mask": spaces.MultiBinary(a),
+        }
+        if self.config.decide != STEP:
+            entries["decides"] = spaces.MultiBinary(a)
+        self.observation_space: Any = spaces.Dict(entries)
         self.action_space: Any = action_space(self.config, a)
 
     def reset(
@@ -110,12 +116,12 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
         return self._observation(), {"vehicle": self.host.numbers, **self.host.plan(), **self.host.info()}
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Simulate a step with the accelerations ``action [A]``, or the dictionary described above."""
+        """Simulate a step with the actions ``[A]`` (or ``[A, 2]``), or the dictionary described above."""
         host, frame = self.host, self.host.frame
         host.require_running()
-        acceleration, lane_change = read_action(self.config, action, self.config.num_agents)
+        numbers, lane_change = read_action(self.config, action, self.config.num_agents)
         acted = host.mask
-        host.step(Commands(acceleration, np.zeros(self.config.num_agents, bool), lane_change))
+        host.step(Commands(numbers, np.zeros(self.config.num_agents, bool), lane_change))
         reward = frame["reward"].copy()
         info = {
             "reward": reward,
@@ -128,7 +134,10 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
         return self._observation(), mean, False, host.over, info
 
     def _observation(self) -> dict[str, np.ndarray]:
-        return {"observation": self.host.frame["observation"].copy(), "mask": self.host.mask.astype(np.int8)}
+        seen = {"observation": self.host.frame["observation"].copy(), "mask": self.host.mask.astype(np.int8)}
+        if self.config.decide != STEP:
+            seen["decides"] = self.host.decides.astype(np.int8)
+        return seen
 
 
 class EcoDrivingEgo(_View[np.ndarray]):
@@ -142,6 +151,8 @@ class EcoDrivingEgo(_View[np.ndarray]):
 
     - observation: ``[F]`` float32, columns in :attr:`observation_names`; zero after the ego has left.
     - action: ``[1]``, acceleration in m/s^2, cut to [-4.5, 2.6]; NaN leaves the ego to SUMO and is counted. With
+      ``config.action`` of ``speed`` a share of the speed limit, or two, one for each of ``action_parts``. Where
+      ``config.decide`` is not ``step``, a step lasts until the ego decides again or has left. With
       ``config.lane_change`` a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2
       left).
     - reward: the ego's.
@@ -150,7 +161,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
 
     Args:
         others: maps a TensorDict with ``("agents", "observation")`` ``[A, F]`` and ``("agents", "mask")`` ``[A]`` to
-            one with ``("agents", "action")`` ``[A, 1]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
+            one with ``("agents", "action")`` ``[A, D]`` and, if it likes, ``("agents", "defer")`` ``[A]`` and
             ``("agents", "lane_change")`` ``[A]``: any policy that can be evaluated. It acts by its mode, finds
             ``is_init`` ``[1]``, true in the first step of a simulation, and what it wrote in the step before, at the
             root or under ``"next"``. ``None``: SUMO drives them.
@@ -212,22 +223,27 @@ class EcoDrivingEgo(_View[np.ndarray]):
         )
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Simulate a step in which the ego has the acceleration ``action [1]``, or does what the dictionary says."""
+        """Simulate a step in which the ego has the action ``[D]``, or does what the dictionary says."""
         host, frame, slot = self.host, self.host.frame, self._slot
         host.require_running()
         if slot < 0:
             raise IzooError("step() came after the ego's end; call reset(), it chooses the next one.")
-        acceleration, lane_change = read_action(self.config, action, None)
-        commands = self._commands()
-        commands.action[slot], commands.defer[slot] = acceleration[0], False
-        commands.lane_change[slot] = lane_change[0]
-        host.step(commands)
-        terminated, truncated = bool(frame["agent_terminated"][slot]), bool(frame["agent_truncated"][slot])
-        info = {"vehicle": self._vehicle, "reward_vector": frame["reward_vector"][slot].copy(), **host.info()}
+        numbers, lane_change = read_action(self.config, action, None)
+        reward, rewards, ended = 0.0, np.zeros_like(frame["reward_vector"][slot]), False
+        while not ended:
+            commands = self._commands()
+            commands.action[slot], commands.defer[slot] = numbers[0], False
+            commands.lane_change[slot] = lane_change[0]
+            host.step(commands)
+            terminated, truncated = bool(frame["agent_terminated"][slot]), bool(frame["agent_truncated"][slot])
+            reward += float(frame["reward"][slot])
+            rewards += frame["reward_vector"][slot]
+            ended = terminated or truncated or bool(host.decides[slot])
+        info = {"vehicle": self._vehicle, "reward_vector": rewards, **host.info()}
         observation = self._observation()
         if terminated or truncated:
             self._slot = -1
-        return observation, float(frame["reward"][slot]), terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
     def _observation(self) -> np.ndarray:
         return self.host.frame["observation"][self._slot].copy()
@@ -246,13 +262,15 @@ class EcoDrivingEgo(_View[np.ndarray]):
             "observation": torch.from_numpy(frame["observation"].copy()),
             "mask": torch.from_numpy(self.host.mask),
         }
+        if self.config.decide != STEP:
+            agents |= {"decides": torch.from_numpy(self.host.decides), "number": torch.from_numpy(self.host.numbers)}
         seen = TensorDict({"agents": TensorDict(agents, [count]), "is_init": torch.tensor([begins])}, [])
         if self._kept is not None:
             seen.update(self._kept)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             result = self.others(seen)
         if result is None or ("agents", "action") not in result.keys(include_nested=True):
-            raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, 1] accelerations.")
+            raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, D] actions.")
         wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
         passing = [("agents", name) for name in (*agents, *Commands._fields)]
         kept, following = result.exclude("next"), result.get("next", None)
@@ -260,7 +278,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
         commands.defer[:] = False
         for name, values in commands._asdict().items():
             if wanted[name] is not None:
-                values[:] = wanted[name].reshape(count).numpy()
+                values[:] = wanted[name].reshape(values.shape).numpy()
         return commands
 
 

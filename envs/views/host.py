@@ -17,7 +17,7 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import KEEP_LANE, SIMULATORS, EnvConfig, checked_config
+from izoo.envs.config import KEEP_LANE, SIMULATORS, STEP, EnvConfig, checked_config
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.state import NUMBER
 from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
@@ -135,7 +135,8 @@ class Host:
     def commands(self) -> Commands:
         """Return commands that leave every CV to SUMO, to be filled in."""
         count = self.config.num_agents
-        return Commands(np.zeros(count, np.float32), np.ones(count, bool), np.full(count, KEEP_LANE, np.int64))
+        action = np.zeros((count, self.config.action_size), np.float32)
+        return Commands(action, np.ones(count, bool), np.full(count, KEEP_LANE, np.int64))
 
     def step(self, commands: Commands) -> None:
         """Simulate one step.
@@ -169,6 +170,11 @@ class Host:
     def mask(self) -> np.ndarray:
         """Slots that hold a CV, ``[A]`` bool."""
         return self.frame["mask"].astype(bool)
+
+    @property
+    def decides(self) -> np.ndarray:
+        """Slots whose CV decides now, ``[A]`` bool; the actions of others are not read."""
+        return self.mask if self.config.decide == STEP else self.frame["decides"].astype(bool)
 
     @property
     def numbers(self) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium import spaces
 
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.actions import Commands, action_space, read_action
@@ -68,7 +68,10 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
       whatever the policy does. ``possible_agents`` are the names up to ``max_vehicles``.
     - Observation: ``[F]`` float32 (columns in :attr:`observation_names`). Action: ``[1]``, acceleration in m/s^2, cut
       to [-4.5, 2.6]; NaN leaves the CV to SUMO and is counted, ``None`` leaves it to SUMO. With ``config.lane_change``
-      a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2 left).
+      a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2 left). With
+      ``config.action`` of ``speed``: ``[D]``, shares of the speed limit, one for each of ``config.action_parts``.
+    - Where ``config.decide`` is not ``step``, a step lasts until an agent is to decide; ``decides`` of an agent's info
+      says whether it is, and the actions of others are not read.
     - What :meth:`step` returns speaks of the agents that acted and of those that entered in the step: an agent that
       left is terminated, with a zero observation (its value is zero) and its last reward; those present at the horizon
       are truncated, with their last observation; a newcomer's reward is 0.
@@ -217,8 +220,8 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         for agent, value in actions.items():
             if value is not None:
                 slot = self._slot[agent]
-                acceleration, lane_change = read_action(self.config, value, None, f"the action of {agent}")
-                commands.action[slot], commands.lane_change[slot] = acceleration[0], lane_change[0]
+                numbers, lane_change = read_action(self.config, value, None, f"the action of {agent}")
+                commands.action[slot], commands.lane_change[slot] = numbers[0], lane_change[0]
                 commands.defer[slot] = False
         return commands
 
@@ -248,4 +251,6 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         return {agent: observation[self._slot[agent]].copy() for agent in agents}
 
     def _info(self, agent: str) -> dict[str, Any]:
-        return {"time_s": self.host.time_s, "slot": self._slot[agent]}
+        slot = self._slot[agent]
+        info = {"time_s": self.host.time_s, "slot": slot}
+        return info if self.config.decide == STEP else info | {"decides": bool(self.host.decides[slot])}

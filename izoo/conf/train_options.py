@@ -263,6 +263,9 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
+        self.env.require_accelerations(
+            f"algo={self.algo.name}", ", or learn with a loop of your own on izoo.envs.TwinEnv"
+        )
         warm_start = getattr(self.algo, "warm_start", "none")
         if warm_start != "none" and self.action.name != "advise":
             raise IzooError(

@@ -18,7 +18,7 @@ from tensordict import TensorDictBase
 from izoo import files, zoo
 from izoo.contexts.context import Context
 from izoo.envs import MODEL_VERSION
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError
 from izoo.metrics.pairing import UNCOMMANDED
@@ -150,6 +150,8 @@ class Player:
         config = dataclasses.replace(
             scene.evaluation.manifest.config(scene.policy, scene.train_seed), emit=("metrics",)
         )
+        if config.decide != STEP:  # the same episode, and every step of it is seen
+            config = dataclasses.replace(config, hold_s=config.step_s)
         simulator = str(scene.evaluation.table["simulator"].iloc[0])
         if self._env is None or (self._env.config, self._simulator) != (config, simulator):
             self.__exit__()

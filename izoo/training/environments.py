@@ -83,7 +83,7 @@ class _Training(EcoDrivingBase):
             masks = frame.get(("agents", "mask")).view(-1, slots)
             waits = [longest - len(script) for script in scripts]
             rows = [
-                script.at(step - wait, mask) if step >= wait else past.idle(names, slots)
+                script.at(step - wait, mask) if step >= wait else past.idle(names, slots, self.config.action_size)
                 for script, wait, mask in zip(scripts, waits, masks, strict=True)
             ]
             frame = self._step(past.with_commands(frame, rows)).exclude(("agents", "reward"))

@@ -27,7 +27,8 @@ class EpisodePast:
         episode: its number in the schedule.
         counts: per part, ``[steps]``: controlled vehicles per step.
         commands: per part, by the names of :data:`~izoo.envs.reader.COMMANDS`, ``[counts.sum()]``: what they were
-            commanded, step after step, by ascending slot. What a policy does not write is absent.
+            commanded, step after step, by ascending slot; of actions ``[counts.sum(), D]``. What a policy does not
+            write is absent.
     """
 
     episode: int
@@ -45,7 +46,7 @@ class EpisodePast:
         self.counts.append(mask.sum(-1))
         found = {name: steps.get(key, None) for name, key in COMMANDS.items()}
         self.commands.append(
-            {name: leaf.reshape(mask.shape)[mask].clone() for name, leaf in found.items() if leaf is not None}
+            {name: _of_slots(name, leaf, mask)[mask].clone() for name, leaf in found.items() if leaf is not None}
         )
 
     def state_dict(self) -> dict[str, Any]:
@@ -89,7 +90,7 @@ class Script:
         return len(self.starts) - 1
 
     def at(self, step: int, mask: Tensor) -> dict[str, Tensor]:
-        """Return the commands ``[A]`` of a step, by name.
+        """Return the commands ``[A]`` of a step, by name; of actions ``[A, D]``.
 
         Args:
             step: counted from the beginning of the episode.
@@ -105,25 +106,30 @@ class Script:
                 f"{last - first} before. Another version of SUMO or of izoo, or changed data, must have trained this "
                 "run; train anew, or give another num_workers to leave the episodes in progress out."
             )
-        rows = {name: torch.zeros(self.slots, dtype=values.dtype) for name, values in self.commands.items()}
+        rows = {name: values.new_zeros(self.slots, *values.shape[1:]) for name, values in self.commands.items()}
         for name, row in rows.items():
             row[mask] = self.commands[name][first:last]
         return rows
 
 
-def idle(names: Sequence[str], slots: int) -> dict[str, Tensor]:
-    """Return commands ``[A]`` for an environment whose script has not begun: what it does now will be forgotten."""
+def _of_slots(name: str, leaf: Tensor, mask: Tensor) -> Tensor:
+    """Return commands ``[*B, A]``, or actions ``[*B, A, D]``."""
+    return leaf.reshape(*mask.shape, -1) if name == "action" else leaf.reshape(mask.shape)
+
+
+def idle(names: Sequence[str], slots: int, action_size: int) -> dict[str, Tensor]:
+    """Return commands of a step for an environment whose script has not begun: what it does now will be forgotten."""
     kinds = {"action": torch.float32, "defer": torch.bool, "lane_change": torch.int64}
-    return {name: torch.zeros(slots, dtype=kinds[name]) for name in names}
+    rows = {name: torch.zeros(slots, dtype=kinds[name]) for name in names}
+    return rows | {"action": torch.zeros(slots, action_size)}
 
 
 def with_commands(frame: TensorDictBase, rows: Sequence[dict[str, Tensor]]) -> TensorDictBase:
-    """Return ``frame [*B]`` with the commands ``[A]`` of each environment, ready for a step."""
+    """Return ``frame [*B]`` with the commands of each environment, ready for a step."""
     frame = frame.copy()
-    shape = frame.get(MASK).shape
+    mask = frame.get(MASK)
     for name in rows[0]:
-        leaf = torch.stack([row[name] for row in rows]).reshape(shape)
-        frame.set(COMMANDS[name], leaf.unsqueeze(-1) if name == "action" else leaf)
+        frame.set(COMMANDS[name], _of_slots(name, torch.stack([row[name] for row in rows]), mask))
     return frame
 
 

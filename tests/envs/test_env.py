@@ -60,7 +60,7 @@ def test_specs_of_every_variant(make: Make, variant: str) -> None:
     env = make(config=short(**VARIANTS[variant]))
     check_env_specs(env)
     for group in EMIT_GROUPS:
-        place = ("agents", "reward_vector") if group == "reward_vector" else group
+        place = ("agents", group) if group in ("reward_vector", "number") else group
         assert (place in env.observation_spec.keys(True)) == (group in env.config.emit)
 
 
