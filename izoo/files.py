@@ -179,22 +179,74 @@ def claimed(folder: Path, remedy: str = "wait for it, or choose another out") ->
     Raises:
         IzooError: it cannot be made, or another process works in it.
     """
+    descriptor = None
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY)
+        while descriptor is None:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = _locked(folder)
+    except BlockingIOError:
+        raise IzooError(f"another process works in {folder}; {remedy}.") from None
     except OSError as error:
         raise IzooError(f"cannot use the folder {folder}: {os_reason(error)}; choose another one.") from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise IzooError(f"another process works in {folder}; {remedy}.") from None
-    except OSError:
-        pass  # some network file systems cannot lock a folder
     try:
         yield
     finally:
         os.close(descriptor)
+
+
+def _locked(folder: Path) -> int | None:
+    """Return a descriptor of ``folder`` that keeps others out; ``None`` where it was removed meanwhile.
+
+    Raises:
+        BlockingIOError: another process works there.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise
+    except OSError:
+        pass  # some network file systems cannot lock a folder
+    with contextlib.suppress(FileNotFoundError):
+        if os.path.samestat(os.fstat(descriptor), folder.stat()):
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+@contextlib.contextmanager
+def claimed_empty(folder: Path, option: str, instead: str = "remove its content") -> Iterator[None]:
+    """Claim a folder (:func:`claimed`) that is empty (:func:`ensure_empty`); one that stays so is removed if the block
+    ends with an error, unless it was there before.
+    """
+    existed = folder.exists()
+    with claimed(folder, f"wait for it, or choose another {option}"):
+        ensure_empty(folder, option, instead)
+        try:
+            yield
+        except BaseException:
+            if not existed:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+            raise
+
+
+def free_folder(path: Path) -> Path:
+    """Make the folder ``path``, or the first of ``path-2``, ``path-3``, ... that is not there, and return it."""
+    wanted, number = path, 1
+    while True:
+        try:
+            path.mkdir(parents=True)
+            return path
+        except FileExistsError:
+            if not os.path.lexists(path):
+                raise  # something else is in the way
+        number += 1
+        path = wanted.with_name(f"{wanted.name}-{number}")
 
 
 def ensure_empty(folder: Path, option: str, instead: str = "remove its content") -> None:

@@ -7,6 +7,10 @@ import json
 import os
 import pickle
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -58,6 +62,25 @@ def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture
     assert collect.main([*TOY, "frames=10", f"out={data}"]) == 2
     assert "not empty" in capsys.readouterr().err
     assert collect.load(data).shape == (300,)
+
+
+def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second is refused, and the first goes on; also where nothing was there when both began."""
+    out = tmp_path / "out"
+    words = [*TOY, "policy=random", "shard_frames=500", f"out={out}"]
+    command = [sys.executable, "-m", "izoo.collect", *words, "seed=1", "frames=1000000"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as first:
+        while not (out / offline.MANIFEST).exists():
+            assert first.poll() is None
+            time.sleep(0.05)
+        assert collect.main([*words, "seed=2", "frames=500"]) == 2
+        assert "another process works in" in capsys.readouterr().err
+        first.send_signal(signal.SIGINT)
+    assert first.returncode == 130
+    alone = tmp_path / "alone"
+    assert collect.main([*words, "seed=1", "frames=500", f"out={alone}"]) == 0
+    for key in (("agents", "observation"), ("context", "seed")):
+        assert torch.equal(offline.load_shards(out)[0][key], collect.load(alone)[key])
 
 
 def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:

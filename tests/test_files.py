@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -9,7 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from izoo.files import claimed, discard_partials, os_reason, partial_of, replacing_folder, write_bytes, write_text
+from izoo.errors import IzooError
+from izoo.files import (
+    claimed,
+    claimed_empty,
+    discard_partials,
+    free_folder,
+    os_reason,
+    partial_of,
+    replacing_folder,
+    write_bytes,
+    write_text,
+)
 
 
 @pytest.mark.parametrize(
@@ -49,6 +61,43 @@ def test_a_folder_belongs_to_one_process_at_a_time(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
     with claimed(folder):
         assert list(folder.iterdir()) == []
+
+
+def test_a_claim_is_of_the_folder_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An owner may remove it between another's opening and locking it, whose lock then is on what nobody sees."""
+    folder, real, removed = tmp_path / "out", fcntl.flock, []
+
+    def late(descriptor: int, operation: int) -> None:
+        if not removed:
+            removed.append(folder.rmdir())
+        real(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with claimed(folder):
+        assert removed and folder.is_dir()
+        with pytest.raises(IzooError, match="another process works in"), claimed(folder):
+            pass
+
+
+@pytest.mark.parametrize("existed", [False, True])
+@pytest.mark.parametrize("filled", [False, True])
+def test_a_folder_that_stays_empty_goes_again(tmp_path: Path, existed: bool, filled: bool) -> None:
+    folder = tmp_path / "out"
+    if existed:
+        folder.mkdir()
+    with pytest.raises(KeyError), claimed_empty(folder, "out"):
+        if filled:
+            (folder / "file").touch()
+        raise KeyError
+    assert folder.exists() == (existed or filled)
+
+
+def test_free_names_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "run-2").touch()
+    assert [free_folder(tmp_path / "run").name for _ in range(3)] == ["run", "run-3", "run-4"]
+    (tmp_path / "runs").symlink_to("nowhere")
+    with pytest.raises(FileExistsError):
+        free_folder(tmp_path / "runs" / "run")
 
 
 def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import shutil
@@ -27,7 +26,7 @@ from izoo.envs import SumoParallelEnv, TwinEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError, check_range
-from izoo.files import NO_ROOM, ensure_empty, expanded, write_json
+from izoo.files import NO_ROOM, claimed_empty, expanded, write_json
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.results.policies import import_policy
@@ -56,7 +55,7 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         The folder.
 
     Raises:
-        IzooError: ``out`` is missing or not empty, or the policy or the contexts cannot be used.
+        IzooError: ``out`` is missing, not empty or in use, or the policy or the contexts cannot be used.
         UnfinishedError: nothing more can be written.
         KeyboardInterrupt: after Ctrl-C, once what was collected is a whole data set.
     """
@@ -69,32 +68,25 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
         config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
-    fresh = not out.exists()
-    ensure_empty(out, "out")
-    try:
+    with claimed_empty(out, "out"):
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
-    except BaseException:
-        if fresh:
-            with contextlib.suppress(OSError):
-                out.rmdir()
-        raise
-    writer = ShardWriter(config, out)
-    try:
-        with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
-            for batch in collector:
-                writer.write(batch.transpose(0, 1).reshape(-1))
-                bar.update(writer.frames)
-                if interrupt.requested or writer.frames >= config.frames:
-                    break
-        writer.finish_shard()
-    except OSError as error:
-        kept = f"; shards that its {MANIFEST} names are complete" if (out / MANIFEST).exists() else ""
-        text = f"could not write to {out}: {error}{kept}"
-        remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
-        raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
-    finally:
-        writer.discard()
-        collector.shutdown()
+        writer = ShardWriter(config, out)
+        try:
+            with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
+                for batch in collector:
+                    writer.write(batch.transpose(0, 1).reshape(-1))
+                    bar.update(writer.frames)
+                    if interrupt.requested or writer.frames >= config.frames:
+                        break
+            writer.finish_shard()
+        except OSError as error:
+            kept = f"; shards that its {MANIFEST} names are complete" if (out / MANIFEST).exists() else ""
+            text = f"could not write to {out}: {error}{kept}"
+            remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
+            raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
+        finally:
+            writer.discard()
+            collector.shutdown()
     print(f"Data: {out}", flush=True)
     if interrupt.requested:
         raise KeyboardInterrupt

@@ -28,6 +28,8 @@ SHOWN = (
 )
 """Numbers that are shown while a run trains, and how; some with their interval."""
 WANDB_HOST = "api.wandb.ai"
+LOGGER_FOLDERS = ("wandb", "tensorboard")
+"""What loggers write into a run's folder."""
 
 
 class Sink(Protocol):

@@ -26,9 +26,20 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import claimed, ensure_empty, expanded, read_bytes, read_text, write_bytes, write_text
+from izoo.files import (
+    claimed,
+    ensure_empty,
+    expanded,
+    free_folder,
+    read_bytes,
+    read_text,
+    usable_paths,
+    write_bytes,
+    write_text,
+)
 from izoo.training import checkpoint
 from izoo.training.learner import load_state
+from izoo.training.records import LOGGER_FOLDERS
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 CHANGEABLE = (
@@ -61,8 +72,9 @@ def created(config: TrainConfig) -> Iterator[Path]:
         IzooError: the folder already holds something, cannot be made, or another process begins a run there.
     """
     label = f"{datetime.now():%Y-%m-%d_%H-%M-%S}-{config.algo.name}-seed{config.seed}"
-    run_dir = Path(config.run_dir) if config.run_dir else Path.cwd() / "runs" / label
-    existed = run_dir.exists()
+    existed = config.run_dir is not None and Path(config.run_dir).exists()
+    with usable_paths():
+        run_dir = Path(config.run_dir) if config.run_dir else free_folder(Path.cwd() / "runs" / label)
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
         try:
@@ -71,7 +83,7 @@ def created(config: TrainConfig) -> Iterator[Path]:
             yield run_dir
         except BaseException:
             if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
-                _remove(run_dir, existed)
+                _remove(run_dir, config, existed)
             raise
 
 
@@ -86,11 +98,15 @@ def owned(run_dir: Path) -> Iterator[None]:
         yield
 
 
-def _remove(run_dir: Path, existed: bool) -> None:
-    """Remove what a run has put into its folder, which was empty, and the folder unless it was there before."""
-    shutil.rmtree(run_dir, ignore_errors=True)
-    if existed:
-        run_dir.mkdir(exist_ok=True)
+def _remove(run_dir: Path, config: TrainConfig, existed: bool) -> None:
+    """Remove what a run has put into its folder, and the folder unless it was there before or holds other things."""
+    for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
+        path.unlink(missing_ok=True)
+    for folder in LOGGER_FOLDERS:
+        shutil.rmtree(run_dir / folder, ignore_errors=True)
+    for folder in (checkpoint.folder_of(run_dir), *(() if existed else (run_dir,))):
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:

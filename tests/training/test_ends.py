@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pytest
 import torch
 
 from izoo import files, train
+from izoo.conf.train_options import TrainConfig
 from izoo.console import exit_code, graceful_interrupt
 from izoo.errors import IzooError, UnfinishedError
 from izoo.training import checkpoint, loop, runs
@@ -63,8 +65,6 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
 
 
 def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> None:
-    from izoo.conf.train_options import TrainConfig
-
     config = TrainConfig(run_dir=str(tmp_path / "run"))
     with runs.created(config) as run_dir:
         kept = (run_dir / runs.CONFIG_FILE).read_bytes()
@@ -75,23 +75,50 @@ def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> No
     assert (tmp_path / "run").is_dir()
 
 
-@pytest.mark.parametrize("existed", [False, True])
-def test_a_start_that_fails_leaves_nothing(
-    existed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+FOUND: dict[str, Callable[[Path], object]] = {
+    "nothing": lambda run_dir: None,
+    "a folder": lambda run_dir: run_dir.mkdir(),
+    "a folder of another mode": lambda run_dir: run_dir.mkdir(0o750),
+    "a link": lambda run_dir: (run_dir.with_name("far").mkdir(), run_dir.symlink_to("far")),
+}
+"""What lies where a run is to begin."""
+
+
+@pytest.mark.parametrize("others", [False, True])
+@pytest.mark.parametrize("found", FOUND)
+def test_a_start_that_fails_takes_back_its_own_alone(
+    found: str, others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "run"
-    if existed:
-        run_dir.mkdir()
+    FOUND[found](run_dir)
+    before = os.lstat(run_dir) if found != "nothing" else None
 
     def refuse(*_: Any) -> None:
+        if others:
+            (run_dir / "notes.txt").write_text("theirs")
+            (run_dir / "checkpoints" / "theirs").mkdir()
         raise IzooError("the first batch cannot be collected.")
 
     monkeypatch.setattr(loop, "BatchSource", refuse)
-    assert train.main([*TOY, f"run_dir={run_dir}"]) == 2
+    assert train.main([*TOY, "logger=tensorboard", f"run_dir={run_dir}"]) == 2
     one_line(capsys, "cannot be collected")
-    assert run_dir.exists() == existed and (not existed or list(run_dir.iterdir()) == [])
-    monkeypatch.undo()
-    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
+    left = {str(path.relative_to(run_dir)) for path in run_dir.rglob("*")}
+    assert left == ({"notes.txt", "checkpoints", "checkpoints/theirs"} if others else set())
+    assert run_dir.exists() == (others or before is not None)
+    if before is not None:
+        now = os.lstat(run_dir)
+        assert (now.st_ino, now.st_mode) == (before.st_ino, before.st_mode)
+
+
+def test_runs_that_begin_in_one_second_have_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with contextlib.ExitStack() as stack:
+        folders = [stack.enter_context(runs.created(TrainConfig())) for _ in range(12)]
+        for folder in folders:
+            (folder / runs.METRICS_FILE).touch()
+    assert len({*folders}) == 12 == len(list((tmp_path / "runs").iterdir()))
 
 
 @pytest.mark.parametrize("words", [["algo.hidden=[1000000,1000000]"], ["algo=ddpg", "algo.hidden=[1000000,1000000]"]])
