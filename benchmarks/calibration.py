@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from izoo.commands.calibrate import check_packages
-from izoo.console import exit_code
+from izoo.console import exit_code, unheard
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs import MODEL_VERSION
 from izoo.errors import IzooError, check_range
@@ -170,8 +170,10 @@ def draw(results: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 @usable_paths()
+@unheard()
 def run(options: argparse.Namespace) -> int:
     """Run the sets that the folder lacks, and summarise all of it."""
+    print("izoo benchmarks.calibration", flush=True)
     check_range("--sets", options.sets, 1, 1000)
     check_range("--drivers", options.drivers, 5, 200)
     check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
@@ -225,9 +227,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed-noise", type=float, default=0.0, help="m/s, added to every speed; default: 0")
     parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
     parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
-    options = parser.parse_args(argv)
-    print("izoo benchmarks.calibration", flush=True)
-    return exit_code("benchmarks.calibration", lambda: run(options))
+    return exit_code("benchmarks.calibration", lambda: run(parser.parse_args(argv)))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from izoo.conf.train_options import TrainConfig
-from izoo.console import EXIT_BAD_INPUT, counted, exit_code
+from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
 from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError, UnfinishedError
 
@@ -167,6 +167,7 @@ def worker_main(parent: int, setup: int) -> None:
         os.sched_setaffinity(0, cores)
     threading.Thread(target=_stop_with, args=(parent,), daemon=True).start()
 
+    @unheard()
     def work() -> int:
         from izoo.training.loop import train  # once the cores are known, which PyTorch counts when it is loaded
 

@@ -1,4 +1,4 @@
-"""What commands show and how they end: progress with the time left, exit codes, Ctrl-C, output that nobody reads.
+"""What commands show and how they end: progress with the time left, exit codes, Ctrl-C, output that cannot be written.
 
 Nothing slow is imported here, so that a command says something at once.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import sys
 import threading
@@ -35,52 +34,76 @@ SPEED_OVER = 20
 """Updates that the time left is estimated from."""
 
 
+class OutputLost(Exception):
+    """Standard output takes nothing any more, and it was all that a command is for."""
+
+
 def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
     """Return what ``main`` returns, or how it ended.
 
-    That is 1 for work that cannot be finished, 2 for input that cannot be used, and 130 for Ctrl-C: also where the work
-    was then closed in good order.
+    That is 1 for work that cannot be finished or output that cannot be written, 2 for input that cannot be used, and
+    130 for Ctrl-C: also where the work was then closed in good order.
 
     Args:
         name: of the command, without ``izoo``.
         main: its work.
         stopped: what to say after Ctrl-C beside that it was stopped.
     """
-    try:
-        code = main()
-        if sys.stdout is not None:
-            sys.stdout.flush()
-        return code
-    except IzooError as error:
-        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    except UnfinishedError as error:
-        print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
-        return EXIT_UNFINISHED
-    except KeyboardInterrupt:
-        print(f"izoo {name}: stopped{stopped and f'; {stopped}'}.", file=sys.stderr, flush=True)
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        if not _is_unread(sys.stdout):
-            raise
-        # Whoever read the output, such as `head`, has had enough; what is left to flush must not fail again.
-        _mute(sys.stdout)
-        return 0
+    with _guarded():
+        try:
+            try:
+                code = main()
+            except SystemExit:  # of argparse, which has printed its help
+                _flush(sys.stdout)
+                raise
+            _flush(sys.stdout)
+            return code
+        except IzooError as error:
+            print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+            return EXIT_BAD_INPUT
+        except UnfinishedError as error:
+            print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+            return EXIT_UNFINISHED
+        except KeyboardInterrupt:
+            print(f"izoo {name}: stopped{stopped and f'; {stopped}'}.", file=sys.stderr, flush=True)
+            return EXIT_INTERRUPTED
+        except OutputLost as lost:
+            if isinstance(lost.__cause__, BrokenPipeError):
+                return 0  # whatever read the output, such as `head`, has had enough
+            print(f"izoo {name}: cannot write the output: {lost}.", file=sys.stderr, flush=True)
+            return EXIT_UNFINISHED
 
 
 @contextlib.contextmanager
 def unheard() -> Iterator[None]:
-    """Let work that leaves files continue when nobody reads its output any more."""
+    """Let work that leaves files continue where its output cannot be written any more."""
+    before, _Guarded.work_goes_on = _Guarded.work_goes_on, True
+    try:
+        yield
+    finally:
+        _Guarded.work_goes_on = before
+
+
+@contextlib.contextmanager
+def _guarded() -> Iterator[None]:
+    """Let nothing that happens to the output be taken for an error of the work inside the block."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (None if stream is None else _Unheard(stream) for stream in before)  # type: ignore
+    sys.stdout, sys.stderr = (  # type: ignore
+        stream if stream is None or isinstance(stream, _Guarded) else _Guarded(stream) for stream in before
+    )
     try:
         yield
     finally:
         sys.stdout, sys.stderr = before
 
 
-class _Unheard:
-    """A stream that drops what nobody reads."""
+class _Guarded:
+    """A stream that may stop taking text: nobody reads it, its terminal is closed, its disk is full.
+
+    What is written then is dropped. Characters that it cannot spell are written as escapes.
+    """
+
+    work_goes_on = False
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
@@ -88,25 +111,38 @@ class _Unheard:
     def write(self, text: str) -> int:
         """Write; return how many characters."""
         try:
-            return self.stream.write(text)
-        except BrokenPipeError:
-            self._give_up()
+            try:
+                return self.stream.write(text)
+            except UnicodeEncodeError as error:
+                return self.stream.write(text.encode(error.encoding, "backslashreplace").decode(error.encoding))
+        except OSError as error:
+            self._give_up(error)
             return len(text)
 
     def flush(self) -> None:
         """Flush."""
         try:
             self.stream.flush()
-        except BrokenPipeError:
-            self._give_up()
+        except OSError as error:
+            self._give_up(error)
 
-    def _give_up(self) -> None:
-        _mute(self.stream)
-        if self.stream is sys.__stdout__ and sys.stderr is not None:
-            print("izoo: nobody reads the output any more; the work goes on.", file=sys.stderr, flush=True)
+    def _give_up(self, error: OSError) -> None:
+        with contextlib.suppress(OSError):  # not a file at all
+            _mute(self.stream)
+        if self is not sys.stdout:
+            return
+        if not self.work_goes_on:
+            raise OutputLost(error.strerror) from error
+        reason = "nobody reads it" if isinstance(error, BrokenPipeError) else error.strerror
+        print(f"izoo: the output is lost from here on ({reason}); the work goes on.", file=sys.stderr, flush=True)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
+
+
+def _flush(stream: TextIO | None) -> None:
+    if stream is not None:
+        stream.flush()
 
 
 def _mute(stream: TextIO) -> None:
@@ -114,18 +150,6 @@ def _mute(stream: TextIO) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
-
-
-def _is_unread(stream: TextIO | None) -> bool:
-    """Whether a stream is a pipe that nobody reads any more."""
-    if stream is None:
-        return False
-    pipe = select.poll()
-    try:
-        pipe.register(stream.fileno(), select.POLLOUT)
-    except OSError:  # not a file at all, as in a notebook
-        return False
-    return any(event & (select.POLLERR | select.POLLHUP) for _, event in pipe.poll(0))
 
 
 class Interrupt:

@@ -1,6 +1,15 @@
-"""What a command says about the time it still needs."""
+"""What a command says about the time it still needs, and what becomes of it where nothing more can be said."""
 
 from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -52,3 +61,117 @@ def test_nothing_is_shown_where_nothing_is_wanted(capsys: pytest.CaptureFixture[
         with bar:
             bar.update(bar.total)
     assert capsys.readouterr().out == ""
+
+
+@contextlib.contextmanager
+def unread() -> Iterator[tuple[int, Callable[[], object]]]:
+    reading, writing = os.pipe()
+    yield writing, lambda: os.close(reading)
+    os.close(writing)
+
+
+@contextlib.contextmanager
+def full() -> Iterator[tuple[int, Callable[[], object]]]:
+    with open("/dev/full", "wb") as file:  # noqa: PTH123
+        yield file.fileno(), lambda: None
+
+
+@contextlib.contextmanager
+def terminal() -> Iterator[tuple[int, Callable[[], object]]]:
+    ours, theirs = pty.openpty()
+    yield theirs, lambda: os.close(ours)
+    os.close(theirs)
+
+
+LOST = {"nobody reads": unread, "full disk": full, "closed terminal": terminal}
+"""How output is lost: what a process is to write to, and what happens to it then."""
+WORK = """
+import sys, time
+from pathlib import Path
+from izoo.console import Progress, exit_code, unheard
+
+@unheard()
+def work():
+    print("begins", flush=True)
+    while not Path(sys.argv[1], "lost").exists():
+        time.sleep(0.01)
+    with Progress(3) as bar:
+        for k in range(3):
+            bar.update(k + 1)
+            print("a line", file=sys.stderr)
+            time.sleep(0.2)
+    Path(sys.argv[1], "done").touch()
+    print("ends")
+    return 0
+
+sys.exit(exit_code("work", work))
+"""
+TALK = """
+import sys, time
+from pathlib import Path
+from izoo.console import exit_code
+
+def talk():
+    while not Path(sys.argv[1], "lost").exists():
+        time.sleep(0.01)
+    print("all that it is for")
+    return 0
+
+sys.exit(exit_code("talk", talk))
+"""
+
+
+def start(program: str, folder: Path, output: int, error: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", program, str(folder)], stdout=output, stderr=error, start_new_session=True
+    )
+
+
+@pytest.mark.parametrize("both", [False, True], ids=["output", "output and errors"])
+@pytest.mark.parametrize("how", LOST)
+def test_work_that_leaves_files_goes_on_without_its_output(how: str, both: bool, tmp_path: Path) -> None:
+    with LOST[how]() as (output, lose), (tmp_path / "errors").open("wb") as errors:
+        process = start(WORK, tmp_path, output, output if both else errors.fileno())
+        time.sleep(0.3)
+        lose()
+        (tmp_path / "lost").touch()
+        assert process.wait(60) == 0 and (tmp_path / "done").exists()
+    said = (tmp_path / "errors").read_text()
+    assert "Traceback" not in said and "Exception" not in said
+    assert both or said.count("izoo: the output is lost from here on (") == 1
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "said"),
+    [
+        ("nobody reads", 0, ""),
+        ("full disk", 1, "izoo talk: cannot write the output: No space left on device.\n"),
+        ("closed terminal", 1, "izoo talk: cannot write the output: Input/output error.\n"),
+    ],
+)
+def test_a_command_that_only_talks_ends_with_its_output(how: str, code: int, said: str, tmp_path: Path) -> None:
+    with LOST[how]() as (output, lose), (tmp_path / "errors").open("wb") as errors:
+        process = start(TALK, tmp_path, output, errors.fileno())
+        time.sleep(0.3)
+        lose()
+        (tmp_path / "lost").touch()
+        assert process.wait(60) == code
+    assert (tmp_path / "errors").read_text() == said
+
+
+@pytest.mark.parametrize("words", [["izoo.contexts", "--help"], ["izoo.contexts", "list"], ["izoo.train", "--help"]])
+def test_help_and_lists_on_a_full_disk_are_one_sentence(words: list[str]) -> None:
+    with open("/dev/full", "wb") as file:  # noqa: PTH123
+        done = subprocess.run([sys.executable, "-m", *words], stdout=file, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1 and done.stderr.endswith("cannot write the output: No space left on device.\n")
+    assert len(done.stderr.splitlines()) <= 2
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
+def test_characters_that_a_terminal_cannot_spell_are_escapes(encoding: str) -> None:
+    text = "50 % \u2192 \udc80"
+    program = f"import sys; from izoo.console import exit_code; sys.exit(exit_code('x', lambda: print({text!r}) or 0))"
+    environment = {**os.environ, "PYTHONIOENCODING": f"{encoding}:strict"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, env=environment)
+    assert done.returncode == 0 and done.stderr == b""
+    assert done.stdout.decode(encoding).strip() == text.encode(encoding, "backslashreplace").decode(encoding)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from izoo import __version__
-from izoo.console import Progress, exit_code
+from izoo.console import Progress, exit_code, unheard
 from izoo.contexts.population import read_population
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
@@ -41,8 +41,10 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the chains and of --max-drivers; default: 0")
 
 
+@unheard()
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate, print, draw and write; return 0, or 1 where the chains did not converge."""
+    print(f"izoo {__version__} drivers {options.command}", flush=True)
     check_out(options.out)
     check_packages()
     from izoo.drivers.followers import ReadConfig, read_following
@@ -165,6 +167,4 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True)
     summary = "estimate the population that drivers in trajectories were drawn from"
     calibrate_arguments(commands.add_parser("calibrate", help=summary, description=summary))
-    options = parser.parse_args(argv)
-    print(f"izoo {__version__} drivers {options.command}", flush=True)
-    return exit_code("drivers", lambda: calibrate(options))
+    return exit_code("drivers", lambda: calibrate(parser.parse_args(argv)))

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
-from izoo.console import Progress, counted, plain
+from izoo.console import Progress, counted, plain, unheard
 from izoo.contexts import catalogue
 from izoo.contexts.cities.compare import compare_cities, format_distances, write_csv, write_png
 from izoo.contexts.cities.plans import measure
@@ -116,6 +116,7 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("target", type=Path, nargs="?", help="a new folder; default: datasets/NAME in this folder")
 
 
+@unheard()
 def _import(options: argparse.Namespace) -> None:
     target = options.target or Path("datasets", options.path.resolve().stem)
     print(f"checking {plain(options.path)}", flush=True)
@@ -141,6 +142,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("target", type=Path, help="a new folder, or an earlier build, which is replaced")
 
 
+@unheard()
 def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
@@ -154,6 +156,7 @@ def _draw_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("png", type=Path, help="the picture to write")
 
 
+@unheard()
 def _draw(options: argparse.Namespace) -> None:
     print(f"drawing {plain(options.what)}", flush=True)
     from izoo.commands.pictures import draw
@@ -167,6 +170,7 @@ def _compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--png", type=Path, help="draw the histograms here")
 
 
+@unheard()
 def _compare(options: argparse.Namespace) -> None:
     tables = compare_cities([city_name(city) for city in options.city or CITIES])
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")

@@ -10,7 +10,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
-from izoo.console import plain
+from izoo.console import plain, unheard
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 
@@ -38,6 +38,7 @@ def _merge_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file")
 
 
+@unheard()
 def _merge(options: argparse.Namespace) -> None:
     from rich.console import Console
 
@@ -70,6 +71,7 @@ def _draw_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--histograms", action="store_true", help="a histogram over contexts per entry")
 
 
+@unheard()
 def _draw(options: argparse.Namespace) -> None:
     if options.out.suffix.lower() != ".png":
         raise IzooError(f"--out is {options.out}, but the picture is a PNG; give a name that ends so, such as all.png.")
@@ -92,6 +94,7 @@ def _convert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="the folder of the new files; their names stay")
 
 
+@unheard()
 def _convert(options: argparse.Namespace) -> None:
     from izoo.report.superseded import convert
 

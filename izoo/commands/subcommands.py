@@ -45,8 +45,7 @@ class SubcommandCommand:
             subparser = subparsers.add_parser(command.name, help=command.help, description=command.help)
             command.arguments(subparser)
             subparser.set_defaults(run=command.run)
-        options = parser.parse_args(argv)
-        return exit_code(self.name, lambda: _run(options))
+        return exit_code(self.name, lambda: _run(parser.parse_args(argv)))
 
 
 @usable_paths()

@@ -10,6 +10,7 @@ from typing import Any
 from izoo import __version__
 from izoo.commands.subcommands import Subcommand, SubcommandCommand
 from izoo.conf.quoting import written
+from izoo.console import unheard
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
 from izoo.zoo import shelf
@@ -53,6 +54,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--evaluation", type=Path, help="a folder of izoo.evaluate, whose figures go on the card")
 
 
+@unheard()
 def _export(options: argparse.Namespace) -> None:
     """Write the policy of a run as one file, and a card with what is known of it."""
     out = options.out

@@ -24,6 +24,7 @@ from izoo.errors import IzooError, UnfinishedError
 from izoo.training import checkpoint, loop, runs
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.learner import Learner, is_finite
+from tests.test_console import LOST
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[8]"),
@@ -222,6 +223,22 @@ def test_a_run_folder_that_is_removed_does_not_come_back(
     assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 1
     one_line(capsys, f"{run_dir} is gone")
     assert not run_dir.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", LOST)
+def test_a_run_that_loses_its_output_trains_on(how: str, tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = ["-m", "izoo.train", *TOY, "total_frames=400", f"run_dir={run_dir}"]
+    with (
+        LOST[how]() as (output, lose),
+        subprocess.Popen([sys.executable, *words], stdout=output, stderr=output, start_new_session=True) as process,
+    ):
+        while not checkpoint.folder_of(run_dir).exists() and process.poll() is None:
+            time.sleep(0.05)
+        lose()
+        assert process.wait(200) == 0
+    assert frames_in(run_dir)[-1] == 400 == checkpoint.load(checkpoint.find(run_dir))["frames"]
 
 
 # -- Ctrl-C ------------------------------------------------------------------------------------------------------------
