@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
+import hmac
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,18 +14,22 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+from izoo import __version__
 from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
 from izoo.envs.mdp.scene import Scene
+from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.picture import draw
 from izoo.envs.twin.twin_backend import TwinBackend
 from izoo.errors import IzooError, check_whole
+from izoo.files import own_key
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
-"""What a saved state holds; all but the first are one per environment."""
+"""What a saved state holds besides its mark; all but the first are one per environment."""
+_MARK = "mark"
 _OF_PROCESSES = ("recycle_episodes", "watchdog_s", "gui")
 """Settings that change no episode."""
 
@@ -34,6 +41,21 @@ def _settings(config: EnvConfig) -> dict[str, Any]:
     fields |= {f"reward.{name}": value for name, value in reward.items()}
     named = {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
     return {name: value for name, value in named.items() if name not in _OF_PROCESSES}
+
+
+def _mark_of(state: Mapping[str, Any]) -> str:
+    """Return what only this user can have added to a state: compiled code takes the state as it is."""
+    plain = [__version__, MODEL_VERSION, *(state[name] for name in _ENTRIES[:-1])]
+    packed = [hashlib.sha256(bytes(part.numpy())).hexdigest() for part in state["packed"]]
+    return hmac.new(own_key(), json.dumps([*plain, *packed]).encode(), "sha256").hexdigest()
+
+
+def is_own_state(state: Mapping[str, Any]) -> bool:
+    """Whether a state is as this user, and this version of izoo, saved it."""
+    try:
+        return hmac.compare_digest(str(state[_MARK]).encode(), _mark_of(state).encode())
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):  # it holds other things
+        return False
 
 
 def _planned(schedule: Schedule, number: int) -> Play:
@@ -122,13 +144,14 @@ class TwinEnv(EcoDrivingBase):
         """
         self.require_started("state_dict")
         plays = self.backend.plays()
-        return {
+        state = {
             "settings": _settings(self.config),
             "plays": [[play.context.content_hash, play.seed] for play in plays],
             "episodes": [play.number for play in plays],
             "next_episodes": self._next_episode.tolist(),
             "packed": [torch.from_numpy(packed.copy()) for packed in self.backend.pack()],
         }
+        return {**state, _MARK: _mark_of(state)}
 
     def load_state_dict(self, state: Mapping[str, Any], *_: Any, **__: Any) -> None:  # type: ignore[override]
         """Go on from what :meth:`state_dict` returned, on the same schedule; :meth:`present` is where it stood.
@@ -136,8 +159,8 @@ class TwinEnv(EcoDrivingBase):
         After ``set_seed`` the schedule is another one; :meth:`branch` keeps a state whatever the schedule has become.
 
         Raises:
-            IzooError: another number of environments, another schedule or other settings saved it; the environments
-                stay as they are.
+            IzooError: another number of environments, another schedule, other settings or another user saved it; the
+                environments stay as they are.
         """
         plays = self._plays_of(state)
         try:
@@ -180,6 +203,11 @@ class TwinEnv(EcoDrivingBase):
                     f"{play.context.name} ({play.context.content_hash[:8]}): it is that of seed {seed} of a context "
                     f"with the hash {digest[:8]}. Make an environment with the contexts and the seed that saved it."
                 )
+        if not is_own_state(state):
+            raise IzooError(
+                "the saved state is damaged, or another user or version of izoo saved it, and it is not taken "
+                "unchecked; begin anew with reset()."
+            )
         return plays
 
     def _check_settings(self, there: Mapping[str, Any]) -> None:

@@ -8,12 +8,16 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import functools
+import gzip
+import io
 import json
 import os
 import re
 import secrets
 import shutil
 import stat
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +27,9 @@ import platformdirs
 from izoo.errors import IzooError
 
 CACHE_ENV = "IZOO_CACHE_DIR"
+_KEY_BYTES = 32
+MOST_UNPACKED_BYTES = 1 << 28
+"""Of a compressed file; results with a hundred thousand contexts hold as much."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """Errors of a disk that is full or has become read-only."""
 _ABOUT_PATHS = (
@@ -125,6 +132,40 @@ def read_text(path: Path, most: int | None = None) -> str:
         return read_bytes(path, most).decode()
     except UnicodeDecodeError as error:
         raise ValueError(f"it is no text ({error.reason} at byte {error.start:,})") from error
+
+
+class DamagedError(Exception):
+    """A part of a file is not what was written."""
+
+
+def check_parts(path: Path) -> None:
+    """Raise :class:`DamagedError` where a part of a file of torch's does not have its checksum, which torch would not
+    notice, or is compressed, which torch never does: a few bytes can stand for more than fits into the memory.
+
+    ``zipfile`` raises errors of its own for bytes that are no archive.
+    """
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            try:
+                if member.compress_type != zipfile.ZIP_STORED:
+                    raise ValueError("it is compressed")
+                with archive.open(member) as stream:
+                    while stream.read(1 << 20):
+                        pass
+            except Exception as error:  # a checksum, a header, or what zlib makes of either
+                raise DamagedError(f"its part {member.filename} is not what was written") from error
+
+
+def unpacked(packed: bytes, most: int = MOST_UNPACKED_BYTES) -> bytes:
+    """Return what ``gzip`` has compressed.
+
+    Raises:
+        OSError, EOFError, zlib.error: it is damaged, or holds more than ``most`` bytes: a few can stand for gigabytes.
+    """
+    content = gzip.GzipFile(fileobj=io.BytesIO(packed)).read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"it holds more than {most:,} bytes")
+    return content
 
 
 @contextlib.contextmanager
@@ -269,6 +310,29 @@ def check_folder(folder: Path, remedy: str) -> None:
 def cache_root() -> Path:
     """Return the folder of what is kept to save time: ``$IZOO_CACHE_DIR``, or else the user's cache folder."""
     return Path(os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo"))
+
+
+@functools.cache
+def own_key() -> bytes:
+    """Return 32 secret bytes of this user, by which izoo knows again what it has written itself.
+
+    They lie in the user's data folder; where that cannot be written, they are those of this process alone.
+    """
+    path = Path(platformdirs.user_data_dir("izoo")) / "key"
+    key, partial = secrets.token_bytes(_KEY_BYTES), partial_of(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and path.stat().st_size != _KEY_BYTES:
+            path.unlink()
+        if not path.exists():
+            partial.touch(0o600)
+            partial.write_bytes(key)
+            with contextlib.suppress(FileExistsError):  # another process was faster
+                os.link(partial, path)
+            partial.unlink()
+        return read_bytes(path, _KEY_BYTES)
+    except OSError:
+        return key
 
 
 def os_reason(error: OSError) -> str:

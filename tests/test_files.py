@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import fcntl
+import gzip
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
+import torch
 
 from izoo.errors import IzooError
 from izoo.files import (
+    DamagedError,
+    check_parts,
     claimed,
     claimed_empty,
     discard_partials,
     free_folder,
     os_reason,
+    own_key,
     partial_of,
     replacing_folder,
+    unpacked,
     write_bytes,
     write_text,
 )
@@ -98,6 +105,55 @@ def test_free_names_are_counted(tmp_path: Path) -> None:
     (tmp_path / "runs").symlink_to("nowhere")
     with pytest.raises(FileExistsError):
         free_folder(tmp_path / "runs" / "run")
+
+
+@pytest.mark.parametrize("before", [None, b"", b"short", bytes(33)])
+def test_a_key_is_made_once_and_for_its_user_alone(
+    before: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever of several processes makes it; what is no key is replaced."""
+    path = tmp_path / "izoo" / "key"
+    if before is not None:
+        path.parent.mkdir()
+        path.write_bytes(before)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    program = [sys.executable, "-c", "from izoo.files import own_key; print(own_key().hex())"]
+    others = [subprocess.Popen(program, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    keys = {other.communicate()[0].strip() for other in others}
+    assert keys == {path.read_bytes().hex()} and path.stat().st_size == 32
+    assert path.stat().st_mode & 0o077 == 0 and len(list(path.parent.iterdir())) == 1
+
+
+def test_where_no_key_can_be_kept_a_process_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "izoo").touch()
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    own_key.cache_clear()
+    assert own_key() == own_key() and len(own_key()) == 32
+    own_key.cache_clear()
+
+
+@pytest.mark.parametrize("size", [10, 11, 1 << 24])
+def test_what_unpacks_to_more_than_its_bound_is_refused(size: int) -> None:
+    packed = gzip.compress(bytes(size))
+    if size > 10:
+        with pytest.raises(OSError, match="more than 10 bytes"):
+            unpacked(packed, 10)
+    else:
+        assert unpacked(packed, 10) == bytes(10)
+
+
+def test_parts_that_torch_would_not_have_compressed_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "weights.pt"
+    torch.save({"x": torch.zeros(4)}, path)
+    check_parts(path)
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    assert torch.load(path, weights_only=True)["x"].shape == (4,), "torch itself takes it"
+    with pytest.raises(DamagedError, match="is not what was written"):
+        check_parts(path)
 
 
 def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:

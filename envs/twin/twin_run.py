@@ -198,11 +198,12 @@ class TwinRun:
         Raises:
             IzooError: they are not as many as this episode has.
         """
+        size = sum(array.nbytes for array in self._changing())
         try:
-            whole = zlib.decompress(packed.tobytes())
+            whole = zlib.decompressobj().decompress(packed.tobytes(), size + 1)
         except zlib.error:
             whole = b""
-        if len(whole) != sum(array.nbytes for array in self._changing()):
+        if len(whole) != size:
             raise IzooError(
                 f"the saved state does not fit episode {self.play.number} of the schedule: another version of izoo "
                 "saved it, or it is damaged. Begin anew with reset()."

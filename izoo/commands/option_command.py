@@ -24,7 +24,9 @@ from izoo.files import usable_paths
 GOES_ON = "the same command goes on where it stopped"
 FOLDERS = ("run_dir", "out")
 """Options that name where a command's results go."""
-FLAGS = ("--help", "-h", "--multirun", "-m", "--cfg", "--version")
+SHOW = ("--help", "-h", "--cfg", "--version")
+"""Flags with which a command only says something."""
+FLAGS = (*SHOW, "--multirun", "-m")
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ class OptionCommand:
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-        return exit_code(self.name, lambda: self._run(words), self.stopped)
+        run = self._run if set(words) & set(SHOW) else unheard()(self._run)
+        return exit_code(self.name, lambda: run(words), self.stopped)
 
     def config_class(self) -> type:
         """Import and return the dataclass of the options."""
@@ -117,8 +120,7 @@ class OptionCommand:
             print(to_yaml(config), end="")
             return 0
         self._check(config)
-        with unheard():
-            self._work(config, _given(options))
+        self._work(config, _given(options))
         return 0
 
     def _check(self, config: Any) -> None:
@@ -163,8 +165,7 @@ def _multirun(command: OptionCommand, config_class: type, options: Sequence[str]
                 output = HydraConfig.get().runtime.output_dir
                 config = dataclasses.replace(config, run_dir=output)
             compose.clear()  # the work may compose options, too
-            with unheard():
-                command._work(config, given)
+            command._work(config, given)
         except (IzooError, UnfinishedError) as error:
             print(f"izoo {command.name}: {error}", file=sys.stderr, flush=True)
             raise SystemExit(EXIT_BAD_INPUT if isinstance(error, IzooError) else EXIT_UNFINISHED) from None

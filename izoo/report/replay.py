@@ -133,8 +133,8 @@ class Player:
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
         path = folder / FOLDER / f"{digest}.json.gz"
         with contextlib.suppress(OSError, EOFError, zlib.error, ValueError):
-            packed = files.read_bytes(path)
-            json.loads(gzip.decompress(packed))
+            packed = files.read_bytes(path, files.MOST_UNPACKED_BYTES)
+            json.loads(files.unpacked(packed))
             return packed
         note(f"Replaying {scene.context} under {scene.policy}.")
         packed = self._record(scene)

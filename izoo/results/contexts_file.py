@@ -14,7 +14,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
-from izoo.files import read_bytes, write_bytes
+from izoo.files import MOST_UNPACKED_BYTES, read_bytes, unpacked, write_bytes
 
 CONTEXTS_FILE = "contexts.json.gz"
 
@@ -36,10 +36,10 @@ def read_contexts(folder: Path) -> dict[str, Context]:
     """
     path = folder / CONTEXTS_FILE
     try:
-        found = [context_from_dict(entry) for entry in json.loads(gzip.decompress(read_bytes(path)))]
+        found = [context_from_dict(entry) for entry in json.loads(unpacked(read_bytes(path, MOST_UNPACKED_BYTES)))]
     except FileNotFoundError:
         raise IzooError(f"{folder} has no {CONTEXTS_FILE}, so its episodes cannot be played again.") from None
-    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise IzooError(f"{path} cannot be read; remove it and evaluate again.") from error
     return {context.content_hash: context for context in found}
 

@@ -6,13 +6,12 @@ import errno
 import os
 import re
 import shutil
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
-from izoo.files import replacing
+from izoo.files import DamagedError, check_parts, replacing
 
 FORMAT = "izoo-checkpoint-3"
 _NAME = re.compile(r"step-(\d+)\.pt")
@@ -76,36 +75,17 @@ def load(path: Path) -> dict[str, Any]:
     import torch
 
     try:
-        _check_sums(path)
+        check_parts(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise IzooError(f"there is no checkpoint {path}.") from None
-    except _Damaged as error:
+    except DamagedError as error:
         raise IzooError(f"{path} is damaged: {error}.{_previous(path)}") from error
     except Exception as error:  # what torch raises for damaged bytes depends on the bytes
         raise IzooError(f"{path} is cut short or not a checkpoint.{_previous(path)}") from error
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise IzooError(f"{path} is not a checkpoint of this version of izoo ({FORMAT}).{_previous(path)}")
     return state
-
-
-class _Damaged(Exception):
-    """A part of a checkpoint is not what was written."""
-
-
-def _check_sums(path: Path) -> None:
-    """Raise :class:`_Damaged` where a member of the archive does not have its checksum, which torch would not notice.
-
-    ``zipfile`` raises errors of its own for bytes that are no archive.
-    """
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            try:
-                with archive.open(member) as stream:
-                    while stream.read(1 << 20):
-                        pass
-            except Exception as error:  # a checksum, a header, or what zlib makes of either
-                raise _Damaged(f"its part {member.filename} is not what was written") from error
 
 
 def check_entries(state: Mapping[str, Any], path: Path) -> None:

@@ -20,7 +20,8 @@ from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import IzooError, UnfinishedError
+from izoo.envs.twin_env import is_own_state
+from izoo.errors import IzooError, UnfinishedError, check_whole
 from izoo.files import NO_ROOM
 from izoo.training import checkpoint, plots, records, runs
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
@@ -201,13 +202,17 @@ class Session:
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
         if environments:
             with runs.fitting(path):
-                episodes, later = environments["episodes"], max(environments["next_episodes"])
-            if len(episodes) == num_envs(self.config):
+                episodes = environments["episodes"]
+                later = check_whole("next_episodes", max(environments["next_episodes"]), 0, 2**62)
+            whole = len(episodes) == num_envs(self.config)
+            if whole and is_own_state(environments):
                 self._environments = environments
             elif self.levels is not None:
                 self.levels.forget_episodes()
             else:
                 self.first_episode += later
+            if whole and not self._environments:
+                print("Another user or version of izoo saved the episodes in progress: they are left out.", flush=True)
         elif len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import expanded, replacing
+from izoo.files import DamagedError, check_parts, expanded, replacing
 from izoo.zoo import shelf
 
 if TYPE_CHECKING:
@@ -81,15 +80,12 @@ def read(path: Path) -> TrainedPolicy:
     import torch
 
     try:
-        with zipfile.ZipFile(path) as archive:
-            damaged = archive.testzip()
-        if damaged is not None:
-            raise IzooError(f"{path} is damaged: its part {damaged} is not what was written; get it again.")
+        check_parts(path)
         state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise IzooError(f"there is no policy {path}.") from None
-    except IzooError:
-        raise
+    except DamagedError as error:
+        raise IzooError(f"{path} is damaged: {error}; get it again.") from error
     except Exception as error:  # what damaged bytes raise depends on the bytes
         raise IzooError(f"{path} is cut short or not a policy; get it again.") from error
     if not isinstance(state, dict) or state.get("format") != FORMAT:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import copy
+import time
+import zlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from izoo.contexts.source import reseed
 from izoo.envs import TwinEnv
 from izoo.envs.config import EMIT_GROUPS, RewardConfig
+from izoo.envs.twin_env import is_own_state
 from izoo.errors import IzooError
+from izoo.files import own_key
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.worlds import crossing, play, same, short, steer
@@ -175,7 +182,7 @@ def test_states_of_contexts_that_look_alike_are_refused(make_twin: MakeTwin, cha
         (lambda state: state.pop("packed"), "no packed; give what state_dict"),
         (lambda state: (state.pop("plays"), state.pop("settings")), "an earlier version of izoo saved it"),
         (lambda state: state["plays"].__setitem__(1, ["0" * 64, 3]), "does not fit episode 1 of the schedule"),
-        (lambda state: state["packed"].__setitem__(1, state["packed"][1][:-9]), "does not fit episode 1 .* damaged"),
+        (lambda state: state["packed"].__setitem__(1, state["packed"][1][:-9]), "is damaged, or another user"),
         (lambda state: state["packed"].pop(), "that of 1 or 2 environments"),
     ],
     ids=["empty", "an entry less", "of an earlier version", "another context", "damaged", "half"],
@@ -192,6 +199,67 @@ def test_a_refused_state_leaves_the_environments_as_they_are(
     ours, theirs = (play(each, 100, start=each.present()) for each in (env, undisturbed))
     assert ours["next", "done"].any()
     assert torch.equal(ours["next", "agents", "observation"], theirs["next", "agents", "observation"])
+
+
+def repacked(change: Callable[[np.ndarray], object]) -> Callable[[dict[str, Any]], object]:
+    """Change the bytes of the second environment, and compress them so that nothing looks damaged."""
+
+    def changed(state: dict[str, Any]) -> None:
+        whole = np.frombuffer(bytearray(zlib.decompress(state["packed"][1].numpy().tobytes())), np.uint8)
+        change(whole)
+        state["packed"][1] = torch.frombuffer(bytearray(zlib.compress(whole.tobytes(), 1)), dtype=torch.uint8)
+
+    return changed
+
+
+def scrambled(part: int) -> Callable[[np.ndarray], object]:
+    """Change one of sixteen parts of a state, into numbers that are anything."""
+    return lambda whole: whole[part::16].__setitem__(
+        slice(None), np.random.default_rng(part).integers(0, 256, len(whole[part::16]))
+    )
+
+
+FOREIGN: dict[str, Callable[[dict[str, Any]], object]] = {
+    **{f"part {part} is anything": repacked(scrambled(part)) for part in range(16)},
+    "one bit": repacked(lambda whole: whole.__setitem__(len(whole) // 2, whole[len(whole) // 2] ^ 1)),
+    "a bomb": lambda state: state["packed"].__setitem__(
+        1, torch.frombuffer(bytearray(zlib.compress(bytes(1 << 28), 1)), dtype=torch.uint8)
+    ),
+    "the other's": lambda state: state["packed"].reverse(),
+    "an earlier mark": lambda state: state.update(mark="0" * 64),
+    "no mark": lambda state: state.pop("mark"),
+    "a mark of another kind": lambda state: state.update(mark=torch.zeros(3)),
+    "other numbers": lambda state: state["next_episodes"].__setitem__(0, 10**9),
+    "no tensors": lambda state: state["packed"].__setitem__(0, "text"),
+}
+
+
+@pytest.mark.parametrize("change", FOREIGN)
+def test_nothing_that_others_wrote_reaches_compiled_code(
+    make_twin: MakeTwin, saved: dict[str, Any], change: str
+) -> None:
+    env = make_twin(2, schedule())
+    state = copy.deepcopy(saved)
+    FOREIGN[change](state)
+    begun = time.monotonic()
+    with pytest.raises(IzooError, match="another user or version of izoo saved it"):
+        env.load_state_dict(state)
+    assert not is_own_state(state) and time.monotonic() - begun < 5.0
+    env.load_state_dict(copy.deepcopy(saved))
+
+
+def test_a_state_of_another_user_is_refused_and_ones_own_of_another_process_is_not(
+    make_twin: MakeTwin, saved: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make_twin(2, schedule())
+    own_key.cache_clear()
+    env.load_state_dict(saved)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    own_key.cache_clear()
+    with pytest.raises(IzooError, match="another user"):
+        env.load_state_dict(saved)
+    env.load_state_dict(env.state_dict())
+    own_key.cache_clear()
 
 
 @pytest.mark.parametrize("reseeded", ["set_seed", "schedule"])

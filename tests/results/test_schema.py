@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
 import json
 from pathlib import Path
 
@@ -69,9 +70,11 @@ def test_contexts_of_a_folder_add_up(tmp_path: Path) -> None:
     add_contexts(tmp_path, [one])
     add_contexts(tmp_path, [two, one])
     assert read_contexts(tmp_path) == {one.content_hash: one, two.content_hash: two}
-    (tmp_path / CONTEXTS_FILE).write_bytes(b"damaged")
-    with pytest.raises(IzooError, match=r"cannot be read; remove it"):
-        read_contexts(tmp_path)
+    bomb = gzip.compress(b" " * (1 << 29))
+    for content in (b"damaged", bomb, gzip.compress(b"[" * 100_000)):
+        (tmp_path / CONTEXTS_FILE).write_bytes(content)
+        with pytest.raises(IzooError, match=r"cannot be read; remove it"):
+            read_contexts(tmp_path)
     (tmp_path / CONTEXTS_FILE).unlink()
     with pytest.raises(IzooError, match=r"has no contexts\.json\.gz"):
         read_contexts(tmp_path)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -211,3 +213,25 @@ def test_other_widths_are_refused(run_dir: Path, part: str, tmp_path: Path, caps
     capsys.readouterr()
     assert train.main([f"resume={run_dir}", "total_frames=150"]) == 2
     assert is_one_sentence(capsys.readouterr().err, "does not fit the options")
+
+
+@pytest.mark.slow
+def test_states_of_the_twin_that_others_saved_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever they hold: compiled code would take them unchecked. The run itself goes on."""
+    run_dir, words = tmp_path / "run", [word for word in TOY if not word.startswith("collector")]
+    assert train.main([*words, "simulator=twin", "num_envs=2", "twin.threads=1", f"run_dir={run_dir}"]) == 0
+    state = checkpoint.load(checkpoint.find(run_dir))
+    for seed in range(6):
+        packed = state["environments"]["packed"]
+        whole = np.frombuffer(bytearray(zlib.decompress(packed[0].numpy().tobytes())), np.uint8)
+        chosen = np.random.default_rng(seed).random(len(whole)) < 0.05
+        whole[chosen] = np.random.default_rng(seed).integers(0, 256, chosen.sum())
+        packed[0] = torch.frombuffer(bytearray(zlib.compress(whole.tobytes())), dtype=torch.uint8)
+        torch.save(state, checkpoint.find(run_dir))
+        capsys.readouterr()
+        assert train.main([f"resume={run_dir}", f"total_frames={200 + 100 * seed}"]) == 0
+        assert "saved the episodes in progress: they are left out" in capsys.readouterr().out
+        state = checkpoint.load(checkpoint.find(run_dir))
+        assert state["frames"] == 200 + 100 * seed
+    assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
+    assert "left out" not in capsys.readouterr().out
