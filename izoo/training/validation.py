@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import os
+import socket
 import subprocess
 import sys
 import time
@@ -19,6 +19,7 @@ from izoo.conf.context_choices import ContextsConfig, MixedContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource, MixedSource
+from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
 VALIDATION_SEED = 7_561
 """Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
-PROCESS = "izoo.training.validating"
 POLICY, CONTEXTS = "policy", "contexts_saved"
 LOGGED = tuple(f"{name}{end}" for name in (*HEADLINE, "co2_saved_over_human") for end in ("", "_low", "_high"))
 """Columns that go into the run's own table as well, as ``validation_NAME``."""
@@ -143,17 +143,11 @@ class Validator:
         result = self._result(self._validating)
         result.parent.mkdir(exist_ok=True)
         self._log = (self.run_dir / LOG_FILE).open("wb")
-        command = [sys.executable, "-m", PROCESS, str(self._validating), str(result)]
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        # A session of its own keeps the terminal's Ctrl-C away; the open pipe tells the process that the run lives.
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=self._log,
-            stderr=self._log,
-            start_new_session=True,
-            env=environment,
-        )
+        self._alive, child = socket.socketpair()  # which closes for the process when the run is gone
+        with child:
+            paths = f"{str(self._validating)!r}, {str(result)!r}"
+            call = f"from izoo.training.validating import main; main({child.fileno()}, {paths})"
+            self._process = start_process(call, child.fileno(), output=self._log)
 
     def _result(self, candidate: Path) -> Path:
         return self._result_of(checkpoint.frames_of(candidate))

@@ -8,6 +8,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -25,6 +26,7 @@ from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
+from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.results.rollout import DRAIN_S
@@ -191,15 +193,35 @@ def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_
 
 
 def test_the_process_ends_with_the_run(run_dir: Path, tmp_path: Path) -> None:
-    """Also where the run is killed: the pipe to it closes."""
-    command = [sys.executable, "-m", "izoo.training.validating", str(checkpoint.find(run_dir)), str(tmp_path / "r")]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    assert process.stdin is not None
-    process.stdin.close()
+    """Also where the run is killed: the socket to it closes."""
+    parent, child = socket.socketpair()
+    paths = f"{str(checkpoint.find(run_dir))!r}, {str(tmp_path / 'r')!r}"
+    call = f"from izoo.training.validating import main; main({child.fileno()}, {paths})"
+    with child:
+        process = start_process(call, child.fileno())
+    parent.close()
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     assert process.wait(30) == 1
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1.0, "it imported PyTorch first"
     assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.slow
+def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
+    """All of them: those that simulate, that play the last comparison, and that validate. None looks into the current
+    folder or where ``PYTHONPATH`` leads, if the run does not.
+    """
+    for name in ("json.py", "sitecustomize.py", "izoo.py"):
+        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w'); raise SystemExit('a decoy')")
+    words = [word for word in TOY if not word.startswith("evaluation")]
+    words += ["collector=parallel", "num_workers=2", "total_frames=600", f"run_dir={tmp_path / 'run'}"]
+    words += ["evaluation.contexts=1", "evaluation.seeds=1"]
+    command = [sys.executable, "-I", "-c", f"from izoo import train; raise SystemExit(train.main({words!r}))"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "failed" not in done.stderr, done.stderr
+    assert not (tmp_path / "ran").exists()
+    assert len(rows(tmp_path / "run" / validation.VALIDATION_FILE)) == 1
 
 
 @pytest.mark.slow
