@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hashlib
 import importlib.util
+import pickle
 import shutil
 import sys
 import time
@@ -22,7 +23,7 @@ import filelock
 import numba
 from llvmlite import ir
 from numba import extending
-from numba.core import cgutils, types
+from numba.core import caching, cgutils, types
 from numba.np.arrayobj import make_array, populate_array
 
 from izoo.files import cache_root
@@ -54,21 +55,26 @@ def sources() -> list[Path]:
 
 
 @functools.cache
+def _beside() -> Path:
+    """Return the folder beside this file for compiled code of the present sources."""
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources())).hexdigest()[:16]
+    return Path(__file__).parent / "__pycache__" / f"compiled-{digest}"
+
+
+@functools.cache
 def folder() -> Path:
-    """Return where compiled code of the present sources lies: beside this file, or else in the user's cache.
+    """Return where code is compiled to: beside this file, or else in the user's cache.
 
     Folders of other sources beside this file are removed once nobody has begun to use them for a day: a process
     loads a function from there when it first calls it.
     """
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources())).hexdigest()[:16]
-    beside = Path(__file__).parent / "__pycache__"
-    here = beside / f"compiled-{digest}"
+    here = _beside()
     try:
         here.mkdir(parents=True, exist_ok=True)
         (here / _MARK).touch()
     except OSError:
         return cache_root() / here.name
-    for old in beside.glob("compiled-*"):
+    for old in here.parent.glob("compiled-*"):
         if old != here and _last_begun_s(old) < time.time() - _KEPT_S:
             shutil.rmtree(old, ignore_errors=True)
     return here
@@ -82,10 +88,78 @@ def _last_begun_s(compiled_folder: Path) -> float:
         return time.time()
 
 
+def _unsealed(digest: bytes, content: bytes) -> Any:
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError("it is damaged")
+    return pickle.loads(content)
+
+
+class _Sealed:
+    """Bytes of ``pickle`` that are only loaded where they are what was written."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+
+    def __reduce__(self) -> tuple[Any, tuple[bytes, bytes]]:
+        return _unsealed, (hashlib.sha256(self.content).digest(), self.content)
+
+
+class _Entries(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """A function's compiled code in one folder."""
+
+    def _dump(self, obj: Any) -> bytes:
+        return pickle.dumps(_Sealed(super()._dump(obj)))
+
+
+class _Locator(caching.CompileResultCacheImpl._locator_classes[0]):  # type: ignore[misc]
+    """numba's locator of the folder that it is told, also of one that cannot be written."""
+
+    def ensure_cache_path(self) -> None:
+        with contextlib.suppress(OSError):
+            super().ensure_cache_path()
+
+
+class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
+
+
+class _Cache(caching.FunctionCache):  # type: ignore[misc]
+    """numba's cache of a function. What cannot be read is compiled anew, what cannot be written is not kept.
+
+    What lies beside the package is read as well where other code is kept elsewhere: whoever has installed it may have
+    compiled it.
+    """
+
+    _impl_class = _Implementation
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        kept = Path(self.cache_path)
+        about = self._impl.filename_base, self._impl.locator.get_source_stamp()
+        self._places = [_Entries(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))]
+        self._cache_file = self._places[0]
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
+        for place in reversed(self._places):
+            self._cache_file = place
+            try:
+                found = super().load_overload(sig, target_context) if found is None else found
+            except Exception:  # what damaged bytes raise depends on the bytes
+                with contextlib.suppress(OSError):
+                    self.flush()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
+
+
 def compiled(
     function: Callable[..., Any] | None = None, *, borrows: bool = False, cache: bool = True, **options: Any
 ) -> Any:
-    """``numba.njit`` with a cache on disk, in :func:`folder` unless ``NUMBA_CACHE_DIR`` says where.
+    """``numba.njit`` with a cache on disk, in :func:`folder` unless ``NUMBA_CACHE_DIR`` says where; without one where
+    nothing can be written.
 
     Args:
         function: what to compile.
@@ -103,7 +177,10 @@ def compiled(
     before = settings.CACHE_DIR
     settings.CACHE_DIR = before or str(folder())
     try:
-        return numba.njit(cache=cache, **options)(function)
+        dispatcher = numba.njit(**options)(function)
+        if cache:
+            dispatcher._cache = _Cache(function)
+        return dispatcher
     finally:
         settings.CACHE_DIR = before
 
@@ -163,7 +240,8 @@ def compiling_once(kernel: Any) -> Iterator[None]:
     version = "".join(map(str, sys.version_info[:2]))
 
     def is_there() -> bool:
-        return bool(kernel.signatures) or any(where.glob(f"*.{name}-*.py{version}*.nbi"))
+        places = where, _beside() / where.name
+        return bool(kernel.signatures) or any(any(p.glob(f"*.{name}-*.py{version}*.nbi")) for p in places)
 
     if is_there():
         yield

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,15 +26,21 @@ def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     source.write_text("x = 1")
     monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiling.py"))
     monkeypatch.setattr(compiling, "sources", lambda: [source])
-    compiling.folder.cache_clear()
+    forget()
     yield source
+    forget()
+
+
+def forget() -> None:
+    """Forget where compiled code lies, as a new process has."""
     compiling.folder.cache_clear()
+    compiling._beside.cache_clear()
 
 
 def renewed(source: Path, text: str) -> Path:
     """The folder of a new process, for sources of another content."""
     source.write_text(text)
-    compiling.folder.cache_clear()
+    forget()
     return compiling.folder()
 
 
@@ -64,6 +71,98 @@ def test_a_folder_that_cannot_be_written_is_passed_over(sources: Path, monkeypat
     (sources.parent / "__pycache__").write_text("in the way")
     monkeypatch.setattr(compiling, "cache_root", lambda: sources.parent / "user")
     assert compiling.folder().parent == sources.parent / "user"
+
+
+USE = """
+import sys
+from pathlib import Path
+from izoo import compiling
+
+kept, beside, package = map(Path, sys.argv[1:])
+compiling.cache_root = lambda: kept
+compiling._beside = lambda: beside
+sys.path.insert(0, str(package))
+import step
+
+print(step.twice(21), dict(step.twice.stats.cache_hits) != {}, compiling.folder() == beside)
+"""
+STEP = """
+from izoo.compiling import compiled
+
+@compiled
+def twice(x):
+    return 2 * x
+"""
+
+
+class Installation:
+    """A package with a compiled function, used by one process after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self.places = kept, beside, package = [folder / name for name in ("kept", "beside", "package")]
+        self.kept, self.beside = kept, beside
+        package.mkdir()
+        (package / "step.py").write_text(STEP)
+
+    def use(self) -> str:
+        """Call the function in a new process: return what comes out, whether it was found, and whether beside."""
+        settings = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        command = [sys.executable, "-c", USE, *map(str, self.places)]
+        done = subprocess.run(command, capture_output=True, text=True, env=settings)
+        assert done.returncode == 0 and not done.stderr, done.stderr
+        return done.stdout.strip()
+
+    def entries(self) -> list[Path]:
+        return sorted(self.beside.glob("*/*.nb?"))
+
+
+@pytest.fixture
+def installation(tmp_path: Path) -> Installation:
+    return Installation(tmp_path)
+
+
+def flipped(data: bytes, place: float) -> bytes:
+    at = int(place * (len(data) - 1))
+    return data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda data: b"",
+    "cut in half": lambda data: data[: len(data) // 2],
+    "zeros": lambda data: bytes(len(data)),
+    "text": lambda data: b"text" * 100,
+    "a byte in the middle": lambda data: flipped(data, 0.5),
+    "a byte near the end": lambda data: flipped(data, 0.95),
+    "another pickle": lambda data: pickle.dumps({"something": "else"}),
+}
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["code", "index"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_entries_are_compiled_anew_once(installation: Installation, damage: str, number: int) -> None:
+    assert installation.use() == "42 False True" and installation.use() == "42 True True"
+    path = installation.entries()[number]
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert installation.use() == "42 False True"
+    assert installation.use() == "42 True True"
+
+
+def test_an_installation_that_cannot_be_written_is_used(installation: Installation) -> None:
+    installation.use()
+    (installation.beside / "writable").unlink()
+    (installation.beside / "writable").symlink_to("nowhere/nothing")  # root may write everything else
+    assert installation.use() == "42 True False"
+    assert not list(installation.kept.glob("*/*/*.nbi"))
+    for path in installation.entries():
+        path.unlink()
+    assert installation.use() == "42 False False" and installation.use() == "42 True False"
+
+
+def test_where_nothing_can_be_written_code_is_not_kept(installation: Installation) -> None:
+    installation.kept.touch()
+    installation.beside.touch()
+    for _ in range(2):
+        assert installation.use() == "42 False False"
 
 
 def test_every_compiled_module_is_a_source() -> None:
