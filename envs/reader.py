@@ -162,7 +162,7 @@ class FrameReader:
         agents = tensordict.get("agents", None)
         self._action.copy_(agents.get("action", None).detach())
         defer = agents.get("defer", None)
-        self._write_defer(None if defer is None else defer.reshape(self.agents_batch).numpy())
+        self._write_defer(None if defer is None else defer.detach().reshape(self.agents_batch).numpy())
         if self.config.lane_change:
             self.tensors["lane_change"].copy_(agents.get("lane_change", None))
         self.observations.begin()

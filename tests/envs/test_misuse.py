@@ -16,8 +16,10 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from izoo.envs.config import SIMULATORS, EnvConfig, RewardConfig
+from izoo.envs.env import EcoDrivingBase
+from izoo.envs.mdp.tally import EPISODE_METRIC
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, play_on, short, steer
 
@@ -98,6 +100,63 @@ def test_a_refused_call_leaves_the_environment_as_it_was() -> None:
         env.close()
 
 
+def moved(env: EcoDrivingBase) -> list[float]:
+    """Steps that every environment has taken since its episode began."""
+    return env.frames["episode_metrics"][:, EPISODE_METRIC["steps"]].tolist()
+
+
+def wait_for_the_end(env: EcoDrivingBase, state: TensorDictBase) -> TensorDictBase:
+    """Play on until the first environment's episode has ended, and the second's has not."""
+    state = env.reset(state.set("_reset", torch.tensor([[False], [True]])))
+    while not state["done"].any():
+        state = env.step(steer(state))["next"]
+    assert state["done"].flatten().tolist() == [True, False]
+    return state
+
+
+REFUSED: dict[str, Callable[[EcoDrivingBase, TensorDictBase], TensorDictBase]] = {
+    "one has ended": wait_for_the_end,
+    "an action too many": lambda env, state: state.set(("agents", "action"), torch.zeros(2, 64, 2)),
+    "no action": lambda env, state: state.exclude(("agents", "action")),
+    "whole numbers": lambda env, state: state.set(("agents", "action"), torch.zeros(2, 64, 1, dtype=torch.int64)),
+    "flags too many": lambda env, state: state.set(("agents", "defer"), torch.zeros(2, 64, 2, dtype=torch.bool)),
+}
+
+
+@pytest.mark.parametrize("env_class", [SumoParallelEnv, TwinEnv])
+@pytest.mark.parametrize("why", REFUSED)
+def test_a_step_that_is_refused_for_one_moves_nobody(why: str, env_class: Any) -> None:
+    env = env_class(2, crossing(), config=short(horizon_s=20.0))
+    try:
+        _, state = play_on(env, 5, steer, env.reset())
+        state = REFUSED[why](env, steer(state))
+        if why == "one has ended":
+            steer(state)
+        before = moved(env)
+        with pytest.raises(IzooError):
+            env.step(state)
+        assert moved(env) == before and env.backend.started
+    finally:
+        env.close()
+
+
+def test_after_a_step_that_failed_for_one_all_begin_anew() -> None:
+    """The others may have taken it."""
+    env = SumoParallelEnv(2, crossing(), config=short())
+    try:
+        state = steer(env.reset())
+        worker = env.backend._workers[1]
+        worker.process.kill(), worker.process.wait()
+        state = steer(env.step(state)["next"])
+        env.frames["done"][1] = 0  # so that the new process is asked for a step of what it has not begun
+        for match in ("no episode has begun", "came before reset", "came before reset"):
+            with pytest.raises(IzooError, match=match):
+                env.step(state)
+        env.step(steer(env.reset()))
+    finally:
+        env.close()
+
+
 def played(state: TensorDictBase) -> list[int]:
     """The numbers of the episodes, of every environment."""
     return state["context", "episode"].flatten().tolist()
@@ -167,13 +226,14 @@ def test_a_reset_of_nobody_changes_nothing(simulator: str) -> None:
         env.close()
 
 
-def test_past_actions_are_not_kept() -> None:
+def test_past_commands_are_not_kept() -> None:
     """Nor the graph that they come from."""
     env = EcoDrivingEnv(crossing(), config=short(), simulator="twin")
     try:
         weight = torch.nn.Parameter(torch.zeros(env.reader.action_shape))
         state = env.reset()
         for _ in range(3):
+            state.set(("agents", "defer"), torch.zeros(weight.shape[:-1], requires_grad=True))
             state = env.step(state.set(("agents", "action"), weight * 2.0))["next"]
         assert not any(tensor.requires_grad for tensor in env.reader.tensors.values())
         assert not env.reader._action.requires_grad
