@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import netrc
 import os
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -136,20 +138,33 @@ def _interval(latest: Mapping[str, float], name: str) -> str:
 
 
 def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:
-    """Send a row of the table to every logger."""
-    for sink in sinks:
-        for name, value in row.items():
-            if name != "frames":
-                sink.log_scalar(name, value, step=int(row["frames"]))
+    """Send a row of the table to every logger; one that fails is done without from then on."""
+    for sink in list(sinks):
+        with _dispensable(sink, sinks):
+            for name, value in row.items():
+                if name != "frames":
+                    sink.log_scalar(name, value, step=int(row["frames"]))
 
 
 def close_all(sinks: list[Sink]) -> None:
     """Let the loggers finish writing."""
-    for sink in sinks:
-        experiment: Any = getattr(sink, "experiment", None)
-        finish = getattr(experiment, "finish", None) or getattr(experiment, "close", None)
-        if finish is not None:
-            finish()
+    for sink in list(sinks):
+        with _dispensable(sink, sinks):
+            experiment: Any = getattr(sink, "experiment", None)
+            finish = getattr(experiment, "finish", None) or getattr(experiment, "close", None)
+            if finish is not None:
+                finish()
+
+
+@contextlib.contextmanager
+def _dispensable(sink: Sink, sinks: list[Sink]) -> Iterator[None]:
+    """Do without a logger that fails, and say so: everything is in ``metrics.csv`` as well."""
+    try:
+        yield
+    except Exception as error:  # what a logger raises is its own
+        sinks.remove(sink)
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        print(f"{type(sink).__name__} has failed ({reason}); the run goes on without it.", file=sys.stderr, flush=True)
 
 
 def _wandb(config: LoggerConfig, run_dir: Path) -> Sink:

@@ -21,7 +21,7 @@ from izoo import files, train
 from izoo.conf.train_options import TrainConfig
 from izoo.console import exit_code, graceful_interrupt
 from izoo.errors import IzooError, UnfinishedError
-from izoo.training import checkpoint, loop, runs
+from izoo.training import checkpoint, loop, records, runs
 from izoo.training.heartbeats import Watch, open_counts
 from izoo.training.learner import Learner, is_finite
 from tests.test_console import LOST
@@ -239,6 +239,68 @@ def test_a_run_that_loses_its_output_trains_on(how: str, tmp_path: Path) -> None
         lose()
         assert process.wait(200) == 0
     assert frames_in(run_dir)[-1] == 400 == checkpoint.load(checkpoint.find(run_dir))["frames"]
+
+
+# -- loggers -----------------------------------------------------------------------------------------------------------
+
+
+class Logger:
+    """A logger that takes so many numbers and then fails, also at its end."""
+
+    def __init__(self, takes: int) -> None:
+        self.takes, self.experiment = takes, self
+
+    def log_scalar(self, name: str, value: float, step: int | None = None) -> None:
+        self.takes -= 1
+        self.finish()
+
+    def finish(self) -> None:
+        if self.takes < 0:
+            raise ConnectionResetError("Connection lost")
+
+
+def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad, late = Logger(100), Logger(3), Logger(8)
+    sinks: list[Any] = [bad, good, late]
+    for frames in range(4):
+        records.log_all(sinks, {"frames": frames, "return": 1.0, "reward": 2.0})
+    late.takes = -1
+    records.close_all(sinks)
+    assert sinks == [good] and good.takes == 92
+    assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
+
+
+KILL_HELPER = """
+import os, signal, sys
+from pathlib import Path
+from izoo import train
+from izoo.training.learner import Learner
+
+real, killed = Learner.update, []
+
+def update(self, batch, progress):
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    for pid in children if progress > 0 else ():
+        if b"wandb-core" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            os.kill(int(pid), signal.SIGKILL)
+            killed.append(pid)
+    return real(self, batch, progress)
+
+Learner.update = update
+code = train.main(sys.argv[1:])
+sys.exit(code if killed else 9)
+"""
+
+
+@pytest.mark.slow
+def test_a_run_whose_helper_of_wandb_is_killed_goes_on(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [*TOY, "total_frames=400", "logger=wandb", f"run_dir={run_dir}"]
+    command = [sys.executable, "-c", KILL_HELPER, *words]
+    environment = {**os.environ, "WANDB_MODE": "offline"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, env=environment)
+    assert done.returncode == 0 and "WandbLogger has failed" in done.stderr
+    assert frames_in(run_dir)[-1] == 400
 
 
 # -- Ctrl-C ------------------------------------------------------------------------------------------------------------
