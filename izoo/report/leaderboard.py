@@ -51,6 +51,14 @@ DIGITS = 7
 LARGEST = 1e15
 """No number of a row is larger, so that its powers are finite."""
 KEY = ("policy", "train_seed", *PAIR)
+WHOLES = (("entered", ("crossed", "unfinished")), ("due", ("dropped", "waiting", "outside", "early", "entered")))
+"""Counts of a row that others add up to."""
+LIMITS = (
+    *(("crossed_hdv", "crossed"), ("min_ttc_vehicles", "crossed"), ("cohort_left", "cohort")),
+    *(("emission_hdv_g", "emission_g"), ("emission_g", "region_emission_g"), ("travel_time_s", "region_time_s")),
+    *(("stopped_time_s", "travel_time_s"), ("deferred_steps", "agent_steps"), ("nan_actions", "deferred_steps")),
+)
+"""Sums of a row that are a part of another one."""
 
 
 @functools.cache
@@ -249,11 +257,26 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
     for name in dict.fromkeys((policy["name"], *(() if "superseded" in content else BASELINES))):
         lacking = wanted * (seeds if name == policy["name"] else 1) - int((table["policy"] == name).sum())
         faults += [f"rows of {name} are missing: {lacking}"] if lacking else []
+    if "superseded" not in content:
+        faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
     if set(table["simulator"]) == {"twin"}:
         notes.append("played on the twin")
     return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
+
+
+def contradictions(table: pd.DataFrame) -> list[str]:
+    """Return what cannot be in a table of rows."""
+    found = [f"{name} is not {' + '.join(parts)}" for name, parts in WHOLES if _differ(table[name], table[[*parts]])]
+    found += [f"{part} is above {name}" for part, name in LIMITS if (table[part] > table[name] * (1 + 1e-5)).any()]
+    if (table.groupby(["simulator", *PAIR])["cohort"].nunique() > 1).any():
+        found.append("the cohort of an episode is not the same for all policies")
+    return found
+
+
+def _differ(whole: pd.Series, parts: pd.DataFrame) -> bool:
+    return not np.allclose(whole, parts.sum(axis=1), rtol=1e-5)
 
 
 def merge(found: Sequence[Entry]) -> dict[str, Any]:

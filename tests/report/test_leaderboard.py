@@ -22,6 +22,7 @@ from izoo.metrics.summary import summarise
 from izoo.report import leaderboard
 from izoo.report.leaderboard import board, check, content_hash, make_entry, merge, read_entry, unpacked, write_entry
 from izoo.report.superseded import convert
+from izoo.results.store import read_table
 from tests.report.made_tables import folder, table
 
 DATA = Path(__file__).parent / "data"
@@ -96,6 +97,27 @@ def test_what_is_wrong_with_a_file_is_a_mark() -> None:
     assert few.marks == () and few.notes == ("2 training seeds of 4",)
     twin = content(made.assign(simulator="twin"))
     assert check(twin, unpacked(twin["rows"]), "file").notes == ("played on the twin",)
+
+
+CONTRADICTIONS = {
+    **{f"{part} is above {name}": {part: 1e9} for part, name in leaderboard.LIMITS},
+    **{f"{name} is not {' + '.join(parts)}": {name: 1e9} for name, parts in leaderboard.WHOLES},
+    "the cohort of an episode is not the same for all policies": {"cohort": 20.0, "cohort_left": 20.0},
+}
+
+
+@pytest.mark.parametrize("what", CONTRADICTIONS)
+def test_rows_that_contradict_themselves_get_no_rank(what: str) -> None:
+    """However the hash was made; one row is enough."""
+    made = table({"ppo": PPO})
+    row = made.index[made["policy"] == "ppo"][5]
+    for name, value in CONTRADICTIONS[what].items():
+        made.loc[row, name] = value
+    assert f"rows contradict themselves: {what}" in marks(content(made))
+
+
+def test_rows_that_were_played_do_not_contradict_themselves(evaluation: Path) -> None:
+    assert leaderboard.contradictions(read_table(evaluation)) == []
 
 
 def test_entries_that_cannot_be_compared_are_listed_without_rank() -> None:
