@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import sys
 from typing import Any
 
 from izoo.errors import IzooError
@@ -23,6 +24,8 @@ def connect() -> Any:
         IzooError: Ray is not installed, or the cluster cannot be reached.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if "RAY_ADDRESS" not in os.environ and "ray" not in sys.modules:  # which reads it when it is imported
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # Ray listens on all interfaces, and runs what it is sent
     try:
         import ray
     except ImportError as error:

@@ -47,6 +47,26 @@ def address() -> Iterator[str]:
             started.shutdown()
 
 
+@pytest.mark.slow
+@needs_ray
+def test_nobody_without_a_token_reaches_a_cluster_on_this_machine(tmp_path: Path) -> None:
+    """Ray listens on all interfaces, and runs what it is sent."""
+    stranger = "import sys, ray; ray.init(address=sys.argv[1]); print('inside')"
+    program = f"""
+import os, subprocess, sys
+from izoo.results.ray_cluster import connect
+address = connect().get_runtime_context().gcs_address
+for mode in ("token", "disabled"):
+    told = {{**os.environ, "RAY_AUTH_MODE": mode}}
+    done = subprocess.run([sys.executable, "-c", {stranger!r}, address], env=told, capture_output=True, text=True)
+    print("inside" if "inside" in done.stdout else "refused")
+"""
+    told = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    told["HOME"] = str(tmp_path)  # where Ray keeps its token
+    done = subprocess.run([sys.executable, "-c", program], env=told, capture_output=True, text=True, timeout=200)
+    assert done.stdout.split() == ["inside", "refused"], done.stderr
+
+
 def run(command: str, words: list[str], address: str) -> None:
     """Run a command of izoo apart, as a driver of the cluster."""
     done = subprocess.run(
