@@ -10,6 +10,7 @@ import errno
 import fcntl
 import functools
 import gzip
+import hashlib
 import io
 import json
 import os
@@ -37,7 +38,7 @@ _ABOUT_PATHS = (
     *(errno.EEXIST, *NO_ROOM),
 )
 """Errors for which another path is a remedy."""
-_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<pid>\d+)-[0-9a-f]+")
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<place>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]+")
 
 
 def expanded(path: str | Path) -> Path:
@@ -54,9 +55,18 @@ def usable_paths() -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.filename is None and error.errno == errno.ENOENT and not _has_current_folder():
+            raise IzooError("the current folder has been removed; change to one that exists.") from error
         if error.filename is None or error.errno not in _ABOUT_PATHS:
             raise
         raise IzooError(f"cannot use {error.filename}: {os_reason(error)}; choose another path.") from error
+
+
+def _has_current_folder() -> bool:
+    try:
+        return Path.cwd().is_dir()
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager
@@ -189,7 +199,15 @@ def replacing_folder(target: Path) -> Iterator[Path]:
 
 def partial_of(path: Path) -> Path:
     """Return where ``path`` is written until it is whole; a new name at every call."""
-    return path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(4)}")
+    return path.with_name(f".{path.name}.partial-{_place()}-{os.getpid()}-{secrets.token_hex(4)}")
+
+
+def _place() -> str:
+    """Return what stands for this machine, or this container: where a process has its number."""
+    about = os.uname().nodename
+    with contextlib.suppress(OSError):
+        about += str(Path("/proc/self/ns/pid").readlink())
+    return hashlib.sha256(about.encode()).hexdigest()[:8]
 
 
 def is_partial(path: Path) -> bool:
@@ -198,10 +216,15 @@ def is_partial(path: Path) -> bool:
 
 
 def discard_partials(folder: Path, name: str | None = None) -> None:
-    """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it."""
+    """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it.
+
+    What those of other machines and containers write is left alone: nobody can tell here whether they live.
+    """
     for path in folder.iterdir():
         match = _PARTIAL.fullmatch(path.name)
-        if not match or name not in (None, match["name"]) or _is_running(int(match["pid"])):
+        if not match or name not in (None, match["name"]) or match["place"] != _place():
+            continue
+        if _is_running(int(match["pid"])):
             continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)

@@ -317,6 +317,17 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
 
 
+@pytest.mark.parametrize("words", ["train", "evaluate policy=glide", "collect out=data", "report nowhere"])
+def test_a_current_folder_that_was_removed_is_one_sentence(words: str, tmp_path: Path) -> None:
+    name, *rest = words.split(" ")
+    program = f"import os, sys; os.rmdir(os.getcwd()); from izoo.{name} import main; sys.exit(main({rest}))"
+    program = program.replace("izoo.report import", "izoo.report.__main__ import")
+    (tmp_path / "here").mkdir()
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path / "here", capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == f"izoo {name}: the current folder has been removed; change to one that exists.\n"
+
+
 def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("All of it.")
     assert evaluate.main(["policy=glide", f"out={tmp_path}"]) == 2

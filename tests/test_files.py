@@ -175,11 +175,13 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 def test_what_killed_processes_left_is_removed_and_what_others_write_is_kept(tmp_path: Path) -> None:
-    (tmp_path / ".town.partial-999999999-0a").mkdir()
-    (tmp_path / ".file.partial-999999999-0b").touch()
-    (tmp_path / f".file.partial-{os.getppid()}-0c").touch()
+    here = partial_of(tmp_path / "file").name.split("-")[1]
+    others = [f".file.partial-{here}-{os.getppid()}-0c", ".file.partial-0123abcd-999999999-0d"]
+    (tmp_path / f".town.partial-{here}-999999999-0a").mkdir()
+    for name in (f".file.partial-{here}-999999999-0b", *others):
+        (tmp_path / name).touch()
     discard_partials(tmp_path, "town")
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 3
     discard_partials(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == [f".file.partial-{os.getppid()}-0c"]
+    assert {path.name for path in tmp_path.iterdir()} == {*others}
     assert partial_of(tmp_path / "file") != partial_of(tmp_path / "file")

@@ -13,6 +13,7 @@ import sumo
 
 from izoo.contexts.spec import Approach, IntersectionSpec
 from izoo.errors import IzooError
+from izoo.files import partial_of
 from izoo.networks.dataset.intersections import load_dataset, load_specs
 from izoo.networks.osm import store as osm_store
 from izoo.networks.osm.extract import OsmReport, build_from_osm
@@ -415,7 +416,7 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
         build_from_osm(extract, target=target)
     monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
-    (tmp_path / ".town.partial-999999999-0a").mkdir()
+    partial_of(tmp_path / "town").mkdir()  # as a process that died has left it
     build_from_osm(extract, target=target)
     assert {path.name for path in tmp_path.iterdir()} == {"map.osm", "town"}
     (target / "notes.txt").write_text("mine")

@@ -106,6 +106,8 @@ def _run(name: str, inputs: Mapping[str, str], scratch: Path) -> tuple[str, str]
     except subprocess.TimeoutExpired as error:
         raise IzooError(f"netconvert did not end within {TIMEOUT_S:g} s for intersection {name}.") from error
     except OSError as error:
+        if not scratch.is_dir():
+            raise IzooError(f"{scratch} was removed while a net was built there; do that again.") from error
         raise IzooError(f"cannot run {command[0]} ({error.strerror}); install the package eclipse-sumo.") from error
     messages = run.stderr.strip()
     result = scratch / "net.xml"
