@@ -46,7 +46,8 @@ class EnvConfig:
             the vehicle's own car-following keeps to; 1 leaves it alone.
         action_parts: numbers of an action ``speed``: one for the whole way (``speed``), or one each before and behind
             the stop line (``speed_before``, ``speed_behind``).
-        horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps").
+        horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
+            rounded to whole steps.
         warmup_s: time at the start in which nothing is controlled or measured.
         drain_s: an episode is played out: after the horizon no further demand comes, and simulation and control go on
             until every vehicle has left, or for this long. 0 (as in training): it ends at the horizon.

@@ -103,7 +103,7 @@ class EcoDrivingBase(EnvBase):
                 f"reset() of this environment does not take {', '.join(options)}; give contexts= to the constructor, "
                 "or episode= to play given episodes of the schedule."
             )
-        mask = None if tensordict is None else tensordict.get("_reset", None)
+        mask = None if tensordict is None else self._chosen(tensordict)
         requested = self._requested(episode)
         count = self.batch_size.numel()
         chosen = range(count) if mask is None else torch.nonzero(mask.view(-1)).view(-1).tolist()
@@ -111,6 +111,23 @@ class EcoDrivingBase(EnvBase):
             numbers = {index: self._take_number(index) if requested is None else requested[index] for index in chosen}
             self.backend.begin({index: Play(*self.schedule(number), number) for index, number in numbers.items()})
             return self._frame()
+
+    def _chosen(self, tensordict: TensorDictBase) -> torch.Tensor | None:
+        """Return which environments are to be reset, as far as it is said.
+
+        Raises:
+            IzooError: it is said of some of an environment's agents alone.
+        """
+        whole, agents = tensordict.get("_reset", None), tensordict.get(("agents", "_reset"), None)
+        if whole is not None or agents is None:
+            return whole
+        rows = agents.reshape(self.batch_size.numel(), -1)
+        if (rows.any(-1) != rows.all(-1)).any():
+            raise IzooError(
+                "('agents', '_reset') chooses some agents of an environment, and episodes begin for all of them; give "
+                "'_reset' with a flag for each environment."
+            )
+        return rows.all(-1)
 
     def _requested(self, episode: Requested | None) -> list[int] | None:
         """Return the number of the episode that is asked for, of each environment."""

@@ -5,11 +5,15 @@ Names of vehicles go no further than this room (:mod:`izoo.envs.sumo.names`).
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
+import locale
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +29,7 @@ _INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
 # libsumo runs one simulation per process; this says which session has it.
 _owner: SumoSession | None = None
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+_SPLIT = re.compile(r",|\$\{.*\}")
 
 
 def import_libsumo() -> Any:
@@ -61,6 +66,20 @@ def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float
         *("--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true"),
         *("--xml-validation", "never", "--xml-validation.net", "never", "--xml-validation.routes", "never"),
     ]
+
+
+@contextlib.contextmanager
+def readable(*paths: Path) -> Iterator[list[Path]]:
+    """Give paths by which SUMO finds these files: it splits paths at commas, and takes ``${NAME}`` for a variable."""
+    if not any(_SPLIT.search(str(path)) for path in paths):
+        yield list(paths)
+        return
+    around = "/tmp" if _SPLIT.search(tempfile.gettempdir()) else None
+    with tempfile.TemporaryDirectory(prefix="izoo-", dir=around) as folder:
+        links = [Path(folder, f"{number}.xml") for number in range(len(paths))]
+        for link, path in zip(links, paths, strict=True):
+            link.symlink_to(path.absolute())
+        yield links
 
 
 def has_screen() -> bool:
@@ -107,6 +126,11 @@ class SumoSession:
                 "libsumo holds one simulation per process, and another environment of this process is using it; "
                 "close() that one first, or run each in a process of its own: izoo.envs.SumoParallelEnv, or "
                 "gymnasium.make_vec(..., vectorization_mode='async'), or a view without in_process=True."
+            )
+        if locale.localeconv()["decimal_point"] != "." and not self._gui:
+            raise IzooError(
+                "numbers have a decimal comma in this process, and SUMO, which runs inside it, reads a point; call "
+                "locale.setlocale(locale.LC_NUMERIC, 'C')."
             )
         try:
             if self._running:

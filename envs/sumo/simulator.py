@@ -22,7 +22,7 @@ from izoo.envs.mdp.scene import Scene
 from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
 from izoo.envs.mdp.step import make_frame
 from izoo.envs.sumo.names import Names
-from izoo.envs.sumo.session import SumoSession, sumo_arguments
+from izoo.envs.sumo.session import SumoSession, readable, sumo_arguments
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
@@ -98,7 +98,8 @@ class SumoSimulator:
         self._routes = Path(name)
         try:
             write_routes(episode.traffic, episode.road, self._routes)
-            self.session.load(sumo_arguments(net, self._routes, episode.seed, self.config.step_s))
+            with readable(net, self._routes) as files:
+                self.session.load(sumo_arguments(*files, episode.seed, self.config.step_s))
         except IzooError as error:
             self._remove_routes()
             raise IzooError(f"context {episode.context.name}: {error}") from error

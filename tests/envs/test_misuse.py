@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -177,6 +178,61 @@ def test_what_an_environment_emitted_is_no_request(workers: int) -> None:
             assert played(env.reset(state.set("_reset", torch.tensor([[False], [True]])))) == [6, 9]
     finally:
         env.close()
+
+
+@pytest.mark.parametrize("key", ["_reset", ("agents", "_reset")])
+@pytest.mark.parametrize("env_class", [SumoParallelEnv, TwinEnv])
+def test_a_reset_chooses_environments_at_the_root_or_by_all_of_their_agents(key: Any, env_class: Any) -> None:
+    env = env_class(2, crossing(), config=short())
+    try:
+        state = play_on(env, 3, steer, env.reset())[1]
+        rows = torch.tensor([[False], [True]])
+        flags = rows if key == "_reset" else rows.expand(2, 64).clone()
+        assert played(env.reset(state.clone().set(key, flags.clone()))) == [0, 3] and moved(env) == [3.0, 0.0]
+        if key != "_reset":
+            flags[0, 5] = True
+            with pytest.raises(IzooError, match="some agents of an environment"):
+                env.reset(state.clone().set(key, flags))
+    finally:
+        env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a,b", "a${HOME}b", "a;b |&<'\"", "\u4ea4"])
+def test_temporary_and_cache_folders_may_have_any_name(name: str, tmp_path: Path) -> None:
+    """SUMO itself would take a comma for the end of a path, and replace variables."""
+    folder = tmp_path / name
+    folder.mkdir()
+    program = "import torch; from izoo.envs import EcoDrivingEnv, EnvConfig; from tests.envs.worlds import crossing\n"
+    program += "env = EcoDrivingEnv(crossing(), config=EnvConfig(horizon_s=40.0)); print(env.rollout(3).shape[0])"
+    told = {**os.environ, "TMPDIR": str(folder), "IZOO_CACHE_DIR": str(folder / "cache")}
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, env=told)
+    assert done.stdout == "3\n", done.stderr
+    assert {path.name for path in folder.iterdir()} == {"cache"}
+
+
+@pytest.mark.skipif(shutil.which("localedef") is None, reason="locales cannot be made here")
+def test_a_decimal_comma_is_refused_where_sumo_would_read_it(tmp_path: Path) -> None:
+    """Nets are built, and the twin is played, whatever the locale."""
+    subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(tmp_path / "de_DE.UTF-8")], check=True)
+    program = """
+import locale
+from izoo.envs import EcoDrivingEnv
+from izoo.errors import IzooError
+from tests.envs.worlds import crossing, short
+locale.setlocale(locale.LC_ALL, "de_DE.UTF-8")
+EcoDrivingEnv(crossing(), config=short(), simulator="twin").reset()
+env = EcoDrivingEnv(crossing(), config=short())
+try:
+    env.reset()
+except IzooError as error:
+    print(error)
+locale.setlocale(locale.LC_NUMERIC, "C")
+env.reset()
+"""
+    told = {**os.environ, "LOCPATH": str(tmp_path), "IZOO_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, env=told)
+    assert done.returncode == 0 and "numbers have a decimal comma" in done.stdout, done.stderr
 
 
 def test_a_second_thread_is_refused() -> None:
