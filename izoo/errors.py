@@ -11,6 +11,7 @@ import math
 import numbers
 import types
 import typing
+import unicodedata
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -79,11 +80,23 @@ def check_seed(seed: object, what: str = "seed") -> int:
     return check_whole(what, seed, 0, 2**63 - 1)
 
 
+def plain_number(value: Any) -> Any:
+    """Return a scalar of NumPy's as one of Python's, which JSON and YAML know; other values as they are."""
+    return value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
+
+
+def check_line(what: str, text: str) -> None:
+    """Raise :class:`IzooError` unless a text is one line that every table can hold."""
+    if not text or any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in text):
+        raise IzooError(f"{what} is {text!a}; give one line of text, without control characters.")
+
+
 def check_types(group: str, config: Any) -> None:
     """Raise :class:`IzooError` where a field of a dataclass holds another type than it declares.
 
     Finite numbers, switches, texts, names out of a few, what may be missing (``None``), and lists of them are checked;
-    whole numbers pass for real ones, lists for tuples. Other fields check themselves.
+    whole numbers pass for real ones, lists for tuples. Other fields check themselves. Numbers of NumPy's become
+    Python's.
 
     Args:
         group: the group of options, for messages; empty where there is none.
@@ -95,6 +108,10 @@ def check_types(group: str, config: Any) -> None:
         if legal is not None and not any(check(value) for _, check in legal):
             option = f"{group}.{name}" if group else name
             raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+        parts = value if isinstance(value, (tuple, list)) else (value,)
+        if any(hasattr(part, "dtype") for part in parts):
+            plain = tuple(map(plain_number, parts))
+            object.__setattr__(config, name, plain if parts is value else plain[0])
 
 
 _Kind = tuple[str, Callable[[object], bool]]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from izoo.algos.registry import AlgoConfig
-from izoo.errors import IzooError, unknown_choice
+from izoo.errors import IzooError, plain_number, unknown_choice
 
 T = TypeVar("T")
 
@@ -149,6 +149,7 @@ def _list_remedy(value: Any, path: str) -> str:
 
 
 def _convert_scalar(kind: Any, value: Any, path: str) -> Any:
+    value = plain_number(value)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if is_number and not math.isfinite(value):
         raise IzooError(f"{path} is {value!r}; it must be a finite number.")

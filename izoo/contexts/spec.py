@@ -11,7 +11,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_line, check_range, plain_number
 
 LEG_NAMES = "ABCDEF"
 SOURCES = ("procedural", "city", "osm", "dataset")
@@ -19,11 +19,13 @@ TURNS = ("r", "s", "l")
 
 
 def hold_floats(instance: Any) -> None:
-    """Turn whole numbers in fields declared as float into floats, so that equal values hash alike (26 and 26.0)."""
+    """Turn whole numbers in fields declared as float into floats, so that equal values hash alike (26 and 26.0), and
+    numbers of NumPy's into Python's.
+    """
     for field in dataclasses.fields(instance):
-        value = getattr(instance, field.name)
-        if isinstance(value, int) and str(field.type).startswith("float"):
-            object.__setattr__(instance, field.name, float(value))
+        value = plain_number(getattr(instance, field.name))
+        is_whole = isinstance(value, int) and str(field.type).startswith("float")
+        object.__setattr__(instance, field.name, float(value) if is_whole else value)
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,7 @@ class IntersectionSpec:
 
     def __post_init__(self) -> None:
         hold_floats(self)
+        check_line("the name of an intersection", self.name)
         check_choice("intersection source", self.source, SOURCES)
         names = [leg.name for leg in self.legs]
         if len(set(names)) != len(names) or len(names) < 2:

@@ -21,7 +21,7 @@ from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_line
 from izoo.files import claimed, read_text, write_json, write_text
 from izoo.results.contexts_file import add_contexts
 from izoo.results.schema import COLUMNS, EPISODE, KEY, TEXT, WHOLE, Row, make_table
@@ -108,6 +108,8 @@ class Store:
 
     def __init__(self, path: Path | str | None, *, task: str = "", config: EnvConfig | None = None) -> None:
         self.path = None if path is None else Path(path)
+        if task:
+            check_line("the name of a task", task)
         env = settings(config or EnvConfig())
         self.manifest = Manifest(task, MODEL_VERSION, env, versions())
         self.done: set[tuple[Any, ...]] = set()
@@ -140,6 +142,7 @@ class Store:
         stale = set()
         for key, record in policies.items():
             name, train_seed = key if isinstance(key, tuple) else (key, 0)
+            check_line("the name of a policy", name)
             old = known.get(name, {}).get(train_seed)
             if old is not None and old.env and record.env:
                 check_same(old.env, record.env, f"{self.path} holds {name}")

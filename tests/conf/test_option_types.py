@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
+import json
 import math
+import operator
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from izoo.algos import registry
@@ -136,3 +140,16 @@ def test_the_walk_knows_every_action() -> None:
     assert {type(config.action) for config in CONFIGS.values() if hasattr(config, "action")} == {
         *(AdviseAction, DirectAction, ResidualAction),
     }
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_numbers_of_numpy_are_as_good_as_pythons(name: str) -> None:
+    """They become Python's, so that options can be written down and compared."""
+    values = to_mapping(CONFIGS[name])
+    for path, value in leaves(values):
+        if type(value) in (int, float):
+            group = functools.reduce(operator.getitem, path[:-1], values)
+            group[path[-1]] = {int: np.int64, float: np.float64}[type(value)](value)
+    found = from_mapping(type(CONFIGS[name]), values)
+    assert found == CONFIGS[name]
+    json.dumps(to_mapping(found))

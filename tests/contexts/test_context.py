@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import as_schedule
 from izoo.errors import IzooError
+from izoo.results.contexts_file import context_from_dict
+from izoo.results.store import PolicyRecord, Store
 
 
 def test_contexts_do_without_torch():
@@ -29,3 +35,33 @@ def test_whole_numbers_are_the_same_context_as_their_floats() -> None:
     whole = procedural_context(green_s=26, adoption=1, lane_length_m=300)
     assert whole.content_hash == procedural_context(green_s=26.0, adoption=1.0, lane_length_m=300.0).content_hash
     assert isinstance(whole.adoption, float)
+
+
+def test_numbers_of_numpy_are_the_same_context() -> None:
+    """Wherever a context holds a number."""
+    plain = dataclasses.asdict(procedural_context())
+
+    def changed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: changed(part) for name, part in value.items()}
+        if isinstance(value, (list, tuple)):
+            return tuple(map(changed, value))
+        kinds = {bool: np.bool_, int: np.int64, float: np.float64}
+        return kinds[type(value)](value) if type(value) in kinds else value
+
+    assert context_from_dict(changed(plain)).content_hash == procedural_context().content_hash
+
+
+@pytest.mark.parametrize("name", ["", "a\rb", "a\nb", "a\0b", "a\udc80b", "a\u2028b", "a\x1b[2Jb"])
+def test_names_that_no_table_can_hold_are_refused(name: str, tmp_path: Path) -> None:
+    """Of intersections, policies and tasks."""
+    with pytest.raises(IzooError, match=r"the name of an intersection is .*one line of text"):
+        dataclasses.replace(procedural_context().intersection, name=name)
+    with (
+        pytest.raises(IzooError, match="the name of a policy is"),
+        Store(tmp_path / "out").open({name: PolicyRecord()}),
+    ):
+        pass
+    if name:
+        with pytest.raises(IzooError, match="the name of a task is"):
+            Store(tmp_path / "out", task=name)
