@@ -111,7 +111,10 @@ class _Entries(caching.IndexDataCacheFile):  # type: ignore[misc]
         return pickle.dumps(_Sealed(super()._dump(obj)))
 
 
-class _Locator(caching.CompileResultCacheImpl._locator_classes[0]):  # type: ignore[misc]
+_told: Any = caching.CompileResultCacheImpl._locator_classes[0]
+
+
+class _Locator(_told):  # type: ignore[misc]
     """numba's locator of the folder that it is told, also of one that cannot be written."""
 
     def ensure_cache_path(self) -> None:
@@ -120,7 +123,7 @@ class _Locator(caching.CompileResultCacheImpl._locator_classes[0]):  # type: ign
 
 
 class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Locator,)
+    _locator_classes: Any = (_Locator,)
 
 
 class _Cache(caching.FunctionCache):  # type: ignore[misc]

@@ -98,8 +98,8 @@ class SumoSimulator:
         self._routes = Path(name)
         try:
             write_routes(episode.traffic, episode.road, self._routes)
-            with readable(net, self._routes) as files:
-                self.session.load(sumo_arguments(*files, episode.seed, self.config.step_s))
+            with readable(net, self._routes) as (net_file, route_file):
+                self.session.load(sumo_arguments(net_file, route_file, episode.seed, self.config.step_s))
         except IzooError as error:
             self._remove_routes()
             raise IzooError(f"context {episode.context.name}: {error}") from error
