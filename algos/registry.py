@@ -123,11 +123,18 @@ def make_algorithm(
     algo: AlgoConfig, action: ActionConfig, env: EnvConfig, device: torch.device | str = "cpu"
 ) -> Algorithm:
     """Build the algorithm of the options ``algo`` and ``action`` for what ``env`` lets it observe, on ``device``."""
+    import torch
+
     from izoo.envs.mdp.frame import observation_names
 
     told = {"env": env} if algo.needs_env else {}
     build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device, **told)
-    return action.algorithm(build, algo, len(observation_names(env)), env)
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)  # that of observations
+    try:
+        return action.algorithm(build, algo, len(observation_names(env)), env)
+    finally:
+        torch.set_default_dtype(before)
 
 
 def _imported(place: str) -> Any:

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
+from izoo import train
 from izoo.algos import registry
 from izoo.algos.action import DirectAction
 from izoo.algos.registry import ALGORITHMS, Home, choices, make_algorithm, preset
@@ -81,6 +83,23 @@ def test_every_choice_composes_builds_and_survives_the_file(choice: str) -> None
     assert from_mapping(TrainConfig, to_mapping(config)) == config
     small = dataclasses.replace(algo, hidden=(8,)) if hasattr(algo, "hidden") else algo  # type: ignore[type-var]
     assert make_algorithm(small, DirectAction(), EnvConfig()).policy is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name not in ("cmaes", "glide_search")])
+def test_algorithms_learn_whatever_the_default_type_of_numbers_is(name: str, tmp_path: Path) -> None:
+    """They compute in that of the observations."""
+    words = ["contexts=pcg_easy", "env.horizon_s=75", "evaluation.contexts=0", "validation.every_batches=0"]
+    words += ["simulator=twin", "num_envs=2", "twin.threads=1", "total_frames=200", "algo.frames_per_batch=100"]
+    words += [f"algo={name}", "algo.hidden=[8]", f"run_dir={tmp_path / 'run'}"]
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert train.main(words) == 0
+        state = runs.load_policy(tmp_path / "run").state_dict()
+    finally:
+        torch.set_default_dtype(before)
+    assert {tensor.dtype for tensor in state.values() if tensor.is_floating_point()} == {torch.float32}
 
 
 def test_unknown_names_are_refused_by_the_legal_ones() -> None:
