@@ -12,7 +12,7 @@ from rich.console import Console
 from yaml import YAMLError
 
 from izoo.errors import IzooError
-from izoo.files import read_text, write_json, write_text
+from izoo.files import claimed, read_text, write_json, write_text
 from izoo.metrics.summary import Summary, summarise
 from izoo.report.tables import headline, print_summary
 from izoo.results.store import check_same
@@ -37,17 +37,17 @@ def check_settings(
     """
     path = folder / SETTINGS_FILE
     wanted = OmegaConf.create({name: value for name, value in options.items() if name not in may_differ})
-    if path.is_file():
-        try:
-            stored, now = dict(plain_yaml(read_text(path))), plain_yaml(OmegaConf.to_yaml(wanted))
-        except (OSError, ValueError, TypeError, YAMLError) as error:
-            raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; choose another out.") from error
-        grown = {name: now[name] for name in may_grow if _grew(stored.get(name), now.get(name))}
-        check_same({**stored, **grown}, now, f"{folder} holds results")
-    elif folder.is_dir() and any(folder.iterdir()):
-        raise IzooError(f"{folder} is not empty and has no {SETTINGS_FILE}; choose another out.")
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(path, OmegaConf.to_yaml(wanted))
+    with claimed(folder):
+        if path.is_file():
+            try:
+                stored, now = dict(plain_yaml(read_text(path))), plain_yaml(OmegaConf.to_yaml(wanted))
+            except (OSError, ValueError, TypeError, YAMLError) as error:
+                raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; choose another out.") from error
+            grown = {name: now[name] for name in may_grow if _grew(stored.get(name), now.get(name))}
+            check_same({**stored, **grown}, now, f"{folder} holds results")
+        elif any(folder.iterdir()):
+            raise IzooError(f"{folder} is not empty and has no {SETTINGS_FILE}; choose another out.")
+        write_text(path, OmegaConf.to_yaml(wanted))
 
 
 def summaries(table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:

@@ -25,6 +25,7 @@ from izoo.contexts.distributions import Uniform
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.envs import RewardConfig
 from izoo.errors import IzooError
+from izoo.files import claimed
 from izoo.results.store import read_manifest
 
 
@@ -315,6 +316,27 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
     assert done.returncode == 0, done.stderr
     assert MISSING[words] in done.stderr and "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
+
+
+FILLING = {
+    "collect": "policy=random frames=50 out={}",
+    "evaluate": "policy=glide contexts=pcg_easy num_contexts=1 seeds=1 num_workers=0 out={}",
+    "benchmarks.generalization": "protocol=systematicity algos=[glide] test_limit=1 num_workers=0 out={}",
+    "benchmarks.planner": "contexts=pcg_easy num_contexts=1 out={}",
+    "benchmarks.twin": "contexts=pcg_easy num_contexts=1 out={}",
+}
+"""Commands that fill a folder, and the least that they need."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILLING)
+def test_no_command_fills_a_folder_that_another_process_fills(name: str, tmp_path: Path) -> None:
+    words = FILLING[name].format(tmp_path / "out").split(" ")
+    command = [sys.executable, "-m", f"izoo.{name}", *words]
+    with claimed(tmp_path / "out"):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+        assert done.returncode == 2 and "another process works in" in done.stderr, done.stderr
+        assert list((tmp_path / "out").iterdir()) == []
 
 
 @pytest.mark.parametrize("words", ["train", "evaluate policy=glide", "collect out=data", "report nowhere"])
