@@ -341,19 +341,20 @@ def own_key() -> bytes:
 
     They lie in the user's data folder; where that cannot be written, they are those of this process alone.
     """
-    path = Path(platformdirs.user_data_dir("izoo")) / "key"
-    key, partial = secrets.token_bytes(_KEY_BYTES), partial_of(path)
+    path, key = Path(platformdirs.user_data_dir("izoo")) / "key", secrets.token_bytes(_KEY_BYTES)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists() and path.stat().st_size != _KEY_BYTES:
-            path.unlink()
-        if not path.exists():
-            partial.touch(0o600)
-            partial.write_bytes(key)
-            with contextlib.suppress(FileExistsError):  # another process was faster
-                os.link(partial, path)
-            partial.unlink()
-        return read_bytes(path, _KEY_BYTES)
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            with contextlib.suppress(OSError):  # some network file systems cannot lock a folder
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if not path.exists() or path.stat().st_size != _KEY_BYTES:
+                with replacing(path) as partial:
+                    partial.touch(0o600)
+                    partial.write_bytes(key)
+            return read_bytes(path, _KEY_BYTES)
+        finally:
+            os.close(descriptor)
     except OSError:
         return key
 
