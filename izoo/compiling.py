@@ -111,10 +111,10 @@ class _Entries(caching.IndexDataCacheFile):  # type: ignore[misc]
         return pickle.dumps(_Sealed(super()._dump(obj)))
 
 
-_told: Any = caching.CompileResultCacheImpl._locator_classes[0]
+_told, *_others = caching.CompileResultCacheImpl._locator_classes
 
 
-class _Locator(_told):  # type: ignore[misc]
+class _Locator(_told):  # type: ignore
     """numba's locator of the folder that it is told, also of one that cannot be written."""
 
     def ensure_cache_path(self) -> None:
@@ -123,7 +123,7 @@ class _Locator(_told):  # type: ignore[misc]
 
 
 class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes: Any = (_Locator,)
+    _locator_classes: Any = (_Locator, *_others)
 
 
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
