@@ -47,7 +47,7 @@ IMITATION = (
     "algo.minibatch_rows=512",
     "algo.epochs=6",
 )
-WHOLE = ("algo=mappo", *PPO, "env.reward=fuel_team", "algo.credit=team", "algo.control_variate=true")
+WHOLE = ("algo=mappo", *PPO, "env.reward=fuel_team", "algo.credit=team", "algo.control_variate=team")
 """MAPPO with every part; the rows below take one away or change it."""
 REPLAY = (
     "env.reward=fuel",
@@ -93,8 +93,8 @@ ROWS = {
     START: Row("imitation of glide alone", IMITATION, start=None),
     REFERENCE: Row("then MAPPO with all parts", WHOLE),
     "no_kl": Row("no penalty on leaving the imitation", (*WHOLE, "algo.kl_to_start=0")),
-    "agent_credit": Row("credit by agent, same reward", (*WHOLE, "algo.control_variate=false", "algo.credit=agent")),
-    "no_control_variate": Row("no control variate", (*WHOLE, "algo.control_variate=false")),
+    "agent_credit": Row("credit by agent, same reward", (*WHOLE, "algo.control_variate=none", "algo.credit=agent")),
+    "no_control_variate": Row("no control variate", (*WHOLE, "algo.control_variate=none")),
     "prioritised": Row("prioritised level replay", (*WHOLE, "levels.draw=prioritised", "levels.kept=64")),
     "no_value_norm": Row("values not normalised", (*WHOLE, "algo.value_norm=none")),
     "no_target_kl": Row("no bound on an update's divergence", (*WHOLE, "algo.target_kl=null")),

@@ -23,7 +23,17 @@ from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES, HUMAN
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.playing import RECORDS, SIDE_BY_SIDE, Job, Measured, Policy, Series, Setup
+from izoo.results.playing import (
+    RECORDS,
+    SIDE_BY_SIDE,
+    VEHICLE_REWARD,
+    VEHICLE_SPANS,
+    Job,
+    Measured,
+    Policy,
+    Series,
+    Setup,
+)
 from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
@@ -61,7 +71,7 @@ class Played(NamedTuple):
     Attributes:
         play: what was asked for.
         rows: of the table, one per scored approach.
-        series: what was recorded, ``[decisions]`` float32 by name.
+        series: what was recorded, by name (:data:`~izoo.results.playing.RECORDS`).
     """
 
     play: Play
@@ -96,7 +106,7 @@ def rollout(
         executor: one of :data:`EXECUTORS`; ``None``: ``batch`` on the twin, for policies that draw no random numbers,
             and otherwise ``processes``.
         workers: processes (0: this one plays), or threads of ``batch``.
-        record: what to record per decision: ``team_reward``.
+        record: what to record of each episode (:data:`~izoo.results.playing.RECORDS`).
         cache: folder of the baselines' episodes; ``None``: in the user's cache.
         progress: show a bar with the time left.
         side_by_side: episodes of a block of ``batch``; ``None``: :data:`SIDE_BY_SIDE`.
@@ -113,7 +123,8 @@ def rollout(
     executor = executor_for(simulator, policies, executor)
     named: dict[Key, Policy] = {**{name: make_driver(name, config) for name in BASELINES}, **policies}
     packed = {key: pack(key if isinstance(key, str) else key[0], policy) for key, policy in named.items()}
-    emitting = dataclasses.replace(config, emit=tuple(record))
+    emits = {"number" if name in (VEHICLE_SPANS, VEHICLE_REWARD) else name: None for name in record}
+    emitting = dataclasses.replace(config, emit=tuple(emits))
     setup = Setup(packed, emitting, simulator, workers, tuple(record), side_by_side or SIDE_BY_SIDE, surrogate)
     if executor == "batch" and isinstance(plays, Sequence):
         plays = sorted(plays, key=lambda play: (play.policy, play.train_seed))

@@ -39,7 +39,7 @@ TOY = [
 ]
 """Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
 TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"]
-TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team", "algo.value_norm=popart"]
+TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team", "algo.value_norm=popart"]
 """What a run may hold besides networks: statistics of value targets, and the uncommanded episodes beside it."""
 DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
 LEVELS = ["levels.draw=prioritised", "levels.kept=2", "levels.share=0.7"]
