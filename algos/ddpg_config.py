@@ -66,7 +66,7 @@ class DDPGConfig(AlgoConfig):
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
-            none was given.
+            none was given. With ``action=speed`` it is always what was chosen.
         save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without
             it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
     """

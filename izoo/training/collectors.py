@@ -25,7 +25,7 @@ from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
-from izoo.envs.config import STEP
+from izoo.envs.config import SPEED, STEP
 from izoo.envs.twin.twin_backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.gpu import check_gpu
@@ -264,7 +264,7 @@ def _check_decisions(config: TrainConfig) -> None:
         f"algo={algo.name}": algo.candidates > 1,
         f"action={config.action.name}": config.action.name in ("advise", "residual"),
         "algo.credit=team": getattr(algo, "credit", "agent") == "team",
-        "algo.stores=applied": getattr(algo, "stores", "commanded") == "applied",
+        "algo.stores=applied": getattr(algo, "stores", "commanded") == "applied" and config.env.action != SPEED,
         "levels.draw=prioritised": config.levels.draw == "prioritised",
     }
     for option, chosen in by_step.items():
