@@ -1,4 +1,4 @@
-"""Which parts of a learner help? Each is taken away or changed by itself, and compared on the same unseen approaches.
+"""When should agents decide, what should be taken from their returns, and whom should they be paid for?
 
 ``python -m izoo.benchmarks.ablation`` trains every row of :data:`~izoo.benchmarks.ablation_options.ROWS` with several
 seeds, one run after the other, and plays each policy on the twin, in the same contexts with the same episode seeds. It
@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.benchmarks.ablation_options import REFERENCE, ROWS, SETTING, AblationConfig
+import numpy as np
+
+from izoo.benchmarks.ablation_options import BASELINES, REFERENCE, REWARDS, ROWS, SCOPES, SETTING, AblationConfig
 from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
@@ -24,7 +27,9 @@ if TYPE_CHECKING:
     from izoo.metrics.summary import Summary
     from izoo.results.rollout import Play
 
-FIGURE_FILE = "ablation.png"
+FIGURE_FILE, CURVES_FOLDER = "ablation.png", "curves"
+SHOWN = ("co2_saved", "delay_change_s")
+"""Curves of the figure."""
 TASK = "busy lane, not trained on"
 UNTRAINED = "untrained"
 SCRIPTED = ("human", "uncommanded", "cap_0.6", "glide")
@@ -41,15 +46,14 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
 
     from izoo.benchmarks.comparing import write_summaries
     from izoo.metrics.summary import summarise
-    from izoo.report import plots, tables
-    from izoo.training.plots import draw, save
+    from izoo.report import tables
 
     folder = Path(config.out)
     bench = Bench(config, folder)
     bench.play()
     summary = summarise(bench.table, reference=REFERENCE)
     write_summaries(folder, [summary])
-    save(draw([plots.forest(tables.entries(summary))]), folder / FIGURE_FILE)
+    draw_curves(folder, config.chosen)
     console = Console()
     if config.verbose:
         tables.print_summary(summary, verbose=True, console=console)
@@ -92,11 +96,7 @@ class Bench:
 
     def options(self, name: str, seed: int) -> TrainConfig:
         """Return the options of a row's training run."""
-        from izoo.benchmarks.training_runs import TRAIN_FOLDER
-
-        start = ROWS[name].start
-        path = None if start is None else str(self.folder / TRAIN_FOLDER / start / f"seed{seed}")
-        return dataclasses.replace(self._of_row(name), seed=seed, start=path)
+        return dataclasses.replace(self._of_row(name), seed=seed)
 
     @functools.cache  # noqa: B019 - a bench lives as long as its command
     def _of_row(self, name: str) -> TrainConfig:
@@ -111,7 +111,8 @@ class Bench:
         """Return the environment that a row's policies are compared in."""
         from izoo.results.rollout import evaluated
 
-        env = self.options(name, 0).env
+        env = self.options(name if name in ROWS else REFERENCE, 0).env
+        env = env.with_accelerations() if name in SCRIPTED else env
         return evaluated(dataclasses.replace(env, horizon_s=self.config.horizon_s, emit=()))
 
     def play(self) -> None:
@@ -135,17 +136,36 @@ class Bench:
         from izoo.results.rollout import missing
         from izoo.training import checkpoint, runs
 
-        key, begins_others = (name, seed), name in {row.start for row in ROWS.values()}
+        key = (name, seed)
         if not self.runs.is_trained(key):
-            if not begins_others and not missing(self.store, self._plays(name, seed), "twin"):
+            if not missing(self.store, self._plays(name, seed), "twin"):
                 return  # the run went once it was compared
             print(f"\n{name}, seed {seed}", flush=True)
             self.runs.train(key)
         path = checkpoint.find(self.runs.run_dir(key))
         known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
         self._play(name, seed, runs.load_policy(path), kind="trained", **known)
-        if not self.config.keep_runs and not begins_others:
+        self._keep_curve(name, seed)
+        if not self.config.keep_runs:
             shutil.rmtree(self.runs.run_dir(key), ignore_errors=True)
+
+    def _keep_curve(self, name: str, seed: int) -> None:
+        """Write the validations of a run, by how many decisions it had learned from."""
+        from izoo.training.records import MetricsTable
+        from izoo.training.runs import METRICS_FILE
+        from izoo.training.validation import VALIDATION_FILE
+
+        run_dir = self.runs.run_dir((name, seed))
+        measured = MetricsTable.read(run_dir / METRICS_FILE)
+        validated = MetricsTable.read(run_dir / VALIDATION_FILE)
+        decided = dict(zip(measured.series("frames")[0], np.cumsum(measured.series("agent_rows")[1]), strict=True))
+        curve = self.folder / CURVES_FOLDER / f"{name}-seed{seed}.csv"
+        curve.parent.mkdir(exist_ok=True)
+        kept = MetricsTable(curve)
+        for row in validated.rows:
+            frames = int(row["frames"])
+            values = {f: float(row[f]) for f in SHOWN if row.get(f)}
+            kept.append({"frames": frames, "decisions": float(decided[frames]), **values})
 
     def _plays(self, name: str, seed: int) -> list[Play]:
         from izoo.results.rollout import Play
@@ -157,11 +177,40 @@ class Bench:
         from izoo.results.policies import as_policy
         from izoo.results.rollout import play_missing
 
-        env = self.env(name if name in ROWS else REFERENCE)
+        env = self.env(name)
         named = as_policy(given, env, name)
         self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
         options = {"task": TASK, "workers": self.config.threads or usable_cores()}
         play_missing(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
+
+
+def draw_curves(folder: Path, names: Sequence[str]) -> None:
+    """Draw what was saved against decisions: a panel per reward and figure, a line per scope and baseline."""
+    from izoo.training import plots
+    from izoo.training.records import MetricsTable
+
+    charts = []
+    for (reward, (said, _)), column in itertools.product(REWARDS.items(), SHOWN):
+        series = []
+        for name in (name for name in names if name.endswith(reward)):
+            scope, baseline, _ = name.split("-")
+            colour = plots.PALETTE[list(SCOPES).index(scope)]
+            tables = [MetricsTable.read(path) for path in sorted(folder.glob(f"{CURVES_FOLDER}/{name}-seed*.csv"))]
+            lines = [tuple(map(np.array, (t.series("decisions")[1], t.series(column)[1]))) for t in tables]
+            label = f"{SCOPES[scope][0]}, {BASELINES[baseline][0]}"
+            mark = {"colour": colour, "dash": ("-", "--", ":")[list(BASELINES).index(baseline)]}
+            between = plots.band(lines)
+            if between is not None:
+                x, lowest, mean, highest = between
+                series.append(plots.Series(x, mean, label, "band", lowest, highest, colour))
+                series.append(plots.Series(x, mean, label, **mark))
+            else:
+                series += [plots.Series(x, y, label, **mark) for x, y in lines]
+        if series:
+            title = "CO2 saved (%)" if column == SHOWN[0] else "added delay (s)"
+            charts.append(plots.Chart(f"{column}-{reward}", f"{title}, {said}", series, "decisions"))
+    if charts:
+        plots.save(plots.draw(charts, columns=2), folder / FIGURE_FILE)
 
 
 def last_of(words: Sequence[str]) -> list[str]:
@@ -181,11 +230,11 @@ def verdict(summary: Mapping[str, Any]) -> str:
 
 COMMAND = OptionCommand(
     name="benchmarks.ablation",
-    summary="Take parts of a learner away one by one, and compare what is left on approaches that nobody trained on.",
+    summary="Compare when CVs decide, the baseline of their returns and their reward, on approaches not trained on.",
     examples=(
         "izoo.benchmarks.ablation out=ablation",
-        "izoo.benchmarks.ablation rows=[no_kl,prioritised] seeds=4 out=ablation",
-        "izoo.benchmarks.ablation rows=[td3,ddpg] seeds=1 num_contexts=6 'train=[\"total_frames=9600\"]' out=quick",
+        "izoo.benchmarks.ablation rows=[every_8_s-paired-own,per_vehicle-learned-own] out=ablation",
+        "izoo.benchmarks.ablation rows=[every_2_s-paired-own] seeds=1 num_contexts=6 'train=[\"total_frames=9600\"]'",
     ),
     config="izoo.benchmarks.ablation_options:AblationConfig",
     work="izoo.benchmarks.ablation:run",

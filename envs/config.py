@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 from izoo.contexts.features import OBSERVED, check_observed
@@ -173,6 +174,11 @@ class EnvConfig:
                 f"{what} commands accelerations in every step, and env.decide is {self.decide} and env.action "
                 f"{self.action}; set env.decide=step and env.action=acceleration{instead}."
             )
+
+    def with_accelerations(self, hold_s: float | None = None) -> EnvConfig:
+        """Return the same environment, in which accelerations are commanded in every step, or every ``hold_s``."""
+        changes = {"decide": STEP, "hold_s": hold_s, "action": ACCELERATION, "action_parts": WHOLE_WAY}
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     @property
     def action_size(self) -> int:

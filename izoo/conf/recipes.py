@@ -21,13 +21,22 @@ BUSY_LANE = (
     "contexts.lane_length_m=250..500",
     "simulator=twin",
     "twin.surrogate=compiled",
-    "action=advise",
-    "env.hold_s=2",
     "env.num_agents=32",
     "env.num_vehicles=128",
     "evaluation.contexts=16",
+    "evaluation.seeds=1",
 )
-"""One-lane approaches near capacity, where smooth driving helps most; the simulator and the action that suit them."""
+"""One-lane approaches near capacity, where smooth driving helps most, and the simulator that suits them."""
+ADVISED = (*BUSY_LANE, "action=advise", "env.hold_s=2")
+"""The same, advised every 2 s."""
+ONCE = (
+    "action=speed",
+    "env.action=speed",
+    "env.action_parts=[speed_before,speed_behind]",
+    "env.decide=vehicle",
+    "env.reward=fuel",
+)
+"""A CV chooses two desired speeds when it enters: before the stop line, and behind it."""
 GLIDE_SEARCH = (
     "contexts.adoption=[0.1,0.3333333333333333,1.0]",
     "simulator=twin",
@@ -54,9 +63,29 @@ GLIDE_SEARCH = (
 """The settings of glide, searched by what whole teams are paid: 20 generations of 32 contexts for each of 16 rules."""
 RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     "busy_lane": (
-        "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",
+        "one-lane approaches near capacity, on the twin; every CV chooses its speed once: what make train trains",
         (
             *BUSY_LANE,
+            *ONCE,
+            "num_envs=64",
+            "algo=ppo",
+            "algo.control_variate=vehicle",
+            "algo.frames_per_batch=3000",
+            "algo.epochs=6",
+            "algo.lr=2e-3",
+            "algo.separate_clips=true",
+            "algo.max_grad_norm=1",
+            "total_frames=75000",
+            "validation.every_batches=5",
+            "validation.contexts=32",
+            "validation.seeds=1",
+            "validation.simulator=twin",
+        ),
+    ),
+    "busy_lane_imitation": (
+        "the same approaches; the policy imitates glide, every 2 s",
+        (
+            *ADVISED,
             "num_envs=32",
             "algo=ppo",
             "algo.warm_start=glide",
@@ -90,10 +119,10 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
             *GLIDE_SEARCH,
         ),
     ),
-    "from_scratch": (
+    "busy_lane_search": (
         "the same approaches; linear policies are searched by what whole teams are paid",
         (
-            *BUSY_LANE,
+            *ADVISED,
             "num_envs=256",
             "env.reward=fuel_team",
             "env.neighbours=[leader]",

@@ -8,7 +8,6 @@ or each vehicle's (:func:`izoo.algos.decisions.shaped`).
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -26,7 +25,7 @@ from izoo.algos.mappo import TEAM_BASELINE
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
-from izoo.envs.config import ACCELERATION, STEP, WHOLE_WAY, EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.frame import TEAM_REWARD, TOTALS
 from izoo.envs.mdp.tally import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
@@ -193,7 +192,7 @@ def _by_step(env: EnvConfig) -> EnvConfig:
     if env.decide == STEP:
         return env
     hold_s = max(round(PAID_EVERY_S / env.step_s), 1) * env.step_s
-    return dataclasses.replace(env, decide=STEP, hold_s=hold_s, action=ACCELERATION, action_parts=WHOLE_WAY)
+    return env.with_accelerations(hold_s)
 
 
 class Paired:

@@ -229,7 +229,7 @@ def test_time_left_follows_from_what_was_measured() -> None:
 
 def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
     config = GeneralizationConfig(
-        algos=("recipe:from_scratch", "ppo"),
+        algos=("recipe:busy_lane_search", "ppo"),
         frames=1000,
         train_simulator="twin",
         num_envs=8,
@@ -237,7 +237,7 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
         scale="small",
     ).resolved()
     entries = {entry.name: entry for entry in config.entries()}
-    recipe = entries["from_scratch"]
+    recipe = entries["busy_lane_search"]
     run = train_config(config, make_plan(config), recipe, 2)
     assert (run.algo.name, run.action.name, run.simulator, run.seed) == ("cmaes", "advise", "twin", 2)
     assert run.total_frames == 1_990_000, "a recipe brings its length"
@@ -248,15 +248,15 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
     assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=(), drain_s=600.0)
     assert evaluation_env(config, recipe).hold_s == 2.0
     assert evaluation_env(config, entries["ppo"]).hold_s is None
-    untrained = entries["from_scratch_untrained"]
+    untrained = entries["busy_lane_search_untrained"]
     assert (untrained.kind, untrained.algo, untrained.options) == ("untrained", "cmaes", recipe.options)
-    assert [len(config.seeds_of(entries[name])) for name in ("from_scratch", "ppo_untrained", "uncommanded")] == [
+    assert [len(config.seeds_of(entries[name])) for name in ("busy_lane_search", "ppo_untrained", "uncommanded")] == [
         4,
         1,
         1,
     ]
-    with pytest.raises(IzooError, match="from_scratch"):
-        parse_entry("recipe:from_scrach")
+    with pytest.raises(IzooError, match="busy_lane_search"):
+        parse_entry("recipe:busy_lane_serch")
 
 
 def test_a_policy_that_ships_is_an_entry_with_its_own_environment() -> None:

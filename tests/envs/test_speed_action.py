@@ -191,11 +191,29 @@ def test_what_is_asked_for_is_said() -> None:
         env.step(share_for_all(0.5, parts=2)(env.reset(context=one_lane(), seed=1)))
 
 
-def test_speeds_between_0_and_the_least_share_are_the_least() -> None:
+def test_speeds_below_the_least_share_are_the_least() -> None:
     """What is below the bounds of the action is cut to them, as accelerations are."""
     config = speeds(horizon_s=80.0)
-    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.0))
+    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.01))
     for ours, theirs in zip(low, lower, strict=True):
         assert ours.keys() == theirs.keys()
         for number, place in theirs.items():
             assert ours[number] == pytest.approx(place, abs=1e-3)
+
+
+@pytest.mark.parametrize("decide", ["step", "vehicle"])
+@pytest.mark.parametrize("share", [0.0, -0.2, 1.2])
+def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float, decide: str) -> None:
+    with contextlib.closing(EcoDrivingEnv(config=speeds(decide=decide), worker=0, simulator="twin")) as env:
+        state = env.reset(context=one_lane(), seed=1)
+        while not state["agents", "mask"].any():
+            state = env.step(share_for_all(0.5)(state))["next"]
+        with pytest.raises(IzooError, match=r"desired speeds of \[.*above 0 and up to 1"):
+            env.step(share_for_all(share)(state))
+        wrong = share_for_all(share)(state)
+        wrong["agents", "defer"] = state["agents", "mask"]
+        state = env.step(wrong)["next"].exclude(("agents", "reward"))
+        others = share_for_all(0.5)(state)
+        others["agents", "action"][~state["agents", "mask"]] = share
+        others["agents", "defer"] = torch.zeros_like(state["agents", "mask"])
+        env.step(others)
