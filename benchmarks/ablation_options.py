@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from izoo.conf.recipes import BUSY_LANE
+from izoo.conf.recipes import BUSY_LANE, ONCE
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
 from izoo.files import expanded
 
@@ -14,11 +14,11 @@ SETTING = (
     *BUSY_LANE,
     "num_envs=64",
     "num_workers=1",
-    "action=speed",
-    "env.action=speed",
+    *ONCE,
     "algo=ppo",
     "algo.epochs=6",
-    "algo.lr=2e-3",
+    "algo.lr=5e-3",
+    "algo.activation=relu",
     "algo.separate_clips=true",
     "algo.max_grad_norm=1",
     "validation.contexts=48",
@@ -30,15 +30,15 @@ SETTING = (
     "twin.compare_every=0",
 )
 """What all rows share: PPO chooses desired speeds on the approaches of ``recipe=busy_lane``."""
-_PER_VEHICLE = ("total_frames=90000", "algo.frames_per_batch=3000", "validation.every_batches=5")
-_PER_STEP = ("total_frames=192000", "algo.frames_per_batch=16000", "validation.every_batches=2")
+_PER_VEHICLE = ("total_frames=61440", "algo.frames_per_batch=1536", "validation.every_batches=8")
+_PER_STEP = ("env.decide=step", "total_frames=163840", "algo.frames_per_batch=4096", "validation.every_batches=8")
 SCOPES = {
-    "per_vehicle": ("a vehicle decides once", ("env.decide=vehicle", *_PER_VEHICLE)),
+    "per_vehicle": ("a vehicle decides once", _PER_VEHICLE),
     "every_8_s": ("every 8 s", ("env.hold_s=8", "algo.gamma=0.97", *_PER_STEP)),
     "every_2_s": ("every 2 s", ("env.hold_s=2", *_PER_STEP)),
     "every_half_s": ("every 0.5 s", ("env.hold_s=0.5", "algo.gamma=0.998", *_PER_STEP)),
 }
-"""When a CV decides. Deciding in steps makes some ten times as many decisions of the frames."""
+"""When a CV decides. Deciding in steps makes some twelve times as many decisions."""
 BASELINES = {
     "paired": ("the same vehicle uncommanded", ("algo.control_variate=vehicle",)),
     "learned": ("a learned value", ()),

@@ -31,6 +31,7 @@ ADVISED = (*BUSY_LANE, "action=advise", "env.hold_s=2")
 """The same, advised every 2 s."""
 ONCE = (
     "action=speed",
+    "action.initial=0.75",
     "env.action=speed",
     "env.action_parts=[speed_before,speed_behind]",
     "env.decide=vehicle",
@@ -70,13 +71,14 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
             "num_envs=64",
             "algo=ppo",
             "algo.control_variate=vehicle",
-            "algo.frames_per_batch=3000",
+            "algo.frames_per_batch=1536",
             "algo.epochs=6",
-            "algo.lr=2e-3",
+            "algo.lr=5e-3",
+            "algo.activation=relu",
             "algo.separate_clips=true",
             "algo.max_grad_norm=1",
-            "total_frames=75000",
-            "validation.every_batches=5",
+            "total_frames=61440",
+            "validation.every_batches=10",
             "validation.contexts=32",
             "validation.seeds=1",
             "validation.simulator=twin",
@@ -136,7 +138,13 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
 }
 """What each recipe is for, and its words."""
-_CHOICES = ("algo", "action", "contexts", "env.reward")
+_CHOICES = {
+    "algo": ("algo",),
+    "action": ("action", "env.action", "env.action_parts", "env.decide"),
+    "contexts": ("contexts",),
+    "env.reward": ("env.reward",),
+}
+"""Options that another choice takes the place of, with all that stand below them."""
 
 
 def recipe_words(name: str) -> tuple[str, ...]:
@@ -162,7 +170,7 @@ def with_recipe(words: Sequence[str]) -> list[str]:
         return others
     words = recipe_words(named[-1].removeprefix(RECIPE).strip("'\""))
     said = {word.partition("=")[0] for word in others}
-    replaced = [group for group in _CHOICES if group in said]
+    replaced = [option for group, options in _CHOICES.items() if group in said for option in options]
     kept = [
         word
         for word in words
