@@ -196,16 +196,15 @@ def draw_curves(folder: Path, names: Sequence[str]) -> None:
             scope, baseline, _ = name.split("-")
             colour = plots.PALETTE[list(SCOPES).index(scope)]
             tables = [MetricsTable.read(path) for path in sorted(folder.glob(f"{CURVES_FOLDER}/{name}-seed*.csv"))]
-            lines = [tuple(map(np.array, (t.series("decisions")[1], t.series(column)[1]))) for t in tables]
+            lines = [(np.array(t.series("decisions")[1]), np.array(t.series(column)[1])) for t in tables]
             label = f"{SCOPES[scope][0]}, {BASELINES[baseline][0]}"
-            mark = {"colour": colour, "dash": ("-", "--", ":")[list(BASELINES).index(baseline)]}
+            dash = ("-", "--", ":")[list(BASELINES).index(baseline)]
             between = plots.band(lines)
             if between is not None:
                 x, lowest, mean, highest = between
                 series.append(plots.Series(x, mean, label, "band", lowest, highest, colour))
-                series.append(plots.Series(x, mean, label, **mark))
-            else:
-                series += [plots.Series(x, y, label, **mark) for x, y in lines]
+                lines = [(x, mean)]
+            series += [plots.Series(x, y, label, colour=colour, dash=dash) for x, y in lines]
         if series:
             title = "CO2 saved (%)" if column == SHOWN[0] else "added delay (s)"
             charts.append(plots.Chart(f"{column}-{reward}", f"{title}, {said}", series, "decisions"))

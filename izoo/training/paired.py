@@ -251,14 +251,15 @@ class Paired:
         }
         self._still_paid = of_level  # those of episodes that have ended are not asked for again
         for part in (batch, batch.get("next")):
-            mask, numbers = part.get(MASK), part.get(NUMBERS)[..., :1].expand(part.get(MASK).shape)
-            steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1)
-            decision = torch.div(steps.long() + self.hold_steps - 1, self.hold_steps, rounding_mode="floor")
-            vehicle, decision = part.get(NUMBER)[mask].numpy(), decision.expand(mask.shape)[mask].numpy()
-            found, numbers = np.zeros(len(vehicle), np.float32), numbers[mask].numpy()
+            mask = part.get(MASK)
+            steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1).long()
+            decision = torch.div(steps + self.hold_steps - 1, self.hold_steps, rounding_mode="floor")
+            whole = (part.get(NUMBERS)[..., :1], part.get(NUMBER), decision)
+            episode, vehicle, now = (leaf.expand(mask.shape)[mask].numpy() for leaf in whole)
+            found = np.zeros(len(vehicle), np.float32)
             for number, level in levels.items():
-                here = numbers == number
-                found[here] = of_level[level].of(vehicle[here], decision[here])
+                here = episode == number
+                found[here] = of_level[level].of(vehicle[here], now[here])
             potential = torch.zeros(*mask.shape, 1)
             potential[mask] = torch.from_numpy(found).unsqueeze(-1)
             part.set(POTENTIAL, potential)
