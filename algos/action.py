@@ -1,4 +1,4 @@
-"""What the action of a learned policy stands for: ``action=direct``, ``speed``, ``advise`` or ``residual``."""
+"""What the action of a learned policy stands for: ``action=direct``, ``speed``, ``arrive`` and others."""
 
 from __future__ import annotations
 
@@ -104,9 +104,47 @@ class SpeedAction:
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        initial = {"initial_accel_mps2": self.initial, "initial_spread": self.spread}
-        known = {name: value for name, value in initial.items() if hasattr(config, name)}
-        return build(dataclasses.replace(config, **known), features, self.slowest, 1.0, size=env.action_size)
+        begun = _begun(config, self.initial, self.spread)
+        return build(begun, features, self.slowest, 1.0, size=env.action_size)
+
+
+@dataclass(frozen=True)
+class ArriveAction:
+    """The policy's action says how late in a green the vehicle is to arrive, and how slowly it is to drive behind it.
+
+    That is carried out as two desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
+    takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+
+    Attributes:
+        name: the action mode.
+        slowest: no desired speed is a smaller share of the limit.
+        initial: the untrained policy's median of both numbers; 0 is early and at the limit, 1 late and slow.
+        spread: standard deviation of an untrained normal policy before the tanh.
+    """
+
+    name: Literal["arrive"] = "arrive"
+    slowest: float = 0.2
+    initial: float = 0.25
+    spread: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_types("action", self)
+        check_range("action.slowest", self.slowest, MIN_SHARE, 0.9)
+        check_range("action.initial", self.initial, 0.01, 0.99)
+        check_range("action.spread", self.spread, *SPREADS)
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes."""
+        from izoo.algos.arrival import Arrival, Arriving
+
+        learned = build(_begun(config, self.initial, self.spread), features, 0.0, 1.0, size=2)
+        return Arriving(learned, Arrival(env, self.slowest))
+
+
+def _begun(config: Any, initial: float, spread: float) -> Any:
+    """Return an algorithm's options with the median and the spread of its untrained policy."""
+    values = {"initial_accel_mps2": initial, "initial_spread": spread}
+    return dataclasses.replace(config, **{name: value for name, value in values.items() if hasattr(config, name)})
 
 
 @dataclass(frozen=True)
@@ -204,4 +242,4 @@ def _applied(config: Any, env: EnvConfig) -> AppliedAcceleration | None:
     return AppliedAcceleration(env) if _stores_applied(config) else None
 
 
-ActionConfig = DirectAction | SpeedAction | AdviseAction | ResidualAction
+ActionConfig = DirectAction | SpeedAction | ArriveAction | AdviseAction | ResidualAction

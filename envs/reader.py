@@ -122,7 +122,8 @@ class FrameReader:
         sources += [self.tensors[name] for name in self._root_keys]
         self._sources = [tensor.numpy() for tensor in sources]
         self.action_shape = torch.Size((*self.agents_batch, config.action_size))
-        self._action = self.tensors["action"]
+        self._action = self.tensors["action"][..., : config.action_size]
+        self.tensors["action"][..., config.action_size :] = 1.0
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
         self.observations: Observations = Copies(arrays["observation"])
 

@@ -33,11 +33,11 @@ ONCE = (
     "action=speed",
     "action.initial=0.75",
     "env.action=speed",
-    "env.action_parts=[speed_before,speed_behind]",
+    "env.action_parts=[speed_before]",
     "env.decide=vehicle",
     "env.reward=fuel",
 )
-"""A CV chooses two desired speeds when it enters: before the stop line, and behind it."""
+"""A CV chooses a desired speed for its way to the stop line when it enters."""
 GLIDE_SEARCH = (
     "contexts.adoption=[0.1,0.3333333333333333,1.0]",
     "simulator=twin",

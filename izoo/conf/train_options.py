@@ -11,7 +11,7 @@ from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
-from izoo.envs.config import SPEED, STEP, EnvConfig
+from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range, check_types
 from izoo.files import expanded
@@ -303,13 +303,14 @@ class TrainConfig:
 
     def _fit_action(self) -> None:
         """Let the environment take what the policy's actions stand for."""
-        speeds = self.action.name == "speed"
-        if speeds and self.env.action != SPEED:
-            object.__setattr__(self, "env", dataclasses.replace(self.env, action=SPEED))
-        elif not speeds and self.env.action == SPEED:
+        name, env = self.action.name, self.env
+        parts = BEFORE_AND_BEHIND if name == "arrive" else env.action_parts
+        if name in ("speed", "arrive"):
+            object.__setattr__(self, "env", dataclasses.replace(env, action=SPEED, action_parts=parts))
+        elif env.action == SPEED:
             raise IzooError(
                 f"env.action=speed takes desired speeds, but the policy's actions are those of action="
-                f"{self.action.name}; choose action=speed, or env.action=acceleration."
+                f"{name}; choose action=speed or arrive, or env.action=acceleration."
             )
 
     def _credit_the_team(self) -> None:

@@ -217,3 +217,21 @@ def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float,
         others["agents", "action"][~state["agents", "mask"]] = share
         others["agents", "defer"] = torch.zeros_like(state["agents", "mask"])
         env.step(others)
+
+
+@pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
+@pytest.mark.parametrize("decide", ["step", "vehicle"])
+def test_a_speed_before_the_line_alone_leaves_everybody_alone_behind_it(simulator: str, decide: str) -> None:
+    both = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before", "speed_behind"))
+    before = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before",))
+
+    def one_behind(state: TensorDictBase) -> TensorDictBase:
+        share = share_for_all(0.5)(state)["agents", "action"]
+        state["agents", "action"] = torch.cat([share, torch.ones_like(share)], -1)
+        return state
+
+    expected, found = (
+        motion(episode(simulator, one_lane(), config, act))
+        for config, act in ((both, one_behind), (before, share_for_all(0.5)))
+    )
+    assert expected == found and any(expected)
