@@ -23,7 +23,7 @@ from izoo.conf.mapping import to_mapping
 from izoo.console import duration
 from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
-from izoo.metrics.summary import Summary
+from izoo.metrics.summary import TRAINING, Summary
 from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, Policy, missing, play_missing
 from izoo.results.store import Store
@@ -35,7 +35,7 @@ from izoo.training.records import MetricsTable
 CURVES_FILE = "learning_curves.png"
 MAY_DIFFER = ("out", "num_workers", "runs_at_once", "cache", "human_vehicles", "trained_in", "verbose")
 """Options that change no number (but for rounding, where a run has fewer cores)."""
-MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "eval_seeds", "floors_mps", *SWEPT)
+MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "train_contexts", "eval_seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
 
 
@@ -72,6 +72,8 @@ class Campaign:
         self.entries = config.entries()
         self.plan = make_plan(config)
         self.tests = {self.plan.task: self.plan.test}
+        if self.plan.seen:
+            self.tests[self.plan.task + TRAINING] = self.plan.seen
         if config.human_vehicles:
             as_humans = [context.replace(cv_vehicle="human") for context in self.plan.test]
             self.tests[f"{self.plan.task}, human vehicles"] = as_humans
@@ -95,7 +97,7 @@ class Campaign:
         if self.config.simulator == "twin":
             for env in self.envs.values():
                 twin_backend.check_settings(env)
-            check_contexts(self.plan.test)
+            check_contexts([*self.plan.test, *self.plan.seen])
 
     def jobs(self) -> list[Job]:
         """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""

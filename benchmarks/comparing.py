@@ -13,7 +13,7 @@ from yaml import YAMLError
 
 from izoo.errors import IzooError
 from izoo.files import read_text, write_json, write_text
-from izoo.metrics.summary import Summary, summarise
+from izoo.metrics.summary import TRAINING, Summary, summarise_task
 from izoo.report.tables import headline, print_summary
 from izoo.results.store import check_same
 from izoo.training.runs import plain_yaml
@@ -52,7 +52,7 @@ def check_settings(
 
 def summaries(table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
     """Sum up tasks of a table, each by itself."""
-    return [summarise(table[table["task"] == task]) for task in tasks]
+    return [summarise_task(table, task) for task in tasks if not task.endswith(TRAINING)]
 
 
 def write_summaries(folder: Path, found: Sequence[Summary]) -> None:

@@ -15,7 +15,7 @@ from izoo.files import check_folder
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, pair
 from izoo.metrics.paper_form import paper_form
-from izoo.metrics.summary import summarise
+from izoo.metrics.summary import TRAINING, summarise
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
 from izoo.training.records import MetricsTable
@@ -35,6 +35,7 @@ class Evaluation:
         task: what was tested.
         folder: where it lies.
         table: its rows, of one task and one simulator.
+        trained_on: rows of the same policies on contexts of their training.
         manifest: what is known of how they came to be.
         run: the folder of the training run that it belongs to.
     """
@@ -43,13 +44,14 @@ class Evaluation:
     task: str
     folder: Path
     table: pd.DataFrame = field(repr=False)
+    trained_on: pd.DataFrame = field(repr=False)
     manifest: Manifest
     run: Path | None = None
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """:func:`izoo.metrics.summary.summarise` of the table."""
-        return summarise(self.table)
+        return summarise(self.table, trained_on=self.trained_on)
 
     @property
     def policies(self) -> list[str]:
@@ -121,14 +123,17 @@ def _evaluations(folder: Path, run: Path | None, partial: bool) -> list[Evaluati
         )
     if "sumo" in set(table["simulator"]):
         table = table[table["simulator"] == "sumo"]
-    found, tasks = [], sorted(table["task"].unique(), key=lambda task: task != manifest.task)
+    parts = {str(task): rows for task, rows in table.groupby("task")}
+    tasks = sorted((task for task in parts if not task.endswith(TRAINING)), key=lambda task: task != manifest.task)
+    found = []
     for task in tasks:
-        rows = table[table["task"] == task]
+        rows = parts[task]
         lacking = [baseline for baseline in BASELINES if baseline not in set(rows["policy"])]
         if lacking:
             raise IzooError(f"{folder} has no rows of {' and '.join(lacking)}; evaluate again with out={folder}.")
-        name = str(task) if len(tasks) > 1 else folder.resolve().name
-        found.append(Evaluation(name, str(task), folder, rows, manifest, run))
+        name = task if len(tasks) > 1 else folder.resolve().name
+        trained_on = parts.get(task + TRAINING, rows.iloc[:0])
+        found.append(Evaluation(name, task, folder, rows, trained_on, manifest, run))
     return found
 
 

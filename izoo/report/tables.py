@@ -163,11 +163,11 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    first = headline(summary)
-    for table in [first, *details(summary)] if verbose else [first.first(FIRST_ROWS)]:
-        console.print(table.rich(console.width))
-    if not verbose and len(first.rows) > FIRST_ROWS:
-        console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)
+    shown = [*_tables(summary), *(details(summary) if verbose else ())]
+    for table in shown:
+        console.print((table if verbose else table.first(FIRST_ROWS)).rich(console.width))
+    if not verbose and len(shown[0].rows) > FIRST_ROWS:
+        console.print(f"The first {FIRST_ROWS} of {len(shown[0].rows)} rows; -v shows all.", highlight=False)
     for text in (counts(summary), *cautions(summary), summary["verdict"]):
         console.print(Text(plain(text)))
 
@@ -175,9 +175,14 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
 def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
     """Return what :func:`print_summary` prints, in Markdown."""
     parts = []
-    for table in headline(summary), *(details(summary) if verbose else ()):
+    for table in [*_tables(summary), *(details(summary) if verbose else ())]:
         parts += [f"{_marked(table.title)}:", table.markdown()]
     return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
+
+
+def _tables(summary: Mapping[str, Any]) -> list[Table]:
+    """The tables that are always shown."""
+    return [headline(summary), *([gaps(summary)] if summary["gaps"] else [])]
 
 
 def headline(summary: Mapping[str, Any]) -> Table:
@@ -234,6 +239,24 @@ def entry_row(summary: Mapping[str, Any], name: str) -> Row:
     cells += [figure_cell(entry, SAVED, HUMAN, block), _shares(entry, block)]
     label = name + (f" ({entry['train_seeds']} seeds)" if entry.get("train_seeds", 0) > 1 else "")
     return Row(label, (*cells, *(figure_cell(entry, f, UNCOMMANDED, block) for f in BESIDE)))
+
+
+def gaps(summary: Mapping[str, Any]) -> Table:
+    """Return the CO2 saved on training contexts and on test contexts, and how much more it is on the former."""
+    figure, rows = FIGURES[SAVED], []
+    for name in ranking(summary):
+        if name in summary["gaps"]:
+            gap, block = summary["gaps"][name], summary["block"]
+            sides = (
+                _estimate(gap["training"], figure),
+                figure_cell(summary["entries"][name], SAVED, UNCOMMANDED, block),
+            )
+            rows.append(Row(name, (*sides, _estimate(gap["gap"], figure, "points"))))
+    return Table(
+        f"Generalisation gap, {figure.label} over {UNCOMMANDED}",
+        ("entry", "training contexts", "test contexts", "gap"),
+        (("", tuple(rows)),),
+    )
 
 
 def details(summary: Mapping[str, Any]) -> list[Table]:

@@ -67,6 +67,22 @@ def test_a_larger_limit_contains_a_smaller_one() -> None:
     assert hashes(limit_contexts(contexts, 0)) == hashes(contexts)
 
 
+def test_training_contexts_are_played_where_something_is_trained() -> None:
+    cities, boxes = (
+        [
+            make_plan(GeneralizationConfig(protocol=protocol, train_contexts=count).resolved()).seen  # type: ignore[arg-type]
+            for count in (3, 5)
+        ]
+        for protocol in ("in_distribution", "systematicity")
+    )
+    trained_on = hashes(protocols.in_distribution().train)  # type: ignore[arg-type]
+    for few, more in (cities, boxes):
+        assert len(few) == 3 and len(more) == 5 and set(hashes(few)) < set(hashes(more))
+    assert set(hashes(cities[1])) < set(trained_on)
+    nothing = ({"train_contexts": 0}, {"algos": ("glide",)}, {"form": "paper", "train": "boston"})
+    assert all(make_plan(GeneralizationConfig(**options).resolved()).seen == [] for options in nothing)  # type: ignore[arg-type]
+
+
 def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-untyped-def]
     import os
 
