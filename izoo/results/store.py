@@ -1,4 +1,7 @@
-"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with."""
+"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with.
+
+In ``rows.csv`` a blank line follows the header and each episode, so that one that was cut short is seen and left out.
+"""
 
 from __future__ import annotations
 
@@ -272,18 +275,19 @@ def _refuse_earlier(folder: Path) -> None:
 def _lines(rows: Iterable[Row], header: bool) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([COLUMNS] * header)
+    if header:
+        writer.writerows([COLUMNS, ()])
     writer.writerows([row[column] for column in COLUMNS] for row in rows)
+    writer.writerow(())
     return text.getvalue()
 
 
 def _read_rows(path: Path) -> tuple[bool, list[Row]]:
-    """Return whether a table is whole, and its rows; of one that was cut short the last episode is left out."""
+    """Return whether a table is whole, and its rows without those of an episode that was cut short."""
     try:
         text = read_text(path)
-        whole = text.endswith("\n")
         raw = pd.read_csv(
-            io.StringIO(text[: text.rfind("\n") + 1]),
+            io.StringIO(text[: text.rfind("\n\n") + 1] or text),
             float_precision="round_trip",
             dtype={**dict.fromkeys(TEXT, str), **dict.fromkeys(WHOLE, "Int64")},
             keep_default_na=False,  # a policy may be called "null", an intersection "NA"
@@ -296,11 +300,8 @@ def _read_rows(path: Path) -> tuple[bool, list[Row]]:
         raise IzooError(
             f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
         )
-    if not whole and len(raw):
-        last = raw[list(EPISODE)].iloc[-1]
-        raw = raw[(raw[list(EPISODE)] != last).any(axis=1)]
     raw = raw.drop_duplicates(list(KEY), keep="last")[list(COLUMNS)].astype(object)
-    return whole, raw.where(raw.notna(), None).to_dict("records")
+    return text.endswith("\n\n"), raw.where(raw.notna(), None).to_dict("records")
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
