@@ -1,6 +1,6 @@
 """How fast environments run, beside bare libsumo on the same network, demand and machine.
 
-``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400 out=FILE``
+``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400``
 
 Rows of the twin hold many environments in this process, in one or several threads; they play the same episodes over
 and over, and are collected in shorter batches the more there are of them.
@@ -22,7 +22,7 @@ import contextlib
 import statistics
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Literal
 
@@ -30,13 +30,11 @@ from izoo.benchmarks.stopwatch import CHUNK
 from izoo.commands.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.errors import IzooError, check_range
-from izoo.files import expanded, write_json
 
 if TYPE_CHECKING:
     from izoo.benchmarks.throughput_plan import Sample
 
 ROUNDS = 3
-PROFILED_ENVS = 64
 Scenario = Literal["light", "medium", "heavy"]
 
 
@@ -49,10 +47,9 @@ class ThroughputConfig:
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round; a multiple of 200, as collectors are timed in such
             batches.
-        twin_envs: environments on the twin, a row for each number; the last also with compiled CO2, with a policy, and
-            with resets; empty: no such rows.
+        twin_envs: environments on the twin, a row for each number; the last also with compiled CO2 and with a policy;
+            empty: no such rows.
         twin_threads: threads of the twin, rows for each number.
-        out: also write the rows as JSON to this file.
     """
 
     scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
@@ -60,7 +57,6 @@ class ThroughputConfig:
     steps: int = 400
     twin_envs: tuple[int, ...] = (1, 16, 256, 128)
     twin_threads: tuple[int, ...] = (1, 2)
-    out: str | None = None
 
     def __post_init__(self) -> None:
         check_range("workers", self.workers, 1, 1024)
@@ -151,44 +147,21 @@ def print_tables(rows: Sequence[Row]) -> None:
         console.print(table)
 
 
-def profile(config: ThroughputConfig) -> list[dict[str, float]]:
-    """Measure and print where a step of the twin goes, in one thread, scenario after scenario."""
-    from izoo.benchmarks import twin_parts
-    from izoo.benchmarks.throughput_plan import scenarios
-
-    envs = min(max(config.twin_envs), PROFILED_ENVS)
-    rows: list[dict[str, float]] = []
-    for surrogate in ("torch", "compiled"):
-        contexts = [scenarios()[name] for name in config.scenarios]
-        found = [twin_parts.measure(context, envs, CHUNK, CHUNK, surrogate=surrogate) for context in contexts]
-        title = (
-            f"where a step of the twin goes, us per environment step: {', '.join(config.scenarios)}; {surrogate} CO2"
-        )
-        twin_parts.print_table(title, found)
-        rows += found
-    return rows
-
-
 def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
-    """Measure, print the tables, and write the rows where they are wanted."""
+    """Measure, and print the tables."""
     print("Loading torch and SUMO.", flush=True)
     twins = [(envs, threads) for threads in config.twin_threads for envs in config.twin_envs if threads <= envs]
     rows = measure(config.scenarios, config.workers, config.steps, twins)
     print_tables(rows)
-    parts = profile(config) if twins else []
-    if config.out is not None:
-        content = {"workers": config.workers, "rows": [asdict(row) for row in rows], "twin_parts": parts}
-        write_json(expanded(config.out), content)
     return rows
 
 
 COMMAND = OptionCommand(
     name="benchmarks.throughput",
     summary="Measure how fast environments run, beside bare libsumo on the same network, demand and machine.",
-    examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4 out=rates.json"),
+    examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4"),
     config="izoo.benchmarks.throughput:ThroughputConfig",
     work="izoo.benchmarks.throughput:run",
-    check="izoo.benchmarks.result_file:check_out",
 )
 main = COMMAND.main
 

@@ -1,4 +1,4 @@
-"""What a step of the twin costs, and where it goes: used by the speed benchmarks."""
+"""What a step of the twin costs, and where it goes: used by the scaling benchmark."""
 
 from __future__ import annotations
 
@@ -97,20 +97,18 @@ def measure(
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
-    """Print rows of :func:`measure` for people, beside bare libsumo where they have it."""
+    """Print rows of :func:`measure`."""
     from rich.console import Console
     from rich.table import Table
 
-    columns = {"environments": "envs", "vehicles": "vehicles", "bare_us": "bare", "whole_us": "twin"}
+    columns = {"environments": "envs", "vehicles": "vehicles", "whole_us": "twin"}
     columns |= {f"{part}_us": heading for part, heading in PARTS.items()} | {"kilobytes": "kB each"}
     shown = [name for name in columns if any(name in row for row in rows)]
     table = Table(title=title, title_justify="left")
-    for name in [*shown, *(["ratio"] if "bare_us" in shown else [])]:
-        table.add_column(columns.get(name, name), justify="right")
+    for name in shown:
+        table.add_column(columns[name], justify="right")
     for row in rows:
-        cells = [f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown]
-        ratio = [f"{row['bare_us'] / row['whole_us']:.1f}"] if "bare_us" in row else []
-        table.add_row(*cells, *ratio)
+        table.add_row(*(f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown))
     Console().print(table)
 
 

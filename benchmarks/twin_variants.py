@@ -1,4 +1,4 @@
-"""Rows of the throughput benchmark on the twin: batches as training collects them, and whole episodes with resets."""
+"""Rows of the throughput benchmark on the twin: batches as training collects them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ from typing import Literal
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.base import ACTION
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.stopwatch import CHUNK
-from izoo.benchmarks.throughput_plan import AGENT_SLOTS, SAMPLE_STEPS, VEHICLE_STEPS, Plan, Sample
+from izoo.benchmarks.throughput_plan import VEHICLE_STEPS, Plan, Sample
 from izoo.conf.train_options import TrainConfig, TrainingTwinConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import episode_seed
-from izoo.envs import EnvConfig
-from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.mdp.frame import TOTALS
-from izoo.envs.twin_env import TwinEnv
 from izoo.training.collectors import BatchSource
 
 TWIN_ROWS = 4096
@@ -81,51 +77,6 @@ class OnTwin:
         torch.manual_seed(0)
         policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
         return BatchSource(options, policy, self)
-
-    def close(self) -> None:
-        pass
-
-
-RESET_EPISODES = 2
-
-
-@dataclass
-class OnTwinWithResets:
-    """Whole episodes of the default length on the twin, with the resets between them; CVs accelerate fully.
-
-    Args:
-        plan: whose contexts are played.
-        envs, threads: of the twin.
-        surrogate: what computes CO2.
-    """
-
-    plan: Plan
-    envs: int
-    threads: int
-    surrogate: Literal["torch", "compiled"] = "torch"
-
-    def play(self, scenario: int) -> Sample:
-        """Time the episodes after the first reset up to the last one's end."""
-        config, context = EnvConfig(emit=(), num_agents=AGENT_SLOTS), self.plan.contexts[scenario]
-        action = torch.full((self.envs, config.num_agents, 1), ACTION_HIGH_MPS2)
-        agents = vehicle_steps = before = 0.0
-        steps = 0
-        made = TwinEnv(self.envs, context, config=config, threads=self.threads, surrogate=self.surrogate)
-        with contextlib.closing(made) as env:
-            state = env.reset()
-            totals = env.frames["episode_metrics"]
-            begin = time.perf_counter()
-            for _ in range(RESET_EPISODES * config.control_steps):
-                state.set(ACTION, action)
-                _, state = env.step_and_maybe_reset(state)
-                if steps % SAMPLE_STEPS == 0:
-                    agents += SAMPLE_STEPS * float(env.frames["mask"].sum())
-                seen = float(totals[:, VEHICLE_STEPS].sum())
-                vehicle_steps += before if seen < before else 0.0  # all episodes have ended, and others begun
-                before, steps = seen, steps + 1
-            elapsed = time.perf_counter() - begin
-        played = steps * self.envs
-        return Sample(played / elapsed, agents / elapsed, vehicle_steps / played, agents / played)
 
     def close(self) -> None:
         pass

@@ -24,8 +24,9 @@ from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.bare_variants import Bare, BareSideBySide
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
 from izoo.benchmarks.throughput_plan import SAMPLE_STEPS, VEHICLE_STEPS, Plan, Sample, Variant
-from izoo.benchmarks.twin_variants import OnTwin, OnTwinWithResets
+from izoo.benchmarks.twin_variants import OnTwin
 from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.console import counted
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
@@ -38,12 +39,12 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
 
     Args:
         plan: what is played.
-        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate,
-            with a policy, and with whole episodes and the resets between them (with either surrogate).
+        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate, and
+            with a policy.
     """
     lean = plan.env(emit=())
     last = {threads: (envs, threads) for envs, threads in twins}.values()
-    several = f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'}"
+    several = counted(plan.workers, "worker")
     return {
         "bare libsumo": Bare(plan),
         f"{several}, bare libsumo": BareSideBySide(plan),
@@ -57,18 +58,11 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
         **{_twin_label(*twin): OnTwin(plan, *twin, policy=FullAcceleration()) for twin in twins},
         **{f"{_twin_label(*twin)}, compiled CO2": OnTwin(plan, *twin, "compiled", FullAcceleration()) for twin in last},
         **{f"{_twin_label(*twin)}, PPO": OnTwin(plan, *twin) for twin in last},
-        **{f"{_twin_label(*twin)}, with resets": OnTwinWithResets(plan, *twin) for twin in last},
-        **{
-            f"{_twin_label(*twin)}, compiled CO2, with resets": OnTwinWithResets(plan, *twin, "compiled")
-            for twin in last
-        },
     }
 
 
 def _twin_label(envs: int, threads: int) -> str:
-    return f"twin, {envs} {'environment' if envs == 1 else 'environments'}" + (
-        f", {threads} threads" if threads > 1 else ""
-    )
+    return f"twin, {counted(envs, 'environment')}" + (f", {threads} threads" if threads > 1 else "")
 
 
 class Single:
