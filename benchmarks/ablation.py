@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,14 +21,13 @@ if TYPE_CHECKING:
     from izoo.conf.train_options import TrainConfig
     from izoo.envs.config import EnvConfig
     from izoo.metrics.summary import Summary
-    from izoo.results.rollout import Play
 
 FIGURE_FILE = "ablation.png"
 TASK = "busy lane, not trained on"
 UNTRAINED = "untrained"
 SCRIPTED = ("human", "uncommanded", "cap_0.6", "glide")
 """Rows that are not trained."""
-MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "keep_runs", "verbose"), ("seeds", "eval_seeds")
+MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "verbose"), ("seeds", "eval_seeds")
 MOST_ROWS = 6
 """Differences that are shown where not everything is asked for."""
 
@@ -119,6 +117,7 @@ class Bench:
         from izoo.benchmarks.comparing import check_settings
         from izoo.benchmarks.contestants import untrained
         from izoo.conf.mapping import to_mapping
+        from izoo.training import checkpoint, runs
 
         check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
         with self.store.open():
@@ -127,41 +126,25 @@ class Bench:
                 self._play(name, 0, name)
             for seed in range(self.config.seeds):
                 self._play(UNTRAINED, seed, untrained(self.options(REFERENCE, seed)), kind="untrained")
-            for name in self.config.chosen:
-                for seed in range(self.config.seeds):
-                    self._train_and_play(name, seed)
-
-    def _train_and_play(self, name: str, seed: int) -> None:
-        from izoo.results.rollout import missing
-        from izoo.training import checkpoint, runs
-
-        key, begins_others = (name, seed), name in {row.start for row in ROWS.values()}
-        if not self.runs.is_trained(key):
-            if not begins_others and not missing(self.store, self._plays(name, seed), "twin"):
-                return  # the run went once it was compared
-            print(f"\n{name}, seed {seed}", flush=True)
-            self.runs.train(key)
-        path = checkpoint.find(self.runs.run_dir(key))
-        known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
-        self._play(name, seed, runs.load_policy(path), kind="trained", **known)
-        if not self.config.keep_runs and not begins_others:
-            shutil.rmtree(self.runs.run_dir(key), ignore_errors=True)
-
-    def _plays(self, name: str, seed: int) -> list[Play]:
-        from izoo.results.rollout import Play
-
-        return [Play(name, seed, *episode) for episode in self.episodes]
+            for key in self.runs.wanted:
+                if not self.runs.is_trained(key):
+                    print(f"\n{key[0]}, seed {key[1]}", flush=True)
+                    self.runs.train(key)
+                path = checkpoint.find(self.runs.run_dir(key))
+                known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
+                self._play(*key, runs.load_policy(path), kind="trained", **known)
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores
         from izoo.results.policies import as_policy
-        from izoo.results.rollout import play_missing
+        from izoo.results.rollout import Play, play_missing
 
         env = self.env(name if name in ROWS else REFERENCE)
         named = as_policy(given, env, name)
         self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
         options = {"task": TASK, "workers": self.config.threads or usable_cores()}
-        play_missing(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
+        plays = [Play(name, seed, *episode) for episode in self.episodes]
+        play_missing(self.store, plays, {(name, seed): named.policy}, env, "twin", **options)
 
 
 def last_of(words: Sequence[str]) -> list[str]:

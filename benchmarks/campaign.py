@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,12 +14,10 @@ from typing import Any, Literal
 from izoo.benchmarks.comparing import check_settings, summaries, write_summaries
 from izoo.benchmarks.contestants import contestant, selected, untrained
 from izoo.benchmarks.generalization_options import SWEPT, Entry, GeneralizationConfig
-from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.side_runs import SideRuns
 from izoo.benchmarks.training_runs import Key, TrainingRuns
 from izoo.conf.mapping import to_mapping
-from izoo.console import duration
 from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
 from izoo.metrics.summary import TRAINING, Summary
@@ -88,7 +85,6 @@ class Campaign:
         self.runs = TrainingRuns(wanted, folder, owes_validation=config.select == "best")
         self._check_simulators()
         self.store = Store(folder, task=self.plan.task, config=evaluation_env(config))
-        self.pace = Pace()
 
     def _check_simulators(self) -> None:
         """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
@@ -134,24 +130,16 @@ class Campaign:
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
         with SideRuns(self.config.runs_at_once) as beside:
             for number, job in enumerate(todo):
-                left = self.pace.left([(self._pace_key(other), self._share(other)) for other in todo[number:]])
-                done = len(jobs) - len(todo) + number
-                wait = "time left unknown" if left is None else f"about {duration(left)} left"
-                print(f"\n[{done + 1}/{len(jobs)}] {job}; {wait}", flush=True)
+                print(f"\n[{len(jobs) - len(todo) + number + 1}/{len(jobs)}] {job}", flush=True)
                 if job.kind == "evaluate":
-                    begin, work = time.monotonic(), self._work(job)
                     self._evaluate(job)
-                    self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
+                elif self.config.runs_at_once == 1:
+                    self.runs.train(job.key)
                 else:
-                    if self.config.runs_at_once == 1:
-                        self.runs.train(job.key)
-                    else:
-                        self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
-                    self._note_pace(job)
+                    self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
 
     def _is_done(self, job: Job) -> bool:
         if job.kind == "train":
-            self._note_pace(job)
             return self.runs.is_trained(job.key)
         if job.entry.kind == "trained" and not self.runs.is_trained(job.key):
             return False
@@ -208,20 +196,3 @@ class Campaign:
             curves.setdefault(name, []).append(table)
         if curves:
             compare_curves(curves, self.folder / CURVES_FILE, f"{self.plan.task}: training")
-
-    def _pace_key(self, job: Job) -> tuple[str, str]:
-        return job.kind, job.entry.algo or job.entry.name
-
-    def _note_pace(self, job: Job) -> None:
-        self.pace.add(self._pace_key(job), self.runs.frames(job.key), self.runs.seconds(job.key))
-
-    def _work(self, job: Job) -> float:
-        """Environment steps of what is left of a job."""
-        if job.kind == "train":
-            return float(self.runs.left(job.key))
-        left = sum(len(missing(self.store, plays, self.config.simulator)) for plays in self._plays(job).values())
-        return float(left * self.envs[job.entry.name].decisions)
-
-    def _share(self, job: Job) -> float:
-        """Environment steps of what is left of a job, that no other job takes in at the same time."""
-        return self._work(job) / (self.config.runs_at_once if job.kind == "train" else 1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,14 +24,13 @@ if TYPE_CHECKING:
 
     from izoo.benchmarks.planner_options import PlannerConfig
     from izoo.envs import EnvConfig, TwinEnv
-    from izoo.results.rollout import Play
 
 PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
 MAY_DIFFER, MAY_GROW = ("out", "threads", "verbose"), ("adoptions", "seeds")
 AT_ONCE = 16
 """Intersections that are played side by side."""
-HEARD: list[Callable[[int], None]] = []
-"""What is told how many decisions the planner has made in an episode: a policy that is played is a copy."""
+SAY_EVERY = 50
+"""Decisions between two lines that say how far the planner is."""
 WAY_G_PER_M = 0.3
 """About what a vehicle burns per metre, with delay. A trial is paid this for the way that vehicles have driven: at its
 end more still lies ahead of those that were slowed down, and otherwise putting off would pay."""
@@ -49,7 +48,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
     from izoo.benchmarks.comparing import check_settings, show, summaries, write_summaries
     from izoo.cores import usable_cores
     from izoo.results.policies import as_policy
-    from izoo.results.rollout import Play, missing, play_missing
+    from izoo.results.rollout import Play, play_missing
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.results.store import PolicyRecord, Store
 
@@ -72,10 +71,9 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
                 plays = [Play(name, 0, *each) for each in episodes]
                 play_missing(store, plays, {name: driver.policy}, env, "twin", **options)
             store.admit({PLANNER: PolicyRecord()})
-            todo = missing(store, [Play(PLANNER, 0, *each) for each in episodes], "twin")
-            for part in shown(todo, env, task):
-                own = {"record": ("team_reward",), "progress": False, **options}
-                play_missing(store, part, {PLANNER: Planning(config)}, env, "twin", **own)
+            plays = [Play(PLANNER, 0, *each) for each in episodes]
+            own = {"record": ("team_reward",), "side_by_side": AT_ONCE, **options}
+            play_missing(store, plays, {PLANNER: Planning(config)}, env, "twin", **own)
     table, found = store.table, summaries(store.table, tasks.values())
     if folder is not None:
         write_summaries(folder, found)
@@ -83,23 +81,6 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
         show(found, verbose=True)
     print_gains(table, list(tasks.values()))
     return table
-
-
-def shown(todo: Sequence[Play], env: EnvConfig, task: str) -> Iterator[Sequence[Play]]:
-    """Yield as many plays as are played side by side, and show how far the planner is, decision by decision."""
-    from izoo.console import Progress
-
-    parts = [todo[first : first + AT_ONCE] for first in range(0, len(todo), AT_ONCE)]
-    most = -(-(env.control_steps + env.drain_steps) // env.hold_steps)
-    with Progress(len(parts) * most, unit="decisions", file=sys.stderr) as bar:
-        for number, part in enumerate(parts):
-
-            def hear(decisions: int, before: int = number * most) -> None:
-                bar.update(before + decisions, task)
-
-            HEARD.append(hear)
-            yield part
-            HEARD.remove(hear)
 
 
 def settings(config: PlannerConfig) -> EnvConfig:
@@ -170,8 +151,8 @@ class Planner:
             self.advice[rows[better], slot[better]] = tried[rows, best][better]
             self.asked[rows, slot] = float(self.decisions)
         self.decisions += 1
-        for hear in HEARD:
-            hear(self.decisions)
+        if self.decisions % SAY_EVERY == 0:
+            print(f"{PLANNER}: {self.decisions} decisions in each episode", file=sys.stderr, flush=True)
         return self._command(state, self.advice)
 
     def _tried(self, slot: Any, tried: Any) -> Any:

@@ -8,7 +8,6 @@ import shutil
 import pytest
 
 from izoo import zoo
-from izoo.benchmarks import pace
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
 from izoo.benchmarks.plan import (
     evaluation_env,
@@ -231,16 +230,6 @@ def test_the_evaluation_has_the_environment_of_the_training_but_for_its_length(p
     env = evaluation_env(config)
     assert (env.hold_s, env.neighbours, env.warmup_s) == (2.0, ("leader",), EnvConfig().warmup_s)
     assert evaluation_env(dataclasses.replace(config, train_options=("env.lane_change=true",))).lane_change
-
-
-def test_time_left_follows_from_what_was_measured() -> None:
-    clock = pace.Pace()
-    jobs = [(("train", "ppo"), 1000.0), (("train", "gcrl"), 500.0)]
-    assert clock.left(jobs) is None
-    clock.add(("train", "ppo"), 100.0, 10.0)
-    assert clock.left(jobs) == pytest.approx(150.0)
-    clock.add(("train", "gcrl"), 10.0, 10.0)
-    assert clock.left(jobs) == pytest.approx(600.0)
 
 
 def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
