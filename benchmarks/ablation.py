@@ -131,8 +131,8 @@ class Bench:
                     print(f"\n{key[0]}, seed {key[1]}", flush=True)
                     self.runs.train(key)
                 path = checkpoint.find(self.runs.run_dir(key))
-                known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
-                self._play(*key, runs.load_policy(path), kind="trained", **known)
+                known: dict[str, Any] = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
+                self._play(key[0], key[1], runs.load_policy(path), kind="trained", **known)
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores

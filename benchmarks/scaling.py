@@ -157,16 +157,16 @@ def run_twin(config: ScalingConfig) -> None:
     """Measure the twin: every world, then growing numbers of environments in one of them."""
     from izoo.benchmarks import twin_parts
 
-    contexts, options = worlds(), {"threads": config.threads, "surrogate": config.surrogate}
+    contexts, on = worlds(), (config.threads, config.surrogate)
     by_world: list[dict[str, float]] = []
     by_count: list[dict[str, float]] = []
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
-        by_world.append(twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, **options))
+        by_world.append(twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, *on))
     for count in config.counts:
         print(f"{count} environments", file=sys.stderr, flush=True)
         steps = max(config.steps // count, MANY_STEPS)
-        by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, **options))
+        by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, *on))
     about = f"surrogate {config.surrogate}, {counted(config.threads, 'thread')}"
     twin_parts.print_table(f"the twin, us per environment step, {about}", by_world)
     twin_parts.print_table(f"the twin by number of environments, {about}", by_count)

@@ -282,9 +282,9 @@ def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
     """By entry, the CO2 saved on training contexts, and how much more that is than on test contexts (points)."""
     found = {}
     for name in test.keys() & training.keys() - set(BASELINES):
-        sides = [next(iter(pairs[name].values()), None) for pairs in (training, test)]
-        if None in sides:
+        if not (test[name] and training[name]):
             continue
+        sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
         (there, _, n), (here, _, m) = (by_intersection(*_saved(paired, block)) for paired in sides)
         if there.size and here.size and len(there) == len(here):
             gap = separate_difference(there, here, n + m)
