@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
@@ -183,11 +182,5 @@ def context_rows(evaluations: tuple[Evaluation, ...]) -> dict[str, list[Any]]:
             parts.append(means.join(features).assign(policy=policy, test=evaluation.name))
     columns = ["context", "policy", "test", *FIGURES, *FEATURES, "train_seeds"]
     rows = pd.concat(parts) if parts else pd.DataFrame(columns=columns)
-    return {name: [_short(value) for value in rows[name]] for name in columns}
-
-
-def _short(value: Any) -> Any:
-    """Six digits are more than is shown, and keep the page small."""
-    if isinstance(value, str):
-        return value
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    # Six digits are more than is shown, and keep the page small.
+    return {name: [v if isinstance(v, str) else float(f"{v:.6g}") for v in rows[name]] for name in columns}

@@ -23,7 +23,7 @@ from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES, HUMAN
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.playing import RECORDS, SIDE_BY_SIDE, Job, Measured, Policy, Series, Setup
+from izoo.results.playing import RECORDS, SIDE_BY_SIDE, Measured, Play, Policy, Series, Setup
 from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
@@ -36,23 +36,6 @@ EXECUTORS = {
     "ray": "izoo.results.on_ray:OnRay",
 }
 """What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
-
-
-@dataclass(frozen=True)
-class Play:
-    """An episode to play.
-
-    Attributes:
-        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
-        train_seed: which of its training seeds; 0 where nothing was trained.
-        context: it is evaluated in; human drivers are alone in it.
-        seed: of the episode.
-    """
-
-    policy: str
-    train_seed: int
-    context: Context
-    seed: int
 
 
 class Played(NamedTuple):
@@ -256,7 +239,7 @@ class _Block:
     """A part of the plays: what the cache has of it, and what is to be played, each for one or more plays."""
 
     kept: list[Played] = field(default_factory=list)
-    jobs: list[Job] = field(default_factory=list)
+    todo: list[Play] = field(default_factory=list)
     waiting: dict[tuple[Any, ...], list[Play]] = field(default_factory=dict)
 
 
@@ -288,12 +271,12 @@ class _Rollout:
                 block = ahead
 
     def _play(self, block: _Block, ahead: _Block | None) -> Iterator[Played]:
-        if not block.jobs:
+        if not block.todo:
             return
-        for job, found in self.player.play(block.jobs, ahead.jobs if ahead else []):
-            if job.name in BASELINES:
-                self.cache.put(job.name, job.context, job.seed, found)
-            for play in block.waiting[job.id]:
+        for played, found in self.player.play(block.todo, ahead.todo if ahead else []):
+            if played.policy in BASELINES:
+                self.cache.put(played.policy, played.context, played.seed, found)
+            for play in block.waiting[played.episode]:
                 yield self._played(play, found)
 
     def _parts(self, plays: Iterable[Play]) -> Iterator[list[Play]]:
@@ -313,13 +296,11 @@ class _Rollout:
                 if found is not None:
                     block.kept.append(self._played(play, found))
                     continue
-            own = (play.policy, play.train_seed)
-            key: Key = own if own in self.setup.policies else play.policy
-            job = Job(key, play.policy, context, play.seed)
             # Contexts that differ only in what concerns CVs share their human episodes.
-            if job.id not in block.waiting:
-                block.jobs.append(job)
-            block.waiting.setdefault(job.id, []).append(play)
+            played = Play(play.policy, play.train_seed, context, play.seed)
+            if played.episode not in block.waiting:
+                block.todo.append(played)
+            block.waiting.setdefault(played.episode, []).append(play)
         return block
 
     def _played(self, play: Play, found: Measured) -> Played:

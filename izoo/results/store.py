@@ -253,7 +253,7 @@ def check_same(stored: Mapping[str, Any], wanted: Mapping[str, Any], what: str) 
         stored, wanted: the settings.
         what: the beginning of the sentence, such as ``FOLDER holds results``.
     """
-    old, new = _flat(stored), _flat(wanted)
+    old, new = flat(stored), flat(wanted)
     changed = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
     if changed:
         listed = ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in changed)
@@ -304,10 +304,11 @@ def _read_rows(path: Path) -> tuple[bool, list[Row]]:
     return text.endswith("\n\n"), raw.where(raw.notna(), None).to_dict("records")
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested values by their paths, such as ``algo.lr``."""
     found: dict[str, Any] = {}
     for key, value in values.items():
-        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
     return found
 
 
