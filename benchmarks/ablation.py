@@ -37,7 +37,8 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from rich.console import Console
 
-    from izoo.benchmarks.comparing import write_summaries
+    from izoo.benchmarks.comparing import SUMMARY_FILE
+    from izoo.files import write_json
     from izoo.metrics.summary import summarise
     from izoo.report import plots, tables
     from izoo.training.plots import draw, save
@@ -46,7 +47,7 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     bench = Bench(config, folder)
     bench.play()
     summary = summarise(bench.table, reference=REFERENCE)
-    write_summaries(folder, [summary])
+    write_json(folder / SUMMARY_FILE, [summary])
     save(draw([plots.forest(tables.entries(summary))]), folder / FIGURE_FILE)
     console = Console()
     if config.verbose:

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.benchmarks.comparing import check_settings, summaries, write_summaries
-from izoo.benchmarks.contestants import contestant, selected, untrained
+from izoo.algos.scripted import Glide, GlideConfig
+from izoo.benchmarks.comparing import check_settings, summaries
+from izoo.benchmarks.contestants import selected, untrained
 from izoo.benchmarks.generalization_options import SWEPT, Entry, GeneralizationConfig
 from izoo.benchmarks.plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.side_runs import SideRuns
@@ -121,9 +122,7 @@ class Campaign:
                 self.runs.take_over(Path(self.config.trained_in))
             self._do(self.jobs())
         self._draw_curves()
-        found = summaries(self.store.table, self.tests)
-        write_summaries(self.folder, found)
-        return found
+        return summaries(self.folder, self.store.table, self.tests)
 
     def _do(self, jobs: list[Job]) -> None:
         todo = [job for job in jobs if not self._is_done(job)]
@@ -156,8 +155,10 @@ class Campaign:
             known = {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
         elif entry.kind == "untrained":
             given = untrained(train_config(self.config, self.plan, entry, job.seed))
+        elif entry.floor_mps is not None:
+            given = Glide(env, GlideConfig(floor_mps=entry.floor_mps))
         else:
-            given = contestant(entry, env)
+            given = entry.policy
         named = as_policy(given, env, entry.name)
         if entry.seeded:
             known |= {"kind": entry.kind, "algo": entry.algo}

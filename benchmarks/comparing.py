@@ -50,14 +50,12 @@ def check_settings(
     write_text(path, OmegaConf.to_yaml(wanted))
 
 
-def summaries(table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
-    """Sum up tasks of a table, each by itself."""
-    return [summarise_task(table, task) for task in tasks if not task.endswith(TRAINING)]
-
-
-def write_summaries(folder: Path, found: Sequence[Summary]) -> None:
-    """Write summaries as JSON, a list with one for each task."""
-    write_json(folder / SUMMARY_FILE, found)
+def summaries(folder: Path | None, table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
+    """Sum up tasks of a table, each by itself, and write that into a folder, if there is one."""
+    found = [summarise_task(table, task) for task in tasks if not task.endswith(TRAINING)]
+    if folder is not None:
+        write_json(folder / SUMMARY_FILE, found)
+    return found
 
 
 def show(found: Sequence[Summary], verbose: bool = False) -> None:

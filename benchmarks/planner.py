@@ -45,7 +45,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
         IzooError: ``out`` is no folder of this command, or was made with other options.
     """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.benchmarks.comparing import check_settings, show, summaries, write_summaries
+    from izoo.benchmarks.comparing import check_settings, show, summaries
     from izoo.cores import usable_cores
     from izoo.results.policies import as_policy
     from izoo.results.rollout import Play, play_missing
@@ -74,9 +74,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
             plays = [Play(PLANNER, 0, *each) for each in episodes]
             own = {"record": ("team_reward",), "side_by_side": AT_ONCE, **options}
             play_missing(store, plays, {PLANNER: Planning(config)}, env, "twin", **own)
-    table, found = store.table, summaries(store.table, tasks.values())
-    if folder is not None:
-        write_summaries(folder, found)
+    table, found = store.table, summaries(folder, store.table, tasks.values())
     if config.verbose:
         show(found, verbose=True)
     print_gains(table, list(tasks.values()))

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from izoo.benchmarks.side_runs import Order, SideRuns
+from izoo.benchmarks.side_runs import SideRuns
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, counted
@@ -116,7 +116,7 @@ class TrainingRuns:
             while True:
                 for key in keys:
                     if beside.has_room and key not in beside:
-                        beside.begin(key, Order(*self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX)))
+                        beside.begin(key, *self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX))
                 if beside.is_done(keys[0]):
                     break
                 bar.update(total - sum(map(self.left, keys)), counted(len(beside.going), "run"))

@@ -55,7 +55,8 @@ def read_run(run_dir: Path) -> dict[str, Any]:
 
     ``state`` is ``finished``, ``unfinished`` (killed, stopped, or still running) or a reason why it cannot be read.
     """
-    row = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0, **dict.fromkeys(MEASURES)}
+    row: dict[str, Any] = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0}
+    row |= dict.fromkeys(MEASURES)
     try:
         config = runs.read_config(run_dir)
     except IzooError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,13 +132,3 @@ def test_a_green_that_yields_begins_no_queue(road: RoadNet) -> None:
     standing, gone = {1: ("A2TL_intern_2", 50.0, 0.0)}, {1: (":TL_2_0", 1.0, 3.0)}
     moments = [(71.0, standing), (71.5, standing), (72.0, standing), (72.5, standing), (73.0, gone)]
     assert of(counted(road, {1: TO_B}, *moments)) == {"passed_left_permissive": 1}
-
-
-def test_every_count_has_a_name() -> None:
-    assert list(Conduct().counts()) == list(COUNTS) and len(set(COUNTS)) == len(COUNTS)
-
-
-def test_the_handmade_net_has_a_left_turn_that_yields(tmp_path: Path) -> None:
-    clock = read_road(write_handmade(tmp_path)).clock
-    assert clock.permissive[0, 1].tolist() == [True, False, False, False, False, False]
-    assert not clock.permissive[1].any()
