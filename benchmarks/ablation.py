@@ -35,7 +35,6 @@ MOST_ROWS = 6
 def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     """Train and compare what is not there yet; print the differences, and write summary and figure."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from rich.console import Console
 
     from izoo.benchmarks.comparing import SUMMARY_FILE
     from izoo.files import write_json
@@ -49,12 +48,11 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     summary = summarise(bench.table, reference=REFERENCE)
     write_json(folder / SUMMARY_FILE, [summary])
     save(draw([plots.forest(tables.entries(summary))]), folder / FIGURE_FILE)
-    console = Console()
     if config.verbose:
-        tables.print_summary(summary, verbose=True, console=console)
+        tables.print_summary(summary, verbose=True)
     largest = sorted(summary["pairwise"], key=lambda pair: -abs(pair["difference"]["value"] or 0.0))
     shown = largest if config.verbose else largest[:MOST_ROWS]
-    console.print(tables.pairwise({**summary, "pairwise": shown}).rich(console.width))
+    tables.pairwise({**summary, "pairwise": shown}).show()
     print(f"{tables.counts(summary)} Results: {folder}")
     print(verdict(summary))
     return summary

@@ -55,11 +55,7 @@ class Job:
 
 
 class Campaign:
-    """A benchmark and its folder.
-
-    Args:
-        config: resolved options.
-        folder: the results folder.
+    """A benchmark of resolved options, and its results folder.
 
     Raises:
         IzooError: the options name something that cannot be used.

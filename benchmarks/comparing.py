@@ -8,7 +8,6 @@ from typing import Any
 
 import pandas as pd
 from omegaconf import OmegaConf
-from rich.console import Console
 from yaml import YAMLError
 
 from izoo.errors import IzooError
@@ -60,10 +59,9 @@ def summaries(folder: Path | None, table: pd.DataFrame, tasks: Iterable[str]) ->
 
 def show(found: Sequence[Summary], verbose: bool = False) -> None:
     """Print the summaries of several tasks; the first one's comes last, and its verdict ends it."""
-    console = Console()
     for summary in reversed(found[1:]):
-        console.print(headline(summary).rich(console.width))
-    print_summary(found[0], verbose, console)
+        headline(summary).show()
+    print_summary(found[0], verbose)
 
 
 def _grew(old: Any, new: Any) -> bool:

@@ -114,16 +114,15 @@ def run(config: EmissionsConfig, given: frozenset[str] = frozenset()) -> None:
     """Measure every variant and print the table."""
     print("Loading torch and the surrogates.", flush=True)
     import torch
-    from rich.console import Console
-    from rich.table import Table
+
+    from izoo.report.tables import Table
 
     torch.set_num_threads(1)
-    table = Table(title=f"batch of {config.batch}, one core, medians")
-    table.add_column("variant")
-    table.add_column("vehicles per second", justify="right")
-    for name, (call, vehicles) in variants(random_states(config.batch)).items():
-        table.add_row(name, f"{measure(call, vehicles):,.0f}")
-    Console().print(table)
+    rows = [
+        (name, f"{measure(call, vehicles):,.0f}")
+        for name, (call, vehicles) in variants(random_states(config.batch)).items()
+    ]
+    Table.of(f"batch of {config.batch}, one core, medians", ("variant", "vehicles per second"), rows).show()
 
 
 COMMAND = OptionCommand(

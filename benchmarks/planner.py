@@ -107,11 +107,8 @@ class Planning:
 class Planner:
     """Advises CVs by trial: one CV per intersection at a time, whoever has waited longest for it.
 
-    Advice holds until the next trial about the same CV, or until it has crossed the stop line.
-
-    Args:
-        world: the environments, at the beginning of their episodes; the branches are made of them.
-        config: options.
+    Advice holds until the next trial about the same CV, or until it has crossed the stop line. Branches are made of the
+    ``world``, which is at the beginning of its episodes.
     """
 
     def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
@@ -185,17 +182,16 @@ class Planner:
 
 def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
     """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
-    from rich.console import Console
 
     from izoo.metrics.pairing import UNCOMMANDED
     from izoo.metrics.summary import Summary, summarise
-    from izoo.report.tables import Cell, Row, Table, figure_cell
+    from izoo.report.tables import Cell, Table, figure_cell
 
     def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
         return figure_cell(summary["entries"][name], key, UNCOMMANDED, summary["block"])
 
     figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
-    console, rows, said = Console(), [], []
+    rows, said = [], []
     for task in tasks:
         part = table[table["task"] == task]
         said.append(f"{gained(summarise(part), PLANNER)} with {task}")
@@ -203,12 +199,9 @@ def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
             if lanes.any():
                 summary = summarise(part[lanes])
                 cells = (gained(summary, name, key) for name, key in figures)
-                rows.append(Row(f"{task}, {kind}", (str(summary["n"]["contexts"]), *cells)))
+                rows.append((f"{task}, {kind}", summary["n"]["contexts"], *cells))
     columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
-    shown = Table(
-        "What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, (("", tuple(rows)),)
-    )
-    console.print(shown.rich(console.width))
+    Table.of("What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, rows).show()
     print(f"The planner saves {', '.join(said)}; it tries one CV at a time, so more may be there to gain.")
 
 

@@ -183,8 +183,8 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     """Measure every world, and print the table."""
     print("Loading torch and SUMO.", flush=True)
     import torch
-    from rich.console import Console
-    from rich.table import Table
+
+    from izoo.report.tables import Table
 
     torch.set_num_threads(1)
     if config.simulator == "twin":
@@ -194,16 +194,13 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
         rows.append(measure(context, config.steps))
-    table = Table(title="one environment: microseconds per step")
-    headings = "vehicles", "bare libsumo", "environment", "SUMO's step", "reading", "commands", "rest", "reset ms"
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    columns = "vehicles", "bare libsumo", "environment", "SUMO's step", "reading", "commands", "rest", "reset ms"
+    lines = []
     for row in rows:
         parts = [row[f"{name}_us"] for name in _Parts.NAMES]
-        rest = row["environment_us"] - sum(parts)
-        cells = (row["bare_us"], row["environment_us"], *parts, rest)
-        table.add_row(f"{row['vehicles']:.0f}", *(f"{cell:.0f}" for cell in cells), f"{row['reset_ms']:.0f}")
-    Console().print(table)
+        cells = row["vehicles"], row["bare_us"], row["environment_us"], *parts, row["environment_us"] - sum(parts)
+        lines.append([f"{cell:.0f}" for cell in (*cells, row["reset_ms"])])
+    Table.of("one environment: microseconds per step", columns, lines).show()
     print_growth(rows, "environment_us")
 
 

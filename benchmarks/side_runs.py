@@ -67,13 +67,7 @@ class SideRuns:
         return name in self._runs
 
     def begin(self, name: Hashable, config: TrainConfig, given: frozenset[str], log: Path) -> None:
-        """Begin to train in a new process.
-
-        Args:
-            name: of the run.
-            config, given: as :func:`izoo.training.loop.train` takes them.
-            log: file that what the run says is added to.
-        """
+        """Begin :func:`izoo.training.loop.train` in a new process; what it says is added to the file ``log``."""
         self._runs[name] = _Run(config, given, log, self._free.pop())
 
     def is_done(self, name: Hashable) -> bool:

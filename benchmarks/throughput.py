@@ -19,11 +19,11 @@ medians are reported.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import statistics
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import TYPE_CHECKING, Literal
 
 from izoo.benchmarks.stopwatch import CHUNK
@@ -81,25 +81,19 @@ class Row:
     agents: float
 
 
-def measure(names: Sequence[str], workers: int, steps: int, twins: Sequence[tuple[int, int]] = ()) -> list[Row]:
-    """Measure all variants of the named scenarios, a bar on the error stream meanwhile.
-
-    Args:
-        names: of ``light``, ``medium`` and ``heavy``.
-        workers: processes of the variants that have several.
-        steps: timed steps per environment, variant and round.
-        twins: environments and threads of each row of the twin.
-    """
+def measure(config: ThroughputConfig) -> list[Row]:
+    """Measure all variants of the scenarios, with a bar on the error stream meanwhile."""
     import torch
 
     from izoo.benchmarks.throughput_plan import Plan, scenarios
     from izoo.benchmarks.variants import make_variants
 
     torch.set_num_threads(1)
-    plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, workers, steps)
+    names, twins = config.scenarios, itertools.product(config.twin_threads, config.twin_envs)
+    plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, config.workers, config.steps)
     rows = []
     with contextlib.ExitStack() as stack:
-        variants = make_variants(plan, twins)
+        variants = make_variants(plan, [(envs, threads) for threads, envs in twins if threads <= envs])
         for variant in variants.values():
             stack.callback(variant.close)
         played = 0
@@ -128,30 +122,26 @@ def _rows(scenario: str, samples: dict[str, list[Sample]]) -> list[Row]:
 
 
 def print_tables(rows: Sequence[Row]) -> None:
-    """Print the rows for people, a table per scenario."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
+    """Print the rows, a table per scenario."""
+    from izoo.report.tables import Table
 
-    console = Console()
-    for scenario, group in groupby(rows, lambda row: row.scenario):
-        table = Table(
-            title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
-        )
-        table.add_column("variant")
-        for heading in ("env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"):
-            table.add_column(heading, justify="right", no_wrap=True)
-        for row in group:
-            rates = f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"
-            table.add_row(row.variant, *rates, f"{row.vehicles:.0f}", f"{row.agents:.0f}")
-        console.print(table)
+    columns = "variant", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"
+    for scenario, group in itertools.groupby(rows, lambda row: row.scenario):
+        lines = [
+            (
+                row.variant,
+                *(f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"),
+                *(f"{row.vehicles:.0f}", f"{row.agents:.0f}"),
+            )
+            for row in group
+        ]
+        Table.of(f"{scenario}: medians of {ROUNDS} rounds", columns, lines).show()
 
 
 def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
     """Measure, and print the tables."""
     print("Loading torch and SUMO.", flush=True)
-    twins = [(envs, threads) for threads in config.twin_threads for envs in config.twin_envs if threads <= envs]
-    rows = measure(config.scenarios, config.workers, config.steps, twins)
+    rows = measure(config)
     print_tables(rows)
     return rows
 

@@ -37,7 +37,6 @@ STEPS_FILE = "steps.jsonl"
 def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
-    from rich.console import Console
 
     from izoo.benchmarks import ladder
     from izoo.benchmarks.few_vehicles import compare_few
@@ -80,10 +79,8 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     write_json(out / "ladder.json", {**about, **rows, "same_order": ladder.same_order(gained)})
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
     ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
-    console = Console()
-    for table in ladder.tables(found) if config.verbose else ():
-        console.print(table.rich(console.width))
-    console.print(ladder.headline(compared, gained).rich(console.width))
+    for table in [*(ladder.tables(found) if config.verbose else ()), ladder.headline(compared, gained)]:
+        table.show()
     print(f"Results: {out}\n{ladder.verdict(compared, gained)}", flush=True)
     return out
 

@@ -98,18 +98,13 @@ def measure(
 
 def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
     """Print rows of :func:`measure`."""
-    from rich.console import Console
-    from rich.table import Table
+    from izoo.report.tables import Table
 
     columns = {"environments": "envs", "vehicles": "vehicles", "whole_us": "twin"}
     columns |= {f"{part}_us": heading for part, heading in PARTS.items()} | {"kilobytes": "kB each"}
     shown = [name for name in columns if any(name in row for row in rows)]
-    table = Table(title=title, title_justify="left")
-    for name in shown:
-        table.add_column(columns[name], justify="right")
-    for row in rows:
-        table.add_row(*(f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown))
-    Console().print(table)
+    lines = [[f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown] for row in rows]
+    Table.of(title, [columns[name] for name in shown], lines).show()
 
 
 def _kilobytes(backend: Any) -> float:

@@ -41,9 +41,7 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
     """Return every variant by the name of its row; the first is what the others are compared with.
 
     Args:
-        plan: what is played.
-        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate, and
-            with a policy.
+        twins: environments and threads of each row of the twin; the last also with compiled CO2, and with a policy.
     """
     lean = plan.env(emit=())
     last = {threads: (envs, threads) for envs, threads in twins}.values()

@@ -27,15 +27,11 @@ Curves = dict[str, list[tuple[MetricsTable, MetricsTable | None]]]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A table of results.
+    """The rows of a task in a results folder, played on one simulator.
 
     Attributes:
         name: how the report calls it.
-        task: what was tested.
-        folder: where it lies.
-        table: its rows, of one task and one simulator.
         trained_on: rows of the same policies on contexts of their training.
-        manifest: what is known of how they came to be.
         run: the folder of the training run that it belongs to.
     """
 
@@ -70,14 +66,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that a report shows.
-
-    Attributes:
-        title: of the page.
-        evaluations: of the folder.
-        curves: metrics and validations of the training runs of every choice.
-        facts: label and text of what describes the results.
-    """
+    """Everything that a report shows: its title, evaluations, learning curves, and facts with their labels."""
 
     title: str
     evaluations: tuple[Evaluation, ...] = ()

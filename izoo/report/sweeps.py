@@ -17,7 +17,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
 from izoo.report.report_data import EVALUATIONS
-from izoo.report.tables import SAVED, Cell, Row, Table, compared
+from izoo.report.tables import SAVED, Cell, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
 from izoo.training import plots, runs
 from izoo.training.records import MetricsTable
@@ -112,7 +112,7 @@ def report(folder: Path, console: Console | None = None) -> Path:
     choices = choices.reset_index()
     console = console or Console()
     shown = options[: max(1, console.width // CHARACTERS_PER_OPTION)]
-    console.print(_shown(choices, shown).rich(console.width))
+    _shown(choices, shown).show(console)
     if len(shown) < len(options):
         more = f"{len(options)} options differ, of which {len(shown)} are shown"
         console.print(f"  {more}; {SWEEP_FILE} has all, in the same rows.", highlight=False)
@@ -141,10 +141,10 @@ def _shown(choices: pd.DataFrame, options: Sequence[str]) -> Table:
             Cell(None if pd.isna(line[name]) else line[name], unit=MEASURES[name][1], signed=name != "return")
             for name in measures
         ]
-        rows.append(Row(str(number), (*cells, f"{line['hours_per_run']:.2f}")))
+        rows.append((number, *cells, f"{line['hours_per_run']:.2f}"))
     names = (path.replace(".", ".\n") for path in options)
     headings = ("row", *names, "done", *(MEASURES[name][0] for name in measures), "h per run")
-    return Table(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, (("", tuple(rows)),))
+    return Table.of(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, rows)
 
 
 def _evaluated(run_dir: Path) -> float | None:

@@ -12,14 +12,7 @@ from izoo.results.playing import EpisodeFailed, Measured, Play, Setup, measured,
 
 
 class Batch:
-    """Plays blocks of episodes of one policy, which acts on a batch ``[N]`` as on each of its rows.
-
-    Args:
-        setup: policies and settings.
-
-    Attributes:
-        size: episodes of a block, at most.
-    """
+    """Plays blocks of at most ``size`` episodes of one policy, which acts on a batch ``[N]`` as on each of its rows."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup, self.size = setup, setup.side_by_side
@@ -28,15 +21,7 @@ class Batch:
         self._begun = 0
 
     def play(self, plays: Sequence[Play], ahead: Sequence[Play] = ()) -> Iterator[tuple[Play, Measured]]:
-        """Play a block until its last episode has ended; meanwhile the episodes of the next one are prepared.
-
-        Args:
-            plays: of one policy.
-            ahead: the next block.
-
-        Raises:
-            EpisodeFailed: an episode failed.
-        """
+        """Play episodes of one policy until the last has ended; meanwhile those of the block ahead are prepared."""
         policy = self.setup.policy(plays[0])
         try:
             env = self._env_of(plays, ahead)

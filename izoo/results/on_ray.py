@@ -29,11 +29,7 @@ class RemotePlayer:
 
 
 class OnRay:
-    """Plays episodes in processes of a Ray cluster, each on a core; they wait for one where too few are free.
-
-    Args:
-        setup: policies and settings.
-    """
+    """Plays episodes in processes of a Ray cluster, each on a core; they wait for one where too few are free."""
 
     size: int | None = None
 

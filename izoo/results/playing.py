@@ -172,14 +172,7 @@ def play(
 
 
 def measured(env: EcoDrivingBase, context: Context, series: Series, index: int = 0) -> Measured:
-    """Return what the episode that has ended in an environment came to.
-
-    Args:
-        env: the environments.
-        context: which was played.
-        series: what was recorded.
-        index: which environment.
-    """
+    """Return what the episode that has ended in the environment number ``index`` came to."""
     road = env.backend.scene(index).road
     approaches: list[list[float]] = env.frames["approach_metrics"][index].tolist()
     whole = dict(zip(EPISODE_COLUMNS, env.frames["episode_metrics"][index].tolist(), strict=True))

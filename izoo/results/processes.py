@@ -31,11 +31,7 @@ ATTEMPTS = 2
 
 
 class Processes:
-    """Plays episodes in worker processes of this machine; with 0 of them, in this process.
-
-    Args:
-        setup: policies and settings.
-    """
+    """Plays episodes in worker processes of this machine; with 0 of them, in this process."""
 
     size: int | None = None
 

@@ -39,13 +39,7 @@ EXECUTORS = {
 
 
 class Played(NamedTuple):
-    """An episode that was played.
-
-    Attributes:
-        play: what was asked for.
-        rows: of the table, one per scored approach.
-        series: what was recorded, ``[decisions]`` float32 by name.
-    """
+    """An episode that was played: a row per scored approach, and what was recorded, ``[decisions]`` by name."""
 
     play: Play
     rows: list[Row]

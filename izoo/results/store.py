@@ -118,10 +118,7 @@ class Store:
 
     @contextlib.contextmanager
     def open(self, policies: Mapping[Key, PolicyRecord] | None = None) -> Iterator[Store]:
-        """Read what is there and keep other processes out; the folder is complete once the block ends without an error.
-
-        Args:
-            policies: those about to be played (:meth:`admit`).
+        """Read what is there, :meth:`admit` policies, and keep other processes out; the end of the block completes it.
 
         Raises:
             IzooError: the folder was written with other settings or by another version, or another process works in it.
