@@ -135,15 +135,12 @@ class Bench:
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores
-        from izoo.results.policies import as_policy
-        from izoo.results.rollout import Play, play_missing
+        from izoo.results.rollout import play_policy
 
         env = self.env(name if name in ROWS else REFERENCE)
-        named = as_policy(given, env, name)
-        self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
-        options = {"task": TASK, "workers": self.config.threads or usable_cores()}
-        plays = [Play(name, seed, *episode) for episode in self.episodes]
-        play_missing(self.store, plays, {(name, seed): named.policy}, env, "twin", **options)
+        own: dict[str, Any] = {"name": name, "train_seed": seed, "known": known}
+        workers = self.config.threads or usable_cores()
+        play_policy(self.store, given, self.episodes, env, "twin", task=TASK, workers=workers, **own)
 
 
 def last_of(words: Sequence[str]) -> list[str]:

@@ -47,10 +47,9 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.benchmarks.comparing import check_settings, show, summaries
     from izoo.cores import usable_cores
-    from izoo.results.policies import as_policy
-    from izoo.results.rollout import Play, play_missing
+    from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
-    from izoo.results.store import PolicyRecord, Store
+    from izoo.results.store import Store
 
     contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
@@ -64,16 +63,11 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
             here = [context.replace(adoption=adoption) for context in contexts]
             store.keep_contexts(here)
             episodes = [(context, seed) for context in here for seed in seeds.of(context)]
-            options = {"task": task, "workers": config.threads or usable_cores()}
+            options: dict[str, Any] = {"task": task, "workers": config.threads or usable_cores()}
             for name in BESIDE:
-                driver = as_policy(name, env)
-                store.admit({name: driver.record})
-                plays = [Play(name, 0, *each) for each in episodes]
-                play_missing(store, plays, {name: driver.policy}, env, "twin", **options)
-            store.admit({PLANNER: PolicyRecord()})
-            plays = [Play(PLANNER, 0, *each) for each in episodes]
-            own = {"record": ("team_reward",), "side_by_side": AT_ONCE, **options}
-            play_missing(store, plays, {PLANNER: Planning(config)}, env, "twin", **own)
+                play_policy(store, name, episodes, env, "twin", **options)
+            options |= {"name": PLANNER, "record": ("team_reward",), "side_by_side": AT_ONCE}
+            play_policy(store, Planning(config), episodes, env, "twin", **options)
     table, found = store.table, summaries(folder, store.table, tasks.values())
     if config.verbose:
         show(found, verbose=True)

@@ -12,12 +12,12 @@ import dataclasses
 import statistics
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.benchmarks.stopwatch import clocked, seconds_per_step
 from izoo.commands.option_command import OptionCommand
 from izoo.console import counted
 from izoo.errors import check_range
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 SETTLE_STEPS = 400
 RESETS = 7
+PARTS = ("advance", "read", "command_speeds")
+"""Of a step in SUMO: methods of its session."""
 MIDDLE, MANY_STEPS = 3, 50
 """The world with some 60 vehicles, and the timed steps of the largest number of environments."""
 
@@ -112,45 +114,19 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             _, state = env.step_and_maybe_reset(state)
             vehicles.append(len(simulator.names.members))
 
-        parts = _Parts(simulator)
-        whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, parts.begin)
+        seconds = dict.fromkeys(PARTS, 0.0)
+        for name in PARTS:
+            setattr(simulator.session, name, clocked(getattr(simulator.session, name), seconds, name))
+        whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, lambda: seconds.update(dict.fromkeys(PARTS, 0.0)))
         return {
             "vehicles": float(np.mean(vehicles[SETTLE_STEPS:])),
             "bare_us": bare,
             "environment_us": whole,
-            **parts.means_us(steps),
+            **{f"{name}_us": 1e6 * spent / steps for name, spent in seconds.items()},
             "reset_ms": 1e3 * statistics.median(resets),
         }
     finally:
         env.close()
-
-
-class _Parts:
-    """Clocks around the parts of a simulator's step."""
-
-    NAMES = ("advance", "read", "command_speeds")
-
-    def __init__(self, simulator: Any) -> None:
-        self.seconds = dict.fromkeys(self.NAMES, 0.0)
-        for name in self.NAMES:
-            setattr(simulator.session, name, self._clocked(name, getattr(simulator.session, name)))
-
-    def begin(self) -> None:
-        """Forget what came before."""
-        self.seconds = dict.fromkeys(self.NAMES, 0.0)
-
-    def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*args: Any) -> Any:
-            begin = time.perf_counter()
-            result = call(*args)
-            self.seconds[name] += time.perf_counter() - begin
-            return result
-
-        return run
-
-    def means_us(self, steps: int) -> dict[str, float]:
-        """Return microseconds per step by part."""
-        return {f"{name}_us": 1e6 * seconds / steps for name, seconds in self.seconds.items()}
 
 
 def run_twin(config: ScalingConfig) -> None:
@@ -197,7 +173,7 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     columns = "vehicles", "bare libsumo", "environment", "SUMO's step", "reading", "commands", "rest", "reset ms"
     lines = []
     for row in rows:
-        parts = [row[f"{name}_us"] for name in _Parts.NAMES]
+        parts = [row[f"{name}_us"] for name in PARTS]
         cells = row["vehicles"], row["bare_us"], row["environment_us"], *parts, row["environment_us"] - sum(parts)
         lines.append([f"{cell:.0f}" for cell in (*cells, row["reset_ms"])])
     Table.of("one environment: microseconds per step", columns, lines).show()

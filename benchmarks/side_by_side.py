@@ -99,11 +99,7 @@ class SideBySide:
         environments: list[Any] = [self._sumo, self._twin]
         config = self._sumo.config
         counted = config.hold_steps == 1
-        with (
-            torch.random.fork_rng(devices=[]),
-            set_exploration_type(ExplorationType.DETERMINISTIC),
-            torch.no_grad(),
-        ):
+        with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
             states = [env.reset(context=context, seed=seed) for env in environments]
             for decision in range(1, config.decisions + 1):
                 step = min(decision * config.hold_steps, config.control_steps)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.benchmarks.stopwatch import clocked, seconds_per_step
 from izoo.envs.mdp.tally import EPISODE_METRICS
 
 PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP", "play": "all three"}
@@ -18,28 +17,19 @@ _CALLS = {"drive_all": "drive", "conclude_all": "conclude", "play_all": "play"}
 
 
 @contextlib.contextmanager
-def clocked(backend: Any) -> Iterator[dict[str, float]]:
+def clocks_around(backend: Any) -> Iterator[dict[str, float]]:
     """Put clocks around the parts of a backend's steps; seconds add up in the dictionary. For one thread."""
     from izoo.envs.twin import twin_backend
 
     seconds = dict.fromkeys(PARTS, 0.0)
 
-    def clock(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*args: Any) -> Any:
-            begin = time.perf_counter()
-            result = call(*args)
-            seconds[part] += time.perf_counter() - begin
-            return result
-
-        return run
-
     before = {name: getattr(twin_backend, name) for name in _CALLS}
     emitters = backend._emitters
     try:
         for name, part in _CALLS.items():
-            setattr(twin_backend, name, clock(part, before[name]))
+            setattr(twin_backend, name, clocked(before[name], seconds, part))
         for emitter in emitters:
-            emitter.emit = clock("emit", emitter.emit)
+            emitter.emit = clocked(emitter.emit, seconds, "emit")
         yield seconds
     finally:
         for name, call in before.items():
@@ -80,7 +70,7 @@ def measure(
 
         clocks: contextlib.AbstractContextManager[dict[str, float]] = contextlib.nullcontext({})
         if threads == 1:
-            clocks = clocked(env.backend)
+            clocks = clocks_around(env.backend)
         with clocks as seconds:
             for _ in range(settle):
                 step()

@@ -97,13 +97,7 @@ def test_how_a_queue_leaves(road: RoadNet) -> None:
     at_s = dict(enumerate([73.0, 75.5, 77.5, 79.0, 81.0, 83.5]))
     moments = [(time_s, leaving(at_s, time_s)) for time_s in np.arange(70.0, 90.0, 0.5).tolist()]
     found = of(counted(road, dict.fromkeys(at_s, TO_C), *moments))
-    assert found == {
-        "passed_straight_priority": 6,
-        "queues": 1,
-        "start_up_s": 1.0,
-        "headways": 2,
-        "headway_s": 4.5,
-    }
+    assert found == {"passed_straight_priority": 6, "queues": 1, "start_up_s": 1.0, "headways": 2, "headway_s": 4.5}
     said = rates(dict.fromkeys(COUNTS, 0.0) | found)
     assert said["saturation_flow_vph"] == 1600.0 and said["start_up_lag_s"] == 1.0 and said["passed"] == 6
     assert math.isnan(rates(dict.fromkeys(COUNTS, 0.0))["start_up_lag_s"])

@@ -9,14 +9,7 @@ import pytest
 
 from izoo import zoo
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
-from izoo.benchmarks.plan import (
-    evaluation_env,
-    evaluation_seeds,
-    limit_contexts,
-    make_plan,
-    place_name,
-    train_config,
-)
+from izoo.benchmarks.plan import evaluation_env, evaluation_seeds, limit_contexts, make_plan, place_name, train_config
 from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
