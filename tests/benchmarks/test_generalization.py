@@ -197,14 +197,6 @@ def test_a_checkpoint_of_another_observation_is_refused(
     assert str(features) in said and str(features + 1) in said and "observ" in said
 
 
-def test_an_evaluation_that_was_cut_short_is_made_up_for(copy: Path, done: tuple[Path, Path]) -> None:
-    whole = read_table(copy)
-    lines = (copy / "rows.csv").read_text().splitlines(keepends=True)
-    (copy / "rows.csv").write_text("".join(lines[:-2]) + lines[-2][:50])
-    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 0
-    assert read_table(copy).equals(whole)
-
-
 def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(copy: Path, done: tuple[Path, Path]) -> None:
     before = read_table(copy)
     newest = checkpoint.listed(copy / "train/ppo/seed0")[-1]
