@@ -34,6 +34,7 @@ WORDS = [
     "frames=750",
     "horizon_s=100",
     "test_limit=2",
+    "train_contexts=2",
     "num_workers=0",
     "simulator=twin",
     "num_envs=2",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from pathlib import Path
 
 import pytest
+import yaml
 
+import izoo.conf
 from izoo import zoo
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
 from izoo.benchmarks.plan import evaluation_env, evaluation_seeds, limit_contexts, make_plan, place_name, train_config
@@ -25,6 +28,8 @@ def hashes(contexts) -> list[str]:  # type: ignore[no-untyped-def]
 def test_yaml_equals_dataclass() -> None:
     name = "benchmarks.generalization"
     assert compose_config(name, GeneralizationConfig, []) == GeneralizationConfig()
+    given = yaml.safe_load((Path(izoo.conf.__path__[0]) / f"{name}.yaml").read_text())
+    assert list(given) == [field.name for field in dataclasses.fields(GeneralizationConfig)], "all can be given"
 
 
 @pytest.mark.parametrize(
