@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,16 +24,16 @@ if TYPE_CHECKING:
     from izoo.conf.train_options import TrainConfig
     from izoo.envs.config import EnvConfig
     from izoo.metrics.summary import Summary
-    from izoo.results.rollout import Play
+    from izoo.training.plots import Line
 
-FIGURE_FILE, CURVES_FOLDER = "ablation.png", "curves"
+FIGURE_FILE = "ablation.png"
 SHOWN = ("co2_saved", "delay_change_s")
 """Curves of the figure."""
 TASK = "busy lane, not trained on"
 UNTRAINED = "untrained"
 SCRIPTED = ("human", "uncommanded", "cap_0.6", "glide")
 """Rows that are not trained."""
-MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "keep_runs", "verbose"), ("seeds", "eval_seeds")
+MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "verbose"), ("seeds", "eval_seeds")
 MOST_ROWS = 6
 """Differences that are shown where not everything is asked for."""
 
@@ -42,9 +41,9 @@ MOST_ROWS = 6
 def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     """Train and compare what is not there yet; print the differences, and write summary and figure."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from rich.console import Console
 
-    from izoo.benchmarks.comparing import write_summaries
+    from izoo.benchmarks.comparing import SUMMARY_FILE
+    from izoo.files import write_json
     from izoo.metrics.summary import summarise
     from izoo.report import tables
 
@@ -52,14 +51,13 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     bench = Bench(config, folder)
     bench.play()
     summary = summarise(bench.table, reference=REFERENCE)
-    write_summaries(folder, [summary])
-    draw_curves(folder, config.chosen)
-    console = Console()
+    write_json(folder / SUMMARY_FILE, [summary])
+    draw_curves(bench, folder / FIGURE_FILE)
     if config.verbose:
-        tables.print_summary(summary, verbose=True, console=console)
+        tables.print_summary(summary, verbose=True)
     largest = sorted(summary["pairwise"], key=lambda pair: -abs(pair["difference"]["value"] or 0.0))
     shown = largest if config.verbose else largest[:MOST_ROWS]
-    console.print(tables.pairwise({**summary, "pairwise": shown}).rich(console.width))
+    tables.pairwise({**summary, "pairwise": shown}).show()
     print(f"{tables.counts(summary)} Results: {folder}")
     print(verdict(summary))
     return summary
@@ -120,6 +118,7 @@ class Bench:
         from izoo.benchmarks.comparing import check_settings
         from izoo.benchmarks.contestants import untrained
         from izoo.conf.mapping import to_mapping
+        from izoo.training import checkpoint, runs
 
         check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
         with self.store.open():
@@ -128,77 +127,37 @@ class Bench:
                 self._play(name, 0, name)
             for seed in range(self.config.seeds):
                 self._play(UNTRAINED, seed, untrained(self.options(REFERENCE, seed)), kind="untrained")
-            for name in self.config.chosen:
-                for seed in range(self.config.seeds):
-                    self._train_and_play(name, seed)
-
-    def _train_and_play(self, name: str, seed: int) -> None:
-        from izoo.results.rollout import missing
-        from izoo.training import checkpoint, runs
-
-        key = (name, seed)
-        if not self.runs.is_trained(key):
-            if not missing(self.store, self._plays(name, seed), "twin"):
-                return  # the run went once it was compared
-            print(f"\n{name}, seed {seed}", flush=True)
-            self.runs.train(key)
-        path = checkpoint.find(self.runs.run_dir(key))
-        known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
-        self._play(name, seed, runs.load_policy(path), kind="trained", **known)
-        self._keep_curve(name, seed)
-        if not self.config.keep_runs:
-            shutil.rmtree(self.runs.run_dir(key), ignore_errors=True)
-
-    def _keep_curve(self, name: str, seed: int) -> None:
-        """Write the validations of a run, by how many decisions it had learned from."""
-        from izoo.training.records import MetricsTable
-        from izoo.training.runs import METRICS_FILE
-        from izoo.training.validation import VALIDATION_FILE
-
-        run_dir = self.runs.run_dir((name, seed))
-        measured = MetricsTable.read(run_dir / METRICS_FILE)
-        validated = MetricsTable.read(run_dir / VALIDATION_FILE)
-        decided = dict(zip(measured.series("frames")[0], np.cumsum(measured.series("agent_rows")[1]), strict=True))
-        curve = self.folder / CURVES_FOLDER / f"{name}-seed{seed}.csv"
-        curve.parent.mkdir(exist_ok=True)
-        kept = MetricsTable(curve)
-        for row in validated.rows:
-            frames = int(row["frames"])
-            values = {f: float(row[f]) for f in SHOWN if row.get(f)}
-            kept.append({"frames": frames, "decisions": float(decided[frames]), **values})
-
-    def _plays(self, name: str, seed: int) -> list[Play]:
-        from izoo.results.rollout import Play
-
-        return [Play(name, seed, *episode) for episode in self.episodes]
+            for key in self.runs.wanted:
+                if not self.runs.is_trained(key):
+                    print(f"\n{key[0]}, seed {key[1]}", flush=True)
+                    self.runs.train(key)
+                path = checkpoint.find(self.runs.run_dir(key))
+                known: dict[str, Any] = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
+                self._play(key[0], key[1], runs.load_policy(path), kind="trained", **known)
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores
-        from izoo.results.policies import as_policy
-        from izoo.results.rollout import play_missing
+        from izoo.results.rollout import play_policy
 
         env = self.env(name)
-        named = as_policy(given, env, name)
-        self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
-        options = {"task": TASK, "workers": self.config.threads or usable_cores()}
-        play_missing(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
+        own: dict[str, Any] = {"name": name, "train_seed": seed, "known": known}
+        workers = self.config.threads or usable_cores()
+        play_policy(self.store, given, self.episodes, env, "twin", task=TASK, workers=workers, **own)
 
 
-def draw_curves(folder: Path, names: Sequence[str]) -> None:
+def draw_curves(bench: Bench, path: Path) -> None:
     """Draw what was saved against decisions: a panel per reward and figure, a line per scope and baseline."""
     from izoo.training import plots
-    from izoo.training.records import MetricsTable
 
     charts = []
     for (reward, (said, _)), column in itertools.product(REWARDS.items(), SHOWN):
         series = []
-        for name in (name for name in names if name.endswith(reward)):
+        for name in (name for name in bench.config.chosen if name.endswith(reward)):
             scope, baseline, _ = name.split("-")
             colour = plots.PALETTE[list(SCOPES).index(scope)]
-            tables = [MetricsTable.read(path) for path in sorted(folder.glob(f"{CURVES_FOLDER}/{name}-seed*.csv"))]
-            lines = [(np.array(t.series("decisions")[1]), np.array(t.series(column)[1])) for t in tables]
-            label = f"{SCOPES[scope][0]}, {BASELINES[baseline][0]}"
             dash = ("-", "--", ":")[list(BASELINES).index(baseline)]
+            label = f"{SCOPES[scope][0]}, {BASELINES[baseline][0]}"
+            lines = [curve(bench.runs.run_dir(key), column) for key in bench.runs.wanted if key[0] == name]
             between = plots.band(lines)
             if between is not None:
                 x, lowest, mean, highest = between
@@ -208,8 +167,19 @@ def draw_curves(folder: Path, names: Sequence[str]) -> None:
         if series:
             title = "CO2 saved (%)" if column == SHOWN[0] else "added delay (s)"
             charts.append(plots.Chart(f"{column}-{reward}", f"{title}, {said}", series, "decisions"))
-    if charts:
-        plots.save(plots.draw(charts, columns=2), folder / FIGURE_FILE)
+    plots.save(plots.draw(charts, columns=2), path)
+
+
+def curve(run_dir: Path, column: str) -> Line:
+    """Return a column of a run's validations, and the decisions that it had learned from by then."""
+    from izoo.training.records import MetricsTable
+    from izoo.training.runs import METRICS_FILE
+    from izoo.training.validation import VALIDATION_FILE
+
+    measured, validated = (MetricsTable.read(run_dir / name) for name in (METRICS_FILE, VALIDATION_FILE))
+    frames, rows = measured.series("agent_rows")
+    at, values = validated.series(column)
+    return np.interp(at, frames, np.cumsum(rows)), np.array(values)
 
 
 def last_of(words: Sequence[str]) -> list[str]:

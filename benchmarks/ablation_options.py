@@ -91,7 +91,6 @@ class AblationConfig:
         horizon_s: length of these.
         threads: of the twin; null: one per core.
         out: folder of the runs and of the result; what is done in it already is not done again.
-        keep_runs: keep the training runs beside the result; false: of a run its curve is kept, once it was compared.
         verbose: print all figures of every row, and all differences.
     """
 
@@ -103,7 +102,6 @@ class AblationConfig:
     horizon_s: float = 1000.0
     threads: int | None = None
     out: str = "ablation"
-    keep_runs: bool = False
     verbose: bool = False
 
     def __post_init__(self) -> None:

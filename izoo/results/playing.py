@@ -50,21 +50,28 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Job:
-    """An episode to play: key of the policy among those given, its name, the context as it is played, the seed."""
+class Play:
+    """An episode to play.
 
-    key: Key
-    name: str
+    Attributes:
+        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
+        train_seed: which of its training seeds; 0 where nothing was trained.
+        context: it is evaluated in; human drivers are alone in it.
+        seed: of the episode.
+    """
+
+    policy: str
+    train_seed: int
     context: Context
     seed: int
 
     @property
-    def id(self) -> tuple[Key, str, int]:
-        """What tells it from other jobs."""
-        return self.key, self.context.content_hash, self.seed
+    def episode(self) -> tuple[str, int, str, int]:
+        """What tells it from other plays."""
+        return self.policy, self.train_seed, self.context.content_hash, self.seed
 
     def __str__(self) -> str:
-        return f"policy {self.name}, context {self.context.name}, seed {self.seed}"
+        return f"policy {self.policy}, context {self.context.name}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,11 @@ class Setup:
     record: tuple[str, ...] = ()
     side_by_side: int = SIDE_BY_SIDE
     surrogate: str = "compiled"
+
+    def policy(self, play: Play) -> Policy:
+        """Return a fresh copy of what plays an episode."""
+        own = (play.policy, play.train_seed)
+        return cloudpickle.loads(self.policies[own if own in self.policies else play.policy])
 
 
 class EpisodeFailed(RuntimeError):
@@ -183,14 +195,7 @@ def _series(kept: Mapping[str, NDArray[Any]]) -> Series:
 
 
 def measured(env: EcoDrivingBase, context: Context, series: Series, index: int = 0) -> Measured:
-    """Return what the episode that has ended in an environment came to.
-
-    Args:
-        env: the environments.
-        context: which was played.
-        series: what was recorded.
-        index: which environment.
-    """
+    """Return what the episode that has ended in the environment number ``index`` came to."""
     road = env.backend.scene(index).road
     approaches: list[list[float]] = env.frames["approach_metrics"][index].tolist()
     whole = dict(zip(EPISODE_COLUMNS, env.frames["episode_metrics"][index].tolist(), strict=True))
@@ -213,12 +218,12 @@ class Player:
     beat: Callable[[], None] | None = None
     _env: EcoDrivingEnv | None = field(default=None, init=False)
 
-    def play(self, job: Job) -> Measured:
+    def play(self, play: Play) -> Measured:
         """Play an episode."""
         if self._env is None:
             self._env = EcoDrivingEnv(config=self.setup.config, simulator=self.setup.simulator)
-        policy: Policy = cloudpickle.loads(self.setup.policies[job.key])
-        return run_episode(self._env, policy, job.context, job.seed, self.setup.record, self.beat)
+        policy = self.setup.policy(play)
+        return run_episode(self._env, policy, play.context, play.seed, self.setup.record, self.beat)
 
     def close(self) -> None:
         """End the simulation."""

@@ -28,8 +28,8 @@ from izoo.results.playing import (
     SIDE_BY_SIDE,
     VEHICLE_REWARD,
     VEHICLE_SPANS,
-    Job,
     Measured,
+    Play,
     Policy,
     Series,
     Setup,
@@ -48,31 +48,8 @@ EXECUTORS = {
 """What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
 
 
-@dataclass(frozen=True)
-class Play:
-    """An episode to play.
-
-    Attributes:
-        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
-        train_seed: which of its training seeds; 0 where nothing was trained.
-        context: it is evaluated in; human drivers are alone in it.
-        seed: of the episode.
-    """
-
-    policy: str
-    train_seed: int
-    context: Context
-    seed: int
-
-
 class Played(NamedTuple):
-    """An episode that was played.
-
-    Attributes:
-        play: what was asked for.
-        rows: of the table, one per scored approach.
-        series: what was recorded, by name (:data:`~izoo.results.playing.RECORDS`).
-    """
+    """An episode that was played: a row per scored approach, and what was recorded, by name."""
 
     play: Play
     rows: list[Row]
@@ -241,6 +218,31 @@ def play_missing(
             store.add(played.rows)
 
 
+def play_policy(
+    store: Store,
+    given: str | Policy,
+    episodes: Iterable[tuple[Context, int]],
+    config: EnvConfig,
+    simulator: str,
+    *,
+    name: str | None = None,
+    train_seed: int = 0,
+    known: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> None:
+    """Play what a store lacks of a policy, and keep it.
+
+    Args:
+        given: as for :func:`evaluate_policy`.
+        known: what the manifest says of it beside what can be seen of it, as fields of its record.
+        options: of :func:`rollout`.
+    """
+    named = as_policy(given, config, name)
+    key = (named.name, train_seed)
+    store.admit({key: dataclasses.replace(named.record, **(known or {}))})
+    play_missing(store, [Play(*key, *each) for each in episodes], {key: named.policy}, config, simulator, **options)
+
+
 def evaluated(config: EnvConfig) -> EnvConfig:
     """Return the environment of evaluated episodes: played out after their horizon."""
     return config if config.drain_s else dataclasses.replace(config, drain_s=DRAIN_S)
@@ -267,7 +269,7 @@ class _Block:
     """A part of the plays: what the cache has of it, and what is to be played, each for one or more plays."""
 
     kept: list[Played] = field(default_factory=list)
-    jobs: list[Job] = field(default_factory=list)
+    todo: list[Play] = field(default_factory=list)
     waiting: dict[tuple[Any, ...], list[Play]] = field(default_factory=dict)
 
 
@@ -299,12 +301,12 @@ class _Rollout:
                 block = ahead
 
     def _play(self, block: _Block, ahead: _Block | None) -> Iterator[Played]:
-        if not block.jobs:
+        if not block.todo:
             return
-        for job, found in self.player.play(block.jobs, ahead.jobs if ahead else []):
-            if job.name in BASELINES:
-                self.cache.put(job.name, job.context, job.seed, found)
-            for play in block.waiting[job.id]:
+        for played, found in self.player.play(block.todo, ahead.todo if ahead else []):
+            if played.policy in BASELINES:
+                self.cache.put(played.policy, played.context, played.seed, found)
+            for play in block.waiting[played.episode]:
                 yield self._played(play, found)
 
     def _parts(self, plays: Iterable[Play]) -> Iterator[list[Play]]:
@@ -324,13 +326,11 @@ class _Rollout:
                 if found is not None:
                     block.kept.append(self._played(play, found))
                     continue
-            own = (play.policy, play.train_seed)
-            key: Key = own if own in self.setup.policies else play.policy
-            job = Job(key, play.policy, context, play.seed)
             # Contexts that differ only in what concerns CVs share their human episodes.
-            if job.id not in block.waiting:
-                block.jobs.append(job)
-            block.waiting.setdefault(job.id, []).append(play)
+            played = Play(play.policy, play.train_seed, context, play.seed)
+            if played.episode not in block.waiting:
+                block.todo.append(played)
+            block.waiting.setdefault(played.episode, []).append(play)
         return block
 
     def _played(self, play: Play, found: Measured) -> Played:

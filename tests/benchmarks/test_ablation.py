@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,6 @@ from izoo.benchmarks.ablation_options import REFERENCE, ROWS, AblationConfig
 from izoo.conf import compose
 from izoo.results import read_table
 from izoo.training.collectors import check_collector
-from izoo.training.records import MetricsTable
 
 ROW = "every_8_s-none-own"
 QUICK = [
@@ -65,12 +65,13 @@ def test_it_trains_compares_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFi
     assert set(summary["entries"]) == {*ablation.SCRIPTED, "untrained", REFERENCE, ROW}
     assert {pair["y"] for pair in summary["pairwise"]} == {REFERENCE}
     assert (tmp_path / ablation.FIGURE_FILE).stat().st_size > 5000
-    curve = MetricsTable.read(tmp_path / ablation.CURVES_FOLDER / f"{REFERENCE}-seed0.csv")
-    frames, decisions = curve.series("frames")[0], curve.series("decisions")[1]
-    assert len(frames) == 2 and 0 < decisions[0] < decisions[1] and curve.series("co2_saved")[1]
-    assert not list((tmp_path / "train").glob("*/seed0"))
+    for column in ablation.SHOWN:
+        decisions, values = ablation.curve(tmp_path / "train" / REFERENCE / "seed0", column)
+        assert len(values) == 2 and 0 < decisions[0] < decisions[1]
+    assert {path.parent.name for path in (tmp_path / "train").glob("*/seed0")} == {REFERENCE, ROW}
     whole, text = read_table(tmp_path), (tmp_path / "rows.csv").read_text()
     kept = [line for line in text.splitlines(keepends=True) if f",{ROW}," not in line]
+    shutil.rmtree(tmp_path / "train" / ROW)
     (tmp_path / "rows.csv").write_text("".join(kept))
     capsys.readouterr()
     assert ablation.main([*words, "verbose=true"]) == 0

@@ -17,7 +17,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
 from izoo.algos.scripted import RandomDriver
-from izoo.benchmarks.planner_options import PlannerConfig
+from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.errors import IzooError

@@ -176,7 +176,7 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 
 
 def test_what_is_asked_for_is_said() -> None:
-    with pytest.raises(IzooError, match="one before and one behind"):
+    with pytest.raises(IzooError, match="one on either side"):
         EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
     with pytest.raises(IzooError, match=r"env\.action=speed"):
         EnvConfig(action_parts=("speed_before", "speed_behind"))
