@@ -1,13 +1,14 @@
-"""What the action of a learned policy stands for: the options ``action=direct``, ``advise`` and ``residual``."""
+"""What the action of a learned policy stands for: ``action=direct``, ``speed``, ``arrive`` and others."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Literal
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, EnvConfig
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 Build = Callable[..., "Algorithm"]
 """What builds an algorithm from its options, the length of an observation, the bounds of its action and, where an
-action of 0 is doing nothing, ``rest=``, a :class:`Rest`."""
+action of 0 is doing nothing, ``rest=``, a :class:`Rest`, or, where an action is several numbers, ``size=``."""
 
 SPREADS = (0.02, 10.0)
 """Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
@@ -74,6 +75,76 @@ class DirectAction:
         from izoo.algos.applied import AsApplied
 
         return AsApplied(learned, env)
+
+
+@dataclass(frozen=True)
+class SpeedAction:
+    """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
+
+    It may be one number or one each before and behind the stop line (``env.action_parts``). It takes the place of
+    ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+
+    Attributes:
+        name: the action mode.
+        slowest: the least share that can be chosen.
+        initial: the untrained policy's median.
+        spread: standard deviation of an untrained normal policy before the tanh.
+    """
+
+    name: Literal["speed"] = "speed"
+    slowest: float = 0.2
+    initial: float = 0.85
+    spread: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_types("action", self)
+        check_range("action.slowest", self.slowest, MIN_SHARE, 0.9)
+        check_range("action.initial", self.initial, self.slowest + 0.01, 0.99)
+        check_range("action.spread", self.spread, *SPREADS)
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes."""
+        begun = _begun(config, self.initial, self.spread)
+        return build(begun, features, self.slowest, 1.0, size=env.action_size)
+
+
+@dataclass(frozen=True)
+class ArriveAction:
+    """The policy's action says how late in a green the vehicle is to arrive, and how slowly it is to drive behind it.
+
+    That is carried out as two desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
+    takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+
+    Attributes:
+        name: the action mode.
+        slowest: no desired speed is a smaller share of the limit.
+        initial: the untrained policy's median of both numbers; 0 is early and at the limit, 1 late and slow.
+        spread: standard deviation of an untrained normal policy before the tanh.
+    """
+
+    name: Literal["arrive"] = "arrive"
+    slowest: float = 0.2
+    initial: float = 0.25
+    spread: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_types("action", self)
+        check_range("action.slowest", self.slowest, MIN_SHARE, 0.9)
+        check_range("action.initial", self.initial, 0.01, 0.99)
+        check_range("action.spread", self.spread, *SPREADS)
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes."""
+        from izoo.algos.arrival import Arrival, Arriving
+
+        learned = build(_begun(config, self.initial, self.spread), features, 0.0, 1.0, size=2)
+        return Arriving(learned, Arrival(env, self.slowest))
+
+
+def _begun(config: Any, initial: float, spread: float) -> Any:
+    """Return an algorithm's options with the median and the spread of its untrained policy."""
+    values = {"initial_accel_mps2": initial, "initial_spread": spread}
+    return dataclasses.replace(config, **{name: value for name, value in values.items() if hasattr(config, name)})
 
 
 @dataclass(frozen=True)
@@ -171,4 +242,4 @@ def _applied(config: Any, env: EnvConfig) -> AppliedAcceleration | None:
     return AppliedAcceleration(env) if _stores_applied(config) else None
 
 
-ActionConfig = DirectAction | AdviseAction | ResidualAction
+ActionConfig = DirectAction | SpeedAction | ArriveAction | AdviseAction | ResidualAction

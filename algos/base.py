@@ -14,6 +14,10 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
+DECIDES = ("agents", "decides")
+"""``[*B, A]`` bool: agents whose action is a decision; absent where everyone in the mask decides (:func:`deciding`)."""
+NUMBER = ("agents", "number")
+"""``[*B, A]`` int64: the vehicle's number in the episode's demand."""
 ACTION = ("agents", "action")
 LOG_PROB = ("agents", "action_log_prob")
 GUIDED = ("agents", "guided")
@@ -21,6 +25,8 @@ GUIDED = ("agents", "guided")
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 ACTION_VALUE = ("agents", "state_action_value")
+POTENTIAL = ("agents", "potential")
+"""``[*B, A, 1]``: what the same vehicle is still paid where nobody commands (:func:`izoo.algos.decisions.shaped`)."""
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
@@ -63,6 +69,17 @@ class Algorithm(Protocol):
 def reads(algorithm: Algorithm) -> Keys | None:
     """Return the keys of a batch that an algorithm learns from; ``None``: any of them."""
     return getattr(algorithm, "reads", None)
+
+
+def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
+    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those who decide, or all that are there.
+
+    Args:
+        batch: of single steps, or of whole decisions (:class:`izoo.algos.decisions.Decisions`).
+        mask: key of who is there; ``None`` is returned where it is missing.
+    """
+    there, decides = batch.get(mask, None), batch.get(DECIDES, None)
+    return there if decides is None or there is None else there & decides
 
 
 def explores() -> bool:

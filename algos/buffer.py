@@ -39,7 +39,7 @@ def transitions(
         n_step: steps whose rewards are summed, discounted by ``gamma``.
         limit: most rows; they are drawn at random.
     """
-    where = batch.get(base.MASK).nonzero()
+    where = base.deciding(batch).nonzero()
     if limit is not None:
         where = where[torch.randperm(len(where), device=where.device)[:limit]]
     env, time, slot = where.unbind(-1)

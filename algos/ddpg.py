@@ -23,6 +23,7 @@ from izoo.algos.action import Rest
 from izoo.algos.buffer import ERROR, Replay, transitions
 from izoo.algos.ddpg_config import DDPGConfig
 from izoo.algos.losses import MaskedDDPGLoss
+from izoo.algos.sets import spread_out
 from izoo.errors import check_range
 
 
@@ -39,28 +40,28 @@ class Squash(nn.Module):
 
 
 class ActionValue(nn.Module):
-    """Q(o, a) of one agent's own observation and acceleration, which enters scaled to [-1, 1]."""
+    """Q(o, a) of one agent's own observation and action, which enters scaled to [-1, 1]."""
 
-    def __init__(self, features: int, low: float, high: float, config: DDPGConfig) -> None:
+    def __init__(self, features: int, low: float, high: float, config: DDPGConfig, size: int = 1) -> None:
         super().__init__()
         self.middle, self.half_width = (high + low) / 2, (high - low) / 2
-        self.network = base.mlp(features + 1, config.hidden, 1, config.activation, last_gain=1.0)
+        self.network = base.mlp(features + size, config.hidden, 1, config.activation, last_gain=1.0)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Return values ``[*B, 1]`` of observations ``[*B, F]`` and accelerations ``[*B, 1]``."""
+        """Return values ``[*B, 1]`` of observations ``[*B, F]`` and actions ``[*B, D]``."""
         return self.network(torch.cat([observation, (action - self.middle) / self.half_width], dim=-1))
 
 
 def make_actor(
-    features: int, low: float, high: float, config: DDPGConfig, rest: Rest | None = None
+    features: int, low: float, high: float, config: DDPGConfig, rest: Rest | None = None, size: int = 1
 ) -> TensorDictModule:
     """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with ``rest``, from 0 on."""
     initial = config.initial_accel_mps2 if rest is None else 0.0
     check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
-    network = base.mlp(features, config.hidden, 1, config.activation, last_gain=0.01)
+    network = base.mlp(features, config.hidden, size, config.activation, last_gain=0.01)
     middle, half = (high + low) / 2, (high - low) / 2
     with torch.no_grad():
-        network[-1].bias[0] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
+        network[-1].bias[:] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
     squashed = nn.Sequential(network, Squash(low, high))
     return TensorDictModule(squashed, in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
 
@@ -88,6 +89,7 @@ class ExploringPolicy(TensorDictModuleBase):
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
         self.network = actor.module
+        self.size = self.network[0][-1].out_features
         self.arrays = acting.Arrays(self.network)
         self.low, self.high = float(low), float(high)
         self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
@@ -99,7 +101,7 @@ class ExploringPolicy(TensorDictModuleBase):
         self.noise = torch.zeros(0)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write accelerations ``[*B, A, 1]`` into ``tensordict``; the actor's are 0 in empty slots."""
+        """Write actions ``[*B, A, D]`` into ``tensordict``; the actor's are 0 in empty slots."""
         agents = tensordict.get("agents")
         mask = agents.get("mask")
         action = self.mean(agents.get("observation"), mask)
@@ -109,13 +111,9 @@ class ExploringPolicy(TensorDictModuleBase):
         return tensordict
 
     def mean(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return the actor's accelerations ``[*B, A, 1]``, compiled on the CPU where no gradient is asked for."""
-        if not acting.compilable(observation):
-            return (
-                torch.zeros_like(mask, dtype=observation.dtype)
-                .masked_scatter(mask, self.network(observation[mask]))
-                .unsqueeze(-1)
-            )
+        """Return the actor's actions ``[*B, A, D]``, compiled on the CPU where no gradient is asked for."""
+        if self.size > 1 or not acting.compilable(observation):
+            return spread_out(self.network(observation[mask]), mask)
         out, own = np.empty(mask.numel(), np.float32), self.arrays
         acting.act_squashed(
             observation.reshape(-1, observation.shape[-1]).numpy(),
@@ -142,9 +140,10 @@ class DDPG:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: an acceleration in m/s^2, or advice.
+        low, high: bounds of the action: an acceleration in m/s^2, a share of the speed limit, or advice.
         device: where the networks and the replay live.
         rest: that an action of 0 is doing nothing.
+        size: numbers of an action.
     """
 
     critic_name = "value"
@@ -158,11 +157,12 @@ class DDPG:
         high: float,
         device: torch.device | str = "cpu",
         rest: Rest | None = None,
+        size: int = 1,
     ) -> None:
-        self.config = config
-        self.actor = make_actor(features, low, high, config, rest).to(device)
+        self.config, self.size = config, size
+        self.actor = make_actor(features, low, high, config, rest, size).to(device)
         self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
-        self.untrained_output = self.actor.module[0][-1].bias.item()
+        self.untrained_output = self.actor.module[0][-1].bias[0].item()
         self.loss = self.make_loss(features, low, high).to(device)
         self.loss.set_keys(priority=ERROR)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
@@ -185,7 +185,7 @@ class DDPG:
 
     def make_critic(self, features: int, low: float, high: float) -> ValueOperator:
         """Return a network of action values, on flat rows."""
-        network = ActionValue(features, low, high, self.config)
+        network = ActionValue(features, low, high, self.config, self.size)
         return ValueOperator(network, in_keys=[base.OBSERVATION, base.ACTION], out_keys=[base.ACTION_VALUE])
 
     def make_loss(self, features: int, low: float, high: float) -> LossModule:

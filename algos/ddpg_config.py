@@ -49,6 +49,9 @@ class DDPGConfig(AlgoConfig):
         value_loss: ``l2`` (RLlib, Lillicrap) or ``smooth_l1`` (ours: bounded gradients).
         max_grad_norm: bound on each network's gradient; ``null`` for none (RLlib; ours 1).
         reward_scale: rewards are multiplied by it (RLlib 1; ours 0.1, so that values are of order 1).
+        control_variate: ``vehicle``: from what a vehicle is paid is taken what the same vehicle is paid, from the same
+            time on, in the uncommanded episode of the same context and seed, which is played beside the training: less
+            variance, no bias (:func:`izoo.algos.decisions.shaped`). Needs ``simulator=twin``. ``none``: nothing (ours).
         noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
             Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
         noise_sigma: standard deviation of what is added to it per step, in widths of the action's range (RLlib
@@ -63,7 +66,7 @@ class DDPGConfig(AlgoConfig):
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
-            none was given.
+            none was given. With ``action=speed`` it is always what was chosen.
         save_replay: write the replay into checkpoints, so that a resumed run goes on exactly as it would have; without
             it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
     """
@@ -88,6 +91,7 @@ class DDPGConfig(AlgoConfig):
     value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
     max_grad_norm: float | None = 1.0
     reward_scale: float = 0.1
+    control_variate: Literal["none", "vehicle"] = "none"
     noise_theta: float = 0.15
     noise_sigma: float = 0.06
     noise_final: float = 0.2

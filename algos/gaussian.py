@@ -28,12 +28,12 @@ def normal_parameters(
     initial_spread: float,
     rest: Rest | None = None,
 ) -> NormalParamExtractor:
-    """Return what turns the two outputs of a network into median and spread before the tanh.
+    """Return what turns a network's outputs, two for each number of an action, into median and spread before the tanh.
 
     Args:
         last: the network's last layer, with zero biases; its bias is set so that the untrained median is as wanted.
-        low, high: bounds of the acceleration, m/s^2.
-        initial_accel_mps2: median acceleration of the untrained policy.
+        low, high: bounds of the action: an acceleration in m/s^2, or a share of the speed limit.
+        initial_accel_mps2: median action of the untrained policy.
         initial_spread: its standard deviation before the tanh.
         rest: replaces the last two where actions are advice; the untrained median is doing nothing.
     """
@@ -41,7 +41,7 @@ def normal_parameters(
         return NormalParamExtractor(scale_mapping=f"biased_softplus_{rest.spread}", scale_lb=0.01)
     check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
     with torch.no_grad():
-        last.bias[0] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
+        last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 
@@ -76,34 +76,49 @@ class SamplingPolicy(TensorDictModuleBase):
         actor: whose network is shared.
         low, high: bounds of the action.
         rest: where actions are advice.
+        size: numbers of an action.
     """
 
     quiet_band = 0.0
     """Actions smaller than this are still to be taken for doing nothing."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
+    def __init__(
+        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+    ) -> None:
         super().__init__()
-        self.in_keys = [base.OBSERVATION]
+        self.in_keys, self.size = [base.OBSERVATION], size
         self.dead = -1.0 if rest is None else rest.dead
         self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
         self.network = actor[0].module
         self.bounds = (float(low), float(high))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write loc, scale, action ``[*B, A, 1]`` and log-probability ``[*B, A]`` into ``tensordict``."""
+        """Write loc, scale, action ``[*B, A, D]`` and log-probability ``[*B, A]`` into ``tensordict``."""
         agents = tensordict.get("agents")
         observation, mask = agents.get("observation"), agents.get("mask", None)
         if mask is None:
             mask = torch.ones(observation.shape[:-1], dtype=torch.bool, device=observation.device)
-        if base.explores():
-            noise = torch.randn(mask.shape, dtype=observation.dtype, device=observation.device)
-        else:
-            noise = torch.zeros_like(mask, dtype=observation.dtype)
+        shape = mask.shape if self.size == 1 else (*mask.shape, self.size)
+        draw = torch.randn if base.explores() else torch.zeros
+        noise = draw(shape, dtype=observation.dtype, device=observation.device)
+        if self.size > 1:
+            for key, value in self._vectors(observation, mask, noise).items():
+                agents.set(key, value)
+            return tensordict
         loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("guided", None)).unbind(0)
         one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
         for key, value in (*one.items(), ("action_log_prob", log_prob)):
             agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
         return tensordict
+
+    def _vectors(self, observation: Tensor, mask: Tensor, noise: Tensor) -> dict[str, Tensor]:
+        """Return by name what actions of several numbers need; ``noise`` is ``[*B, A, D]``."""
+        found = squashed_sample(*self.parameters_of(observation, mask), noise[mask], *self.bounds)
+        padded = observation.new_zeros((4, *noise.shape))
+        padded[1].fill_(1.0)
+        padded[:, mask] = found
+        loc, scale, action, log_prob = padded.unbind(0)
+        return {"loc": loc, "scale": scale, "action": action, "action_log_prob": log_prob.sum(-1)}
 
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``.
@@ -129,15 +144,17 @@ class SamplingPolicy(TensorDictModuleBase):
         return padded
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return median and spread before the tanh, ``[n, 1]`` each, of the ``n`` agents of ``[*B, A, F]``."""
+        """Return median and spread before the tanh, ``[n, D]`` each, of the ``n`` agents of ``[*B, A, F]``."""
         return self.network(observation[mask])
 
 
 class CompiledPolicy(SamplingPolicy):
     """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
-        super().__init__(actor, low, high, rest)
+    def __init__(
+        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+    ) -> None:
+        super().__init__(actor, low, high, rest, size)
         self.arrays = acting.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping
@@ -167,7 +184,7 @@ class CompiledPolicy(SamplingPolicy):
 def squashed_sample(loc: Tensor, scale: Tensor, noise: Tensor, low: float, high: float) -> Tensor:
     """Return ``loc``, ``scale``, the action ``tanh(loc + scale * noise)`` on ``[low, high]`` and its log-probability.
 
-    All of one shape ``[*M]``; the result is ``[4, *M]``.
+    All of one shape ``[*M]``; the result is ``[4, *M]``, and log-probabilities are those of single numbers.
     """
     half = (high - low) / 2
     raw = torch.addcmul(loc, scale, noise)

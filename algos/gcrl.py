@@ -174,18 +174,21 @@ def positions_m(observation: Tensor) -> Tensor:
 
 
 class GraphActor(SetNetwork):
-    """Median and spread of every agent's acceleration before the tanh, ``[n, 1]`` each, from the graph.
+    """Median and spread of every agent's action before the tanh, ``[n, D]`` each, from the graph.
 
     Args:
         features: length ``F`` of an observation.
         low, high: bounds of the action.
         config: hyper-parameters.
         rest: where actions are advice.
+        size: numbers of an action.
     """
 
-    def __init__(self, features: int, low: float, high: float, config: GCRLConfig, rest: Rest | None = None) -> None:
+    def __init__(
+        self, features: int, low: float, high: float, config: GCRLConfig, rest: Rest | None = None, size: int = 1
+    ) -> None:
         super().__init__()
-        self.graph = GraphNetwork(features, 2, config, last_gain=0.01)
+        self.graph = GraphNetwork(features, 2 * size, config, last_gain=0.01)
         last = cast(nn.Linear, self.graph.head[-1])
         self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread, rest)
 
@@ -199,12 +202,14 @@ class GraphActor(SetNetwork):
 class GraphPolicy(SamplingPolicy):
     """The policy for collection; it acts on whole frames, so it needs the mask."""
 
-    def __init__(self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None) -> None:
-        super().__init__(actor, low, high, rest)
+    def __init__(
+        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+    ) -> None:
+        super().__init__(actor, low, high, rest, size)
         self.in_keys = [base.OBSERVATION, base.MASK]
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return median and spread before the tanh, ``[n, 1]`` each, of the ``n`` agents of ``[*B, A, F]``."""
+        """Return median and spread before the tanh, ``[n, D]`` each, of the ``n`` agents of ``[*B, A, F]``."""
         return self.network(observation[mask], *places(mask))
 
 
@@ -215,12 +220,12 @@ class GCRL(SetPPO):
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy on flat rows of whole frames."""
-        network = GraphActor(features, low, high, self.config, self.rest)
+        network = GraphActor(features, low, high, self.config, self.rest, self.size)
         return tanh_normal(RowView(network), ROW, low, high, self.rest)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high, self.rest)
+        return GraphPolicy(self.actor, low, high, self.rest, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""

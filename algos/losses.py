@@ -3,6 +3,7 @@
 They are subclasses of TorchRL's own and take TensorDicts ``[*B]`` whose agents have a dimension more, ``[*B, A, ...]``,
 and a mask ``[*B, A]`` of the slots that hold an agent. Valid agent-steps are flattened to rows inside, so that losses,
 statistics, normalisation and logs see no padding, whatever it holds; a batch without a mask is taken for rows already.
+Where a batch holds ``("agents", "decides")`` as well, only those who decide are rows (:mod:`izoo.algos.decisions`).
 
 Networks are TensorDictModules. One that reads the mask beside the observations works on whole frames (a *frame* is one
 environment at one time, its agents a set): it gets all valid agents of each frame, in any number of slots.
@@ -25,7 +26,7 @@ from torchrl.objectives import ClipPPOLoss, DDPGLoss, LossModule, TD3Loss, Value
 
 from izoo.algos import base
 from izoo.algos.masked_gae import MaskedGAE
-from izoo.algos.masked_rows import check_finite, is_set_module, on_rows, path_of, rows_of
+from izoo.algos.masked_rows import AROUND, check_finite, is_set_module, on_rows, path_of, rows_around, rows_of
 from izoo.algos.resting import normal_of
 from izoo.algos.sets import COLUMN, FRAME
 from izoo.errors import IzooError
@@ -144,17 +145,23 @@ class MaskedPPOLoss(ClipPPOLoss):
     def rows(self, batch: TensorDictBase) -> TensorDict:
         """Return the valid agent-steps ``[n]`` of a batch with advantages: what the loss is computed of."""
         keys = self.tensor_keys
+        seen = [*self.actor_network.in_keys, *self.critic_network.in_keys]
         needed: Sequence[NestedKey] = [
-            *self.actor_network.in_keys,
-            *self.critic_network.in_keys,
+            *seen,
             *(keys.action, keys.sample_log_prob, keys.advantage, keys.value_target),
             *((keys.loc, keys.scale) if self.kl_weight > 0 else ()),
         ]
-        return rows_of(batch, batch.get(keys.mask), needed)
+        there, wanted = batch.get(keys.mask), base.deciding(batch, keys.mask)
+        rows = rows_of(batch, wanted, needed)
+        if FRAME in seen and base.DECIDES in batch.keys(True):
+            alone = torch.arange(len(rows), device=rows.device)  # each row is a frame of its own
+            rows.set(AROUND, rows_around(batch, there, wanted, seen)).set(FRAME, alone)
+            rows.set(COLUMN, torch.zeros_like(alone))
+        return rows
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0."""
-        rows, mask = tensordict, tensordict.get(self.tensor_keys.mask, None)
+        rows, mask = tensordict, base.deciding(tensordict, self.tensor_keys.mask)
         if _is_of_nobody(tensordict, mask):
             return _nothing(self)
         if mask is not None:
@@ -162,7 +169,7 @@ class MaskedPPOLoss(ClipPPOLoss):
                 tensordict = self.value_estimator(tensordict.copy(), params=self._cached_critic_network_params_detached)
             rows = self.rows(tensordict)
         else:
-            check_finite(rows)
+            check_finite(rows.exclude(AROUND))
         losses = super().forward(rows)
         divergence, self._divergence = self._divergence, None  # its graph is the caller's now
         if divergence is not None:
@@ -264,7 +271,7 @@ class _OnTransitions:
     def rows(self, batch: TensorDictBase) -> TensorDict:
         """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
         keys = self.tensor_keys
-        mask = batch.get(keys.mask)
+        mask = base.deciding(batch, keys.mask)
         own = dict.fromkeys([*self.actor_network.in_keys, *self._critic().in_keys])
         after = [
             ("next", *path_of(key)) for key in (*self.actor_network.in_keys, keys.reward, keys.done, keys.terminated)
@@ -282,7 +289,7 @@ class _OnTransitions:
         The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
         """
         plain = super().forward  # type: ignore[misc]
-        mask = tensordict.get(self.tensor_keys.mask, None)
+        mask = base.deciding(tensordict, self.tensor_keys.mask)
         if _is_of_nobody(tensordict, mask):
             reward = tensordict.get(("next", *path_of(self.tensor_keys.reward)))
             tensordict.set(self.tensor_keys.priority, torch.zeros_like(reward[..., 0]))

@@ -120,7 +120,7 @@ class MAPPO(SetPPO):
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> TensorDict:
-        """Estimate advantages and flatten, as PPO does; with ``control_variate`` of what differs from doing nothing.
+        """Estimate advantages and flatten, as PPO does; with a ``control_variate`` of the team's differences.
 
         Then ``("next", "team_baseline")``, what the team was paid at the same time of the uncommanded episode of the
         same context and seed, is taken from the team's reward. This biases no gradient. The uncommanded episode is
@@ -129,13 +129,12 @@ class MAPPO(SetPPO):
         the state and the seed, the sum of future ``b`` is thus a constant, and the mean over actions of a constant
         times the gradient of their log-probability is 0: a baseline that depends on the input (Mao et al., arXiv
         1807.02264). The critic learns the value of the difference; with ``gae_lambda`` below 1 estimates are biased
-        by its errors, no otherwise than without. Per-agent rewards have no such baseline: their return ends when the
-        vehicle leaves, which actions do decide.
+        by its errors, no otherwise than without.
         """
         batch = batch.copy()
         if self.config.critic_sees == "all":
             add_fleet(batch)
-        if self.config.control_variate:
+        if self.config.control_variate == "team":
             key = ("next", TEAM_REWARD)
             batch.set(key, batch.get(key) - batch.get(("next", TEAM_BASELINE)))
         return super().advantages(batch)

@@ -15,7 +15,7 @@ from torchrl.objectives.value import GAE
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from izoo.algos import base
-from izoo.algos.masked_rows import OnRows, check_finite, is_set_module, on_rows, path_of, rows_of
+from izoo.algos.masked_rows import InFrames, OnRows, check_finite, is_set_module, on_rows, path_of, rows_of
 from izoo.algos.sets import FRAMES_AT_ONCE
 from izoo.errors import IzooError
 
@@ -133,7 +133,7 @@ class MaskedGAE(GAE):
         return values if self.value_norm is None else self.value_norm.denormalize(values)
 
     def _mask(self, batch: TensorDictBase, like: Tensor) -> Tensor:
-        mask = batch.get(self.mask, None)
+        mask = base.deciding(batch, self.mask)
         return torch.ones(like.shape[:-1], dtype=torch.bool, device=like.device) if mask is None else mask
 
     def values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:
@@ -155,6 +155,7 @@ class MaskedGAE(GAE):
     def team_values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:
         """Return one value per frame, ``[N, T, 1]``, where ``wanted`` ``[N, T]``, 0 elsewhere."""
         network = self.value_network
+        network = network.module if isinstance(network, InFrames) else network
         if not isinstance(network, OnRows):
             raise IzooError(
                 "the team's value needs a critic that reads the mask and writes one value per frame, [*M, 1]."

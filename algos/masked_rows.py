@@ -45,19 +45,76 @@ class OnRows(TensorDictModuleBase):
         return tensordict
 
 
+class InFrames(TensorDictModuleBase):
+    """A module that looks at all agents of a frame, on rows; each row may bring its whole frame along.
+
+    Rows do where not all agents of a frame are learned from (:func:`rows_of`); then a row's frame is :data:`AROUND`.
+
+    Args:
+        module: reads rows of whole frames, with their :data:`~izoo.algos.sets.FRAME`.
+    """
+
+    def __init__(self, module: TensorDictModuleBase) -> None:
+        super().__init__()
+        self.module, self.in_keys, self.out_keys = module, list(module.in_keys), list(module.out_keys)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the module's outputs as rows."""
+        around = tensordict.get(AROUND, None)
+        if around is None:
+            return self.module(tensordict)
+        there, own = around.get("there"), around.get("own")
+        rows = TensorDict(batch_size=[int(there.sum())], device=there.device)
+        for key in self.in_keys:
+            leaf = around.get(key, None)
+            if leaf is not None:
+                rows.set(key, leaf[there])
+        frame, column = places(there)
+        self.module(rows.set(FRAME, frame).set(COLUMN, column))
+        for key in self.out_keys:
+            tensordict.set(key, rows.get(key)[own[there]])
+        return tensordict
+
+
 def on_rows(module: Any, mask: NestedKey) -> Any:
-    """Return what applies ``module`` to rows: itself, unless it or a part of it reads the mask."""
+    """Return what applies ``module`` to rows: itself, unless it or a part of it looks at whole frames."""
+    if isinstance(module, InFrames):
+        return module
     if isinstance(module, ProbabilisticTensorDictSequential):
         parts = list(module.module)
-        if any(mask in part.in_keys for part in parts):
+        if any(mask in part.in_keys or FRAME in part.in_keys for part in parts):
             return ProbabilisticTensorDictSequential(*(on_rows(part, mask) for part in parts))
         return module
-    return OnRows(module, mask) if mask in module.in_keys else module
+    if mask in module.in_keys:
+        module = OnRows(module, mask)
+    return InFrames(module) if is_set_module(module) else module
 
 
 def is_set_module(module: TensorDictModuleBase) -> bool:
     """Whether a module on rows looks at all agents of a frame."""
     return FRAME in module.in_keys
+
+
+AROUND = "around"
+"""Key of the frames ``[n, A]`` that rows ``[n]`` bring along: ``there`` and ``own`` beside the leaves."""
+
+
+def rows_around(batch: TensorDictBase, there: Tensor, wanted: Tensor, keys: Iterable[NestedKey]) -> TensorDict:
+    """Return the frames ``[n, A]`` of the ``n`` agents that are ``wanted``, one for each: :data:`AROUND` of their rows.
+
+    Args:
+        batch: ``[*B]``.
+        there, wanted: ``[*B, A]``: all agents, and some of them.
+        keys: of the leaves that networks read.
+    """
+    *frame, slot = wanted.nonzero(as_tuple=True)
+    around = TensorDict({"there": there[tuple(frame)]}, [len(slot), there.shape[-1]], device=there.device)
+    around.set("own", torch.nn.functional.one_hot(slot, there.shape[-1]).bool())
+    for key in dict.fromkeys(keys):
+        leaf = batch.get(key, None)
+        if leaf is not None and key not in (FRAME, COLUMN):
+            around.set(key, leaf[tuple(frame)])
+    return around
 
 
 def rows_of(batch: TensorDictBase, mask: Tensor, keys: Iterable[NestedKey], origin: Tensor | None = None) -> TensorDict:

@@ -27,13 +27,13 @@ POPART_BETA = 0.99
 
 
 def make_actor(
-    features: int, low: float, high: float, config: PPOConfig, rest: Rest | None = None
+    features: int, low: float, high: float, config: PPOConfig, rest: Rest | None = None, size: int = 1
 ) -> ProbabilisticActor:
-    """Return the policy: a tanh-squashed normal over actions in ``[low, high]``; with ``rest``, a censored one.
+    """Return the policy: a tanh-squashed normal over actions ``[low, high]^size``; with ``rest``, a censored one.
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
-    network = base.mlp(features, config.hidden, 2, config.activation, last_gain=0.01)
+    network = base.mlp(features, config.hidden, 2 * size, config.activation, last_gain=0.01)
     extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, rest)  # type: ignore[arg-type]
     return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, rest)
 
@@ -57,9 +57,10 @@ class PPO:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: an acceleration in m/s^2, or advice.
+        low, high: bounds of the action: an acceleration in m/s^2, a share of the speed limit, or advice.
         device: where the networks live.
         rest: that an action of 0 is doing nothing.
+        size: numbers of an action.
 
     Attributes:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
@@ -75,8 +76,9 @@ class PPO:
         high: float,
         device: torch.device | str = "cpu",
         rest: Rest | None = None,
+        size: int = 1,
     ) -> None:
-        self.config, self.rest = config, rest
+        self.config, self.rest, self.size = config, rest, size
         self.actor = self.make_actor(features, low, high).to(device)
         self.policy = self.make_policy(low, high)
         self.critic = self.make_critic(features).to(device)
@@ -87,11 +89,11 @@ class PPO:
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
-        return make_actor(features, low, high, self.config, self.rest)
+        return make_actor(features, low, high, self.config, self.rest, self.size)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return CompiledPolicy(self.actor, low, high, self.rest)
+        return CompiledPolicy(self.actor, low, high, self.rest, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""

@@ -71,6 +71,9 @@ class PPOConfig(AlgoConfig):
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
         reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
             are of order 1 and the value function learns within a few batches).
+        control_variate: ``vehicle``: from what a vehicle is paid is taken what the same vehicle is paid, from the same
+            time on, in the uncommanded episode of the same context and seed, which is played beside the training: less
+            variance, no bias (:func:`izoo.algos.decisions.shaped`). Needs ``simulator=twin``. ``none``: nothing (ours).
         warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
             Needs ``action=advise``, in which both can leave a CV alone.
         warm_start_frames: environment steps, over all environments, of the imitation.
@@ -107,6 +110,7 @@ class PPOConfig(AlgoConfig):
     separate_clips: bool = False
     max_grad_norm: float | None = 0.5
     reward_scale: float = 0.1
+    control_variate: Literal["none", "vehicle"] = "none"
     warm_start: Literal["none", "glide"] = "none"
     warm_start_frames: int = 100_000
     warm_start_lr: float | None = None
@@ -183,9 +187,9 @@ class MAPPOConfig(PPOConfig):
             is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
         critic_sees: ``cvs``: the critic sees the CVs, each as it observes; ``all``: also, from above, every vehicle of
             the region while training (:mod:`izoo.algos.overview`). The policy sees neither.
-        control_variate: take from the team's reward what it was at the same time of the uncommanded episode of the same
-            context and seed, which says how busy it is there just then, whatever the CVs do: less variance, no bias.
-            Needs ``credit=team`` and ``simulator=twin``, which plays these episodes beside the training.
+        control_variate: ``team`` takes from the team's reward what it was at the same time of the uncommanded episode
+            of the same context and seed, which says how busy it is there just then, whatever the CVs do; that goes with
+            ``credit=team``, and ``vehicle``, as for PPO, with ``credit=agent``.
         critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
             output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
         critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
@@ -194,16 +198,17 @@ class MAPPOConfig(PPOConfig):
     name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
     credit: Literal["agent", "team"] = "agent"
     critic_sees: Literal["cvs", "all"] = "cvs"
-    control_variate: bool = False
+    control_variate: Literal["none", "vehicle", "team"] = "none"  # type: ignore[assignment]
     critic_queries: int = 4
     critic_embedding: int = 128
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.control_variate and self.credit != "team":
+        fitting = "team" if self.credit == "team" else "vehicle"
+        if self.control_variate not in ("none", fitting):
             raise IzooError(
-                "algo.control_variate=true needs algo.credit=team: an agent's own return ends when it leaves, which "
-                "its actions decide, so that taking something from it at every step would pay leaving early or late."
+                f"algo.control_variate={self.control_variate} does not go with the returns of algo.credit="
+                f"{self.credit}; choose {fitting} or none."
             )
         check_range("algo.critic_queries", self.critic_queries, 1, 64)
         check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)

@@ -18,6 +18,9 @@ class SetPPO(PPO):
     :data:`~izoo.algos.sets.COLUMN` beside the observation, or modules that read the mask.
     """
 
+    looks_around = True
+    """Its networks see the other agents of a frame: :class:`izoo.algos.decisions.Decisions` keeps whole frames."""
+
     def _minibatches(self, rows: TensorDict) -> Iterator[TensorDict]:
         """Yield rows of whole frames: about ``rows_per_epoch`` of them per epoch, ``minibatch_rows`` at a time."""
         frame = rows.get(FRAME)

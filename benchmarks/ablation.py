@@ -1,4 +1,4 @@
-"""Which parts of a learner help? Each is taken away or changed by itself, and compared on the same unseen approaches.
+"""When should agents decide, what should be taken from their returns, and whom should they be paid for?
 
 ``python -m izoo.benchmarks.ablation`` trains every row of :data:`~izoo.benchmarks.ablation_options.ROWS` with several
 seeds, one run after the other, and plays each policy on the twin, in the same contexts with the same episode seeds. It
@@ -9,27 +9,31 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import shutil
+import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.benchmarks.ablation_options import REFERENCE, ROWS, SETTING, AblationConfig
+import numpy as np
+
+from izoo.benchmarks.ablation_options import BASELINES, REFERENCE, REWARDS, ROWS, SCOPES, SETTING, AblationConfig
 from izoo.commands.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     from izoo.conf.train_options import TrainConfig
     from izoo.envs.config import EnvConfig
     from izoo.metrics.summary import Summary
-    from izoo.results.rollout import Play
+    from izoo.training.plots import Line
 
 FIGURE_FILE = "ablation.png"
+SHOWN = ("co2_saved", "delay_change_s")
+"""Curves of the figure."""
 TASK = "busy lane, not trained on"
 UNTRAINED = "untrained"
 SCRIPTED = ("human", "uncommanded", "cap_0.6", "glide")
 """Rows that are not trained."""
-MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "keep_runs", "verbose"), ("seeds", "eval_seeds")
+MAY_DIFFER, MAY_GROW = ("rows", "threads", "out", "verbose"), ("seeds", "eval_seeds")
 MOST_ROWS = 6
 """Differences that are shown where not everything is asked for."""
 
@@ -37,25 +41,23 @@ MOST_ROWS = 6
 def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     """Train and compare what is not there yet; print the differences, and write summary and figure."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from rich.console import Console
 
-    from izoo.benchmarks.comparing import write_summaries
+    from izoo.benchmarks.comparing import SUMMARY_FILE
+    from izoo.files import write_json
     from izoo.metrics.summary import summarise
-    from izoo.report import plots, tables
-    from izoo.training.plots import draw, save
+    from izoo.report import tables
 
     folder = Path(config.out)
     bench = Bench(config, folder)
     bench.play()
     summary = summarise(bench.table, reference=REFERENCE)
-    write_summaries(folder, [summary])
-    save(draw([plots.forest(tables.entries(summary))]), folder / FIGURE_FILE)
-    console = Console()
+    write_json(folder / SUMMARY_FILE, [summary])
+    draw_curves(bench, folder / FIGURE_FILE)
     if config.verbose:
-        tables.print_summary(summary, verbose=True, console=console)
+        tables.print_summary(summary, verbose=True)
     largest = sorted(summary["pairwise"], key=lambda pair: -abs(pair["difference"]["value"] or 0.0))
     shown = largest if config.verbose else largest[:MOST_ROWS]
-    console.print(tables.pairwise({**summary, "pairwise": shown}).rich(console.width))
+    tables.pairwise({**summary, "pairwise": shown}).show()
     print(f"{tables.counts(summary)} Results: {folder}")
     print(verdict(summary))
     return summary
@@ -92,11 +94,7 @@ class Bench:
 
     def options(self, name: str, seed: int) -> TrainConfig:
         """Return the options of a row's training run."""
-        from izoo.benchmarks.training_runs import TRAIN_FOLDER
-
-        start = ROWS[name].start
-        path = None if start is None else str(self.folder / TRAIN_FOLDER / start / f"seed{seed}")
-        return dataclasses.replace(self._of_row(name), seed=seed, start=path)
+        return dataclasses.replace(self._of_row(name), seed=seed)
 
     @functools.cache  # noqa: B019 - a bench lives as long as its command
     def _of_row(self, name: str) -> TrainConfig:
@@ -111,7 +109,8 @@ class Bench:
         """Return the environment that a row's policies are compared in."""
         from izoo.results.rollout import evaluated
 
-        env = self.options(name, 0).env
+        env = self.options(name if name in ROWS else REFERENCE, 0).env
+        env = env.with_accelerations() if name in SCRIPTED else env
         return evaluated(dataclasses.replace(env, horizon_s=self.config.horizon_s, emit=()))
 
     def play(self) -> None:
@@ -119,6 +118,7 @@ class Bench:
         from izoo.benchmarks.comparing import check_settings
         from izoo.benchmarks.contestants import untrained
         from izoo.conf.mapping import to_mapping
+        from izoo.training import checkpoint, runs
 
         check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
         with self.store.open():
@@ -127,41 +127,59 @@ class Bench:
                 self._play(name, 0, name)
             for seed in range(self.config.seeds):
                 self._play(UNTRAINED, seed, untrained(self.options(REFERENCE, seed)), kind="untrained")
-            for name in self.config.chosen:
-                for seed in range(self.config.seeds):
-                    self._train_and_play(name, seed)
-
-    def _train_and_play(self, name: str, seed: int) -> None:
-        from izoo.results.rollout import missing
-        from izoo.training import checkpoint, runs
-
-        key, begins_others = (name, seed), name in {row.start for row in ROWS.values()}
-        if not self.runs.is_trained(key):
-            if not begins_others and not missing(self.store, self._plays(name, seed), "twin"):
-                return  # the run went once it was compared
-            print(f"\n{name}, seed {seed}", flush=True)
-            self.runs.train(key)
-        path = checkpoint.find(self.runs.run_dir(key))
-        known = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
-        self._play(name, seed, runs.load_policy(path), kind="trained", **known)
-        if not self.config.keep_runs and not begins_others:
-            shutil.rmtree(self.runs.run_dir(key), ignore_errors=True)
-
-    def _plays(self, name: str, seed: int) -> list[Play]:
-        from izoo.results.rollout import Play
-
-        return [Play(name, seed, *episode) for episode in self.episodes]
+            for key in self.runs.wanted:
+                if not self.runs.is_trained(key):
+                    print(f"\n{key[0]}, seed {key[1]}", flush=True)
+                    self.runs.train(key)
+                path = checkpoint.find(self.runs.run_dir(key))
+                known: dict[str, Any] = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
+                self._play(key[0], key[1], runs.load_policy(path), kind="trained", **known)
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores
-        from izoo.results.policies import as_policy
-        from izoo.results.rollout import play_missing
+        from izoo.results.rollout import play_policy
 
-        env = self.env(name if name in ROWS else REFERENCE)
-        named = as_policy(given, env, name)
-        self.store.admit({(name, seed): dataclasses.replace(named.record, **known)})
-        options = {"task": TASK, "workers": self.config.threads or usable_cores()}
-        play_missing(self.store, self._plays(name, seed), {(name, seed): named.policy}, env, "twin", **options)
+        env = self.env(name)
+        own: dict[str, Any] = {"name": name, "train_seed": seed, "known": known}
+        workers = self.config.threads or usable_cores()
+        play_policy(self.store, given, self.episodes, env, "twin", task=TASK, workers=workers, **own)
+
+
+def draw_curves(bench: Bench, path: Path) -> None:
+    """Draw what was saved against decisions: a panel per reward and figure, a line per scope and baseline."""
+    from izoo.training import plots
+
+    charts = []
+    for (reward, (said, _)), column in itertools.product(REWARDS.items(), SHOWN):
+        series = []
+        for name in (name for name in bench.config.chosen if name.endswith(reward)):
+            scope, baseline, _ = name.split("-")
+            colour = plots.PALETTE[list(SCOPES).index(scope)]
+            dash = ("-", "--", ":")[list(BASELINES).index(baseline)]
+            label = f"{SCOPES[scope][0]}, {BASELINES[baseline][0]}"
+            lines = [curve(bench.runs.run_dir(key), column) for key in bench.runs.wanted if key[0] == name]
+            between = plots.band(lines)
+            if between is not None:
+                x, lowest, mean, highest = between
+                series.append(plots.Series(x, mean, label, "band", lowest, highest, colour))
+                lines = [(x, mean)]
+            series += [plots.Series(x, y, label, colour=colour, dash=dash) for x, y in lines]
+        if series:
+            title = "CO2 saved (%)" if column == SHOWN[0] else "added delay (s)"
+            charts.append(plots.Chart(f"{column}-{reward}", f"{title}, {said}", series, "decisions"))
+    plots.save(plots.draw(charts, columns=2), path)
+
+
+def curve(run_dir: Path, column: str) -> Line:
+    """Return a column of a run's validations, and the decisions that it had learned from by then."""
+    from izoo.training.records import MetricsTable
+    from izoo.training.runs import METRICS_FILE
+    from izoo.training.validation import VALIDATION_FILE
+
+    measured, validated = (MetricsTable.read(run_dir / name) for name in (METRICS_FILE, VALIDATION_FILE))
+    frames, rows = measured.series("agent_rows")
+    at, values = validated.series(column)
+    return np.interp(at, frames, np.cumsum(rows)), np.array(values)
 
 
 def last_of(words: Sequence[str]) -> list[str]:
@@ -181,11 +199,11 @@ def verdict(summary: Mapping[str, Any]) -> str:
 
 COMMAND = OptionCommand(
     name="benchmarks.ablation",
-    summary="Take parts of a learner away one by one, and compare what is left on approaches that nobody trained on.",
+    summary="Compare when CVs decide, the baseline of their returns and their reward, on approaches not trained on.",
     examples=(
         "izoo.benchmarks.ablation out=ablation",
-        "izoo.benchmarks.ablation rows=[no_kl,prioritised] seeds=4 out=ablation",
-        "izoo.benchmarks.ablation rows=[td3,ddpg] seeds=1 num_contexts=6 'train=[\"total_frames=9600\"]' out=quick",
+        "izoo.benchmarks.ablation rows=[every_8_s-paired-own,per_vehicle-learned-own] out=ablation",
+        "izoo.benchmarks.ablation rows=[every_2_s-paired-own] seeds=1 num_contexts=6 'train=[\"total_frames=9600\"]'",
     ),
     config="izoo.benchmarks.ablation_options:AblationConfig",
     work="izoo.benchmarks.ablation:run",

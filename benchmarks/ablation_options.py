@@ -2,76 +2,56 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
-from izoo.conf.recipes import BUSY_LANE
+from izoo.conf.recipes import BUSY_LANE, ONCE
 from izoo.errors import IzooError, check_range, check_types, unknown_choice
 from izoo.files import expanded
 
 ALL = "all"
 SETTING = (
     *BUSY_LANE,
-    "num_envs=32",
-    "env.horizon_s=400",
-    "total_frames=52800",
+    "num_envs=64",
     "num_workers=1",
+    *ONCE,
+    "algo=ppo",
+    "algo.epochs=6",
+    "algo.lr=5e-3",
+    "algo.activation=relu",
+    "algo.separate_clips=true",
+    "algo.max_grad_norm=1",
+    "validation.contexts=48",
+    "validation.seeds=1",
+    "validation.simulator=twin",
     "evaluation.contexts=0",
-    "validation.every_batches=0",
-    "checkpoint.every_batches=4",
+    "checkpoint.every_batches=5",
     "checkpoint.keep=1",
     "twin.compare_every=0",
 )
-"""What all rows share: the approaches of ``recipe=busy_lane`` and 52,800 decisions of 2 s, in episodes of 400 s."""
-PPO = (
-    "algo.warm_start=glide",
-    "algo.warm_start_frames=4800",
-    "algo.warm_start_lr=1e-3",
-    "algo.frames_per_batch=4800",
-    "algo.rows_per_epoch=16384",
-    "algo.minibatch_rows=1024",
-    "algo.epochs=3",
-    "algo.activation=relu",
-    "algo.lr=1e-3",
-    "algo.separate_clips=true",
-    "algo.max_grad_norm=2",
-    "algo.value_norm=running",
-    "algo.target_kl=0.015",
-    "algo.kl_to_start=0.3",
-)
-IMITATION = (
-    "algo=ppo",
-    *PPO,
-    "env.reward=fuel_team",
-    "algo.warm_start_frames=52800",
-    "algo.warm_start_lr=2e-3",
-    "algo.minibatch_rows=512",
-    "algo.epochs=6",
-)
-WHOLE = ("algo=mappo", *PPO, "env.reward=fuel_team", "algo.credit=team", "algo.control_variate=true")
-"""MAPPO with every part; the rows below take one away or change it."""
-REPLAY = (
-    "env.reward=fuel",
-    "algo.frames_per_batch=1920",
-    "algo.updates_per_frame=0.05",
-    "algo.learning_starts=3840",
-    "algo.n_step=5",
-    "algo.rows_per_frame=4",
-)
-HOLD_1, HOLD_4 = ("env.hold_s=1", "algo.gamma=0.995"), ("env.hold_s=4", "algo.gamma=0.98")
-"""Decisions of other lengths, which look as far ahead."""
-START, REFERENCE = "imitation", "whole"
-"""The row with whose policies most others begin, and the one that they are compared with."""
-
-
-def _frames(factor: float) -> tuple[str, ...]:
-    """Return the options of the same simulated time in ``factor`` times as many decisions."""
-    of = {"total_frames": 52800, "algo.warm_start_frames": 4800, "algo.frames_per_batch": 4800}
-    return tuple(f"{name}={round(factor * value)}" for name, value in of.items())
-
-
-def _all_imitated(factor: float) -> tuple[str, ...]:
-    """Return :func:`_frames`, all of them of the imitation."""
-    return (*_frames(factor), f"algo.warm_start_frames={round(factor * 52800)}")
+"""What all rows share: PPO chooses desired speeds on the approaches of ``recipe=busy_lane``."""
+_PER_VEHICLE = ("total_frames=61440", "algo.frames_per_batch=1536", "validation.every_batches=8")
+_PER_STEP = ("env.decide=step", "total_frames=163840", "algo.frames_per_batch=4096", "validation.every_batches=8")
+SCOPES = {
+    "per_vehicle": ("a vehicle decides once", _PER_VEHICLE),
+    "every_8_s": ("every 8 s", ("env.hold_s=8", "algo.gamma=0.97", *_PER_STEP)),
+    "every_2_s": ("every 2 s", ("env.hold_s=2", *_PER_STEP)),
+    "every_half_s": ("every 0.5 s", ("env.hold_s=0.5", "algo.gamma=0.998", *_PER_STEP)),
+}
+"""When a CV decides. Deciding in steps makes some twelve times as many decisions."""
+BASELINES = {
+    "paired": ("the same vehicle uncommanded", ("algo.control_variate=vehicle",)),
+    "learned": ("a learned value", ()),
+    # A critic that is not learned, and small beside the returns.
+    "none": ("no baseline", ("algo.value_coeff=0", "algo.gae_lambda=1", "algo.reward_scale=100")),
+}
+"""What is taken from a vehicle's return."""
+REWARDS = {
+    "own": ("paid for itself and those behind it", ("env.reward=fuel",)),
+    "team": ("paid for the whole team", ("env.reward=fuel_team",)),
+}
+REFERENCE = "per_vehicle-paired-own"
+"""The row that the others are compared with."""
 
 
 @dataclass(frozen=True)
@@ -81,41 +61,21 @@ class Row:
     Attributes:
         label: in words.
         words: options of ``izoo.train`` beside :data:`SETTING`; the last of several that set the same one counts.
-        start: the row with whose policies, of the same seeds, it begins; ``None``: with untrained ones.
     """
 
     label: str
     words: tuple[str, ...]
-    start: str | None = START
+
+
+def _row(*parts: tuple[str, tuple[str, ...]]) -> Row:
+    return Row(", ".join(label for label, _ in parts), tuple(word for _, words in parts for word in words))
 
 
 ROWS = {
-    START: Row("imitation of glide alone", IMITATION, start=None),
-    REFERENCE: Row("then MAPPO with all parts", WHOLE),
-    "no_kl": Row("no penalty on leaving the imitation", (*WHOLE, "algo.kl_to_start=0")),
-    "agent_credit": Row("credit by agent, same reward", (*WHOLE, "algo.control_variate=false", "algo.credit=agent")),
-    "no_control_variate": Row("no control variate", (*WHOLE, "algo.control_variate=false")),
-    "prioritised": Row("prioritised level replay", (*WHOLE, "levels.draw=prioritised", "levels.kept=64")),
-    "no_value_norm": Row("values not normalised", (*WHOLE, "algo.value_norm=none")),
-    "no_target_kl": Row("no bound on an update's divergence", (*WHOLE, "algo.target_kl=null")),
-    "in_step": Row("episodes begin together", (*WHOLE, "twin.stagger=false")),
-    "critic_sees_all": Row("the critic sees every vehicle", (*WHOLE, "algo.critic_sees=all")),
-    f"{START}_hold_1": Row("imitation, decisions of 1 s", (*IMITATION, *HOLD_1, *_all_imitated(2.0)), start=None),
-    "hold_1": Row("then decisions of 1 s", (*WHOLE, *HOLD_1, *_frames(2.0)), start=f"{START}_hold_1"),
-    f"{START}_hold_4": Row("imitation, decisions of 4 s", (*IMITATION, *HOLD_4, *_all_imitated(0.5)), start=None),
-    "hold_4": Row("then decisions of 4 s", (*WHOLE, *HOLD_4, *_frames(0.5)), start=f"{START}_hold_4"),
-    "ppo_own_fuel": Row("PPO, paid for itself and those behind it", ("algo=ppo", *PPO, "env.reward=fuel")),
-    "no_imitation": Row("MAPPO with all parts, from scratch", (*WHOLE, "algo.warm_start=none"), start=None),
-    "td3": Row("TD3 from scratch, applied advice stored", ("algo=td3", *REPLAY), start=None),
-    "td3_commanded": Row(
-        "TD3 from scratch, given advice stored", ("algo=td3", *REPLAY, "algo.stores=commanded"), start=None
-    ),
-    "ddpg": Row("DDPG from scratch, given advice stored", ("algo=ddpg", *REPLAY), start=None),
-    "ddpg_applied": Row(
-        "DDPG from scratch, applied advice stored", ("algo=ddpg", *REPLAY, "algo.stores=applied"), start=None
-    ),
+    "-".join(names): _row(SCOPES[names[0]], BASELINES[names[1]], REWARDS[names[2]])
+    for names in itertools.product(SCOPES, BASELINES, REWARDS)
 }
-"""What is trained, by name, in the order of the table."""
+"""What is trained, by name: every scope with every baseline and every reward."""
 
 
 @dataclass(frozen=True)
@@ -131,19 +91,17 @@ class AblationConfig:
         horizon_s: length of these.
         threads: of the twin; null: one per core.
         out: folder of the runs and of the result; what is done in it already is not done again.
-        keep_runs: keep the training runs beside the result; false: a run goes once it was compared.
         verbose: print all figures of every row, and all differences.
     """
 
     rows: tuple[str, ...] = (ALL,)
     train: tuple[str, ...] = ()
     seeds: int = 4
-    num_contexts: int = 16
-    eval_seeds: int = 3
-    horizon_s: float = 600.0
+    num_contexts: int = 64
+    eval_seeds: int = 1
+    horizon_s: float = 1000.0
     threads: int | None = None
     out: str = "ablation"
-    keep_runs: bool = False
     verbose: bool = False
 
     def __post_init__(self) -> None:
@@ -162,7 +120,6 @@ class AblationConfig:
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """The names of the rows that are trained, in the order of the table, with those that others rest on."""
-        wanted = set(ROWS) if ALL in self.rows else {START, REFERENCE, *self.rows}
-        wanted |= {start for name in wanted if (start := ROWS[name].start) is not None}
+        """The names of the rows that are trained, in the order of the table, with the one they are compared with."""
+        wanted = set(ROWS) if ALL in self.rows else {REFERENCE, *self.rows}
         return tuple(name for name in ROWS if name in wanted)

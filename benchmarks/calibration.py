@@ -1,14 +1,13 @@
 """Whether calibration finds what it should: ``python -m izoo.benchmarks.calibration --out FOLDER [--sets 20]``.
 
 Per data set a population is drawn, the environment simulates its drivers at a signal, ``write_trajectories`` writes
-what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that are
-in the folder are not run again, so the benchmark can be stopped and continued.
+what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that the
+folder has with the same options are not run again, so the benchmark can be stopped and continued.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -18,20 +17,20 @@ from typing import Any
 
 import numpy as np
 
+from izoo.benchmarks.journal import Journal
 from izoo.commands.calibrate import check_packages
 from izoo.console import exit_code, unheard
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs import MODEL_VERSION
-from izoo.errors import IzooError, check_range
-from izoo.files import read_text, replacing, usable_paths, write_json
+from izoo.errors import check_range
+from izoo.files import replacing, usable_paths
 
 LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
 MEDIAN_RANGES = {"s0_m": (1.5, 3.0), "T_s": (0.6, 1.6), "alpha_mps2": (0.8, 1.8), "beta_mps2": (1.2, 2.5)}
 SPREAD_RANGE = (0.1, 0.25)
 KINDS = ("median", "spread", "correlation")
-SHOWN = ("drivers", "minutes", "seconds", "processor_seconds", "converged", "worst_r_hat", "least_ess", "quantities")
-"""What the summary needs of a set."""
+SETS_FILE = "sets.jsonl"
 
 
 def true_population(number: int) -> DriverPopulation:
@@ -181,15 +180,14 @@ def run(options: argparse.Namespace) -> int:
     from izoo.drivers.chains import SamplerConfig
 
     chains = SamplerConfig(options.warmup, options.draws)
-    settings = {name: getattr(options, name) for name in ("drivers", "speed_noise", "warmup", "draws")}
-    settings["model_version"] = MODEL_VERSION
+    made_with = options.drivers, options.speed_noise, options.warmup, options.draws, MODEL_VERSION
     options.out.mkdir(parents=True, exist_ok=True)
-    results = []
+    kept, results = Journal(options.out / SETS_FILE), []
     for number in range(options.sets):
-        path = options.out / f"set-{number:03d}.json"
-        if not path.is_file():
-            write_json(path, {"settings": settings, **recover(number, options.drivers, chains, options.speed_noise)})
-        last = read_set(path, settings)
+        key = (number, *made_with)
+        if key not in kept.rows:
+            kept.add(key, recover(number, options.drivers, chains, options.speed_noise))
+        last = kept.rows[key]
         results.append(last)
         r_hat, ess = (last[name] for name in ("worst_r_hat", "least_ess"))
         said = "chains that do not move" if None in (r_hat, ess) else f"worst R-hat {r_hat:.3f}, least ESS {ess:.0f}"
@@ -199,23 +197,6 @@ def run(options: argparse.Namespace) -> int:
     print(summarise(results))
     draw(results, options.out / "recovery.png")
     return 0
-
-
-def read_set(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the result of a set.
-
-    Raises:
-        IzooError: it cannot be read, or was made with other settings.
-    """
-    from izoo.results.store import check_same
-
-    try:
-        found = json.loads(read_text(path))
-        made_with = {"settings": dict(found["settings"]), **{name: found[name] for name in SHOWN}}["settings"]
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise IzooError(f"cannot read {path}: {error!r}; remove it, and it is made anew.") from error
-    check_same(made_with, settings, f"{path} was made")
-    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:

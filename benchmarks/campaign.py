@@ -7,23 +7,21 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.benchmarks.comparing import check_settings, summaries, write_summaries
-from izoo.benchmarks.contestants import contestant, selected, untrained
+from izoo.algos.scripted import Glide, GlideConfig
+from izoo.benchmarks.comparing import check_settings, summaries
+from izoo.benchmarks.contestants import selected, untrained
 from izoo.benchmarks.generalization_options import SWEPT, Entry, GeneralizationConfig
-from izoo.benchmarks.pace import Pace
 from izoo.benchmarks.plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.side_runs import SideRuns
 from izoo.benchmarks.training_runs import Key, TrainingRuns
 from izoo.conf.mapping import to_mapping
-from izoo.console import duration
 from izoo.envs.twin import twin_backend
 from izoo.envs.twin.playable import check_contexts
-from izoo.metrics.summary import Summary
+from izoo.metrics.summary import TRAINING, Summary
 from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, Policy, missing, play_missing
 from izoo.results.store import Store
@@ -35,7 +33,7 @@ from izoo.training.records import MetricsTable
 CURVES_FILE = "learning_curves.png"
 MAY_DIFFER = ("out", "num_workers", "runs_at_once", "cache", "human_vehicles", "trained_in", "verbose")
 """Options that change no number (but for rounding, where a run has fewer cores)."""
-MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "eval_seeds", "floors_mps", *SWEPT)
+MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "train_contexts", "eval_seeds", "floors_mps", *SWEPT)
 """Options that may get more values than before; what is there stays."""
 
 
@@ -57,11 +55,7 @@ class Job:
 
 
 class Campaign:
-    """A benchmark and its folder.
-
-    Args:
-        config: resolved options.
-        folder: the results folder.
+    """A benchmark of resolved options, and its results folder.
 
     Raises:
         IzooError: the options name something that cannot be used.
@@ -72,6 +66,8 @@ class Campaign:
         self.entries = config.entries()
         self.plan = make_plan(config)
         self.tests = {self.plan.task: self.plan.test}
+        if self.plan.seen:
+            self.tests[self.plan.task + TRAINING] = self.plan.seen
         if config.human_vehicles:
             as_humans = [context.replace(cv_vehicle="human") for context in self.plan.test]
             self.tests[f"{self.plan.task}, human vehicles"] = as_humans
@@ -86,7 +82,6 @@ class Campaign:
         self.runs = TrainingRuns(wanted, folder, owes_validation=config.select == "best")
         self._check_simulators()
         self.store = Store(folder, task=self.plan.task, config=evaluation_env(config))
-        self.pace = Pace()
 
     def _check_simulators(self) -> None:
         """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
@@ -95,7 +90,7 @@ class Campaign:
         if self.config.simulator == "twin":
             for env in self.envs.values():
                 twin_backend.check_settings(env)
-            check_contexts(self.plan.test)
+            check_contexts([*self.plan.test, *self.plan.seen])
 
     def jobs(self) -> list[Job]:
         """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""
@@ -123,33 +118,23 @@ class Campaign:
                 self.runs.take_over(Path(self.config.trained_in))
             self._do(self.jobs())
         self._draw_curves()
-        found = summaries(self.store.table, self.tests)
-        write_summaries(self.folder, found)
-        return found
+        return summaries(self.folder, self.store.table, self.tests)
 
     def _do(self, jobs: list[Job]) -> None:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
         with SideRuns(self.config.runs_at_once) as beside:
             for number, job in enumerate(todo):
-                left = self.pace.left([(self._pace_key(other), self._share(other)) for other in todo[number:]])
-                done = len(jobs) - len(todo) + number
-                wait = "time left unknown" if left is None else f"about {duration(left)} left"
-                print(f"\n[{done + 1}/{len(jobs)}] {job}; {wait}", flush=True)
+                print(f"\n[{len(jobs) - len(todo) + number + 1}/{len(jobs)}] {job}", flush=True)
                 if job.kind == "evaluate":
-                    begin, work = time.monotonic(), self._work(job)
                     self._evaluate(job)
-                    self.pace.add(self._pace_key(job), work, time.monotonic() - begin)
+                elif self.config.runs_at_once == 1:
+                    self.runs.train(job.key)
                 else:
-                    if self.config.runs_at_once == 1:
-                        self.runs.train(job.key)
-                    else:
-                        self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
-                    self._note_pace(job)
+                    self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
 
     def _is_done(self, job: Job) -> bool:
         if job.kind == "train":
-            self._note_pace(job)
             return self.runs.is_trained(job.key)
         if job.entry.kind == "trained" and not self.runs.is_trained(job.key):
             return False
@@ -166,8 +151,10 @@ class Campaign:
             known = {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
         elif entry.kind == "untrained":
             given = untrained(train_config(self.config, self.plan, entry, job.seed))
+        elif entry.floor_mps is not None:
+            given = Glide(env, GlideConfig(floor_mps=entry.floor_mps))
         else:
-            given = contestant(entry, env)
+            given = entry.policy
         named = as_policy(given, env, entry.name)
         if entry.seeded:
             known |= {"kind": entry.kind, "algo": entry.algo}
@@ -206,20 +193,3 @@ class Campaign:
             curves.setdefault(name, []).append(table)
         if curves:
             compare_curves(curves, self.folder / CURVES_FILE, f"{self.plan.task}: training")
-
-    def _pace_key(self, job: Job) -> tuple[str, str]:
-        return job.kind, job.entry.algo or job.entry.name
-
-    def _note_pace(self, job: Job) -> None:
-        self.pace.add(self._pace_key(job), self.runs.frames(job.key), self.runs.seconds(job.key))
-
-    def _work(self, job: Job) -> float:
-        """Environment steps of what is left of a job."""
-        if job.kind == "train":
-            return float(self.runs.left(job.key))
-        left = sum(len(missing(self.store, plays, self.config.simulator)) for plays in self._plays(job).values())
-        return float(left * self.envs[job.entry.name].decisions)
-
-    def _share(self, job: Job) -> float:
-        """Environment steps of what is left of a job, that no other job takes in at the same time."""
-        return self._work(job) / (self.config.runs_at_once if job.kind == "train" else 1)

@@ -8,12 +8,11 @@ from typing import Any
 
 import pandas as pd
 from omegaconf import OmegaConf
-from rich.console import Console
 from yaml import YAMLError
 
 from izoo.errors import IzooError
 from izoo.files import claimed, read_text, write_json, write_text
-from izoo.metrics.summary import Summary, summarise
+from izoo.metrics.summary import TRAINING, Summary, summarise_task
 from izoo.report.tables import headline, print_summary
 from izoo.results.store import check_same
 from izoo.training.runs import plain_yaml
@@ -50,22 +49,19 @@ def check_settings(
         write_text(path, OmegaConf.to_yaml(wanted))
 
 
-def summaries(table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
-    """Sum up tasks of a table, each by itself."""
-    return [summarise(table[table["task"] == task]) for task in tasks]
-
-
-def write_summaries(folder: Path, found: Sequence[Summary]) -> None:
-    """Write summaries as JSON, a list with one for each task."""
-    write_json(folder / SUMMARY_FILE, found)
+def summaries(folder: Path | None, table: pd.DataFrame, tasks: Iterable[str]) -> list[Summary]:
+    """Sum up tasks of a table, each by itself, and write that into a folder, if there is one."""
+    found = [summarise_task(table, task) for task in tasks if not task.endswith(TRAINING)]
+    if folder is not None:
+        write_json(folder / SUMMARY_FILE, found)
+    return found
 
 
 def show(found: Sequence[Summary], verbose: bool = False) -> None:
     """Print the summaries of several tasks; the first one's comes last, and its verdict ends it."""
-    console = Console()
     for summary in reversed(found[1:]):
-        console.print(headline(summary).rich(console.width))
-    print_summary(found[0], verbose, console)
+        headline(summary).show()
+    print_summary(found[0], verbose)
 
 
 def _grew(old: Any, new: Any) -> bool:

@@ -1,26 +1,16 @@
-"""The policy that an entry of a benchmark is tested with: trained weights, weights before training, or a driver."""
+"""The weights that an entry of a benchmark is tested with: before training, or of which checkpoint."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.registry import make_algorithm
-from izoo.algos.scripted import Glide, GlideConfig
-from izoo.benchmarks.generalization_options import Entry
 from izoo.conf.train_options import TrainConfig
-from izoo.envs.config import EnvConfig
 from izoo.training import checkpoint
-
-
-def contestant(entry: Entry, env: EnvConfig) -> TensorDictModuleBase | str:
-    """Return what :func:`izoo.results.rollout.rollout` takes for an entry that is not trained and has no weights."""
-    if entry.floor_mps is not None:
-        return Glide(env, GlideConfig(floor_mps=entry.floor_mps))
-    return cast(str, entry.policy)
 
 
 def untrained(config: TrainConfig) -> TensorDictModuleBase:

@@ -1,7 +1,7 @@
 """How fast CO2 is computed: ``python -m izoo.benchmarks.emissions batch=4096``.
 
-The batched module, the compiled kernel of the simulator workers, a loop over vehicle classes, and the API of the
-package ``neuralmoves``, on the same random vehicles of all classes, on one core, in one run.
+The batched module, the compiled kernel of the simulator workers, and the API of the package ``neuralmoves``, on the
+same random vehicles of all classes, on one core, in one run.
 """
 
 from __future__ import annotations
@@ -73,31 +73,8 @@ def variants(states: dict[str, np.ndarray]) -> dict[str, tuple[Callable[[], Any]
     return {
         "MovesSurrogate (batched torch module)": (batched, batch),
         "kernel of the simulator workers": (kernel, batch),
-        "loop over classes": (lambda: _class_loop(tensors, weights), batch),
         "neuralmoves API, a call per vehicle": (lambda: _api(states), API_CALLS),
     }
-
-
-def _class_loop(tensors: list[Any], weights: Any) -> Any:
-    """Evaluate class by class, each as one small network on its own vehicles."""
-    import torch
-
-    speed, accel, grade, moves_class = tensors
-    inputs = torch.stack([torch.full_like(speed, 20.0), torch.full_like(speed, 46.0), speed, accel, grade], dim=-1)
-    out = torch.empty_like(speed)
-    w1, b1, w2, b2, w3, b3, floor = (_as_tensor(array) for array in weights)
-    for c in range(len(floor)):
-        chosen = torch.nonzero(moves_class == c).view(-1)
-        hidden = torch.tanh(inputs[chosen] @ w1[c] + b1[c])
-        hidden = torch.tanh(hidden @ w2[c] + b2[c])
-        out[chosen] = torch.maximum(hidden @ w3[c] + b3[c], floor[c])
-    return out
-
-
-def _as_tensor(array: np.ndarray) -> Any:
-    import torch
-
-    return torch.from_numpy(np.array(array))
 
 
 def _api(states: dict[str, np.ndarray]) -> None:
@@ -137,21 +114,20 @@ def run(config: EmissionsConfig, given: frozenset[str] = frozenset()) -> None:
     """Measure every variant and print the table."""
     print("Loading torch and the surrogates.", flush=True)
     import torch
-    from rich.console import Console
-    from rich.table import Table
+
+    from izoo.report.tables import Table
 
     torch.set_num_threads(1)
-    table = Table(title=f"batch of {config.batch}, one core, medians")
-    table.add_column("variant")
-    table.add_column("vehicles per second", justify="right")
-    for name, (call, vehicles) in variants(random_states(config.batch)).items():
-        table.add_row(name, f"{measure(call, vehicles):,.0f}")
-    Console().print(table)
+    rows = [
+        (name, f"{measure(call, vehicles):,.0f}")
+        for name, (call, vehicles) in variants(random_states(config.batch)).items()
+    ]
+    Table.of(f"batch of {config.batch}, one core, medians", ("variant", "vehicles per second"), rows).show()
 
 
 COMMAND = OptionCommand(
     name="benchmarks.emissions",
-    summary="Measure how fast CO2 is computed: batched, compiled, by class, and through the package's own API.",
+    summary="Measure how fast CO2 is computed: batched, compiled, and through the package's own API.",
     examples=("izoo.benchmarks.emissions", "izoo.benchmarks.emissions batch=1024"),
     config="izoo.benchmarks.emissions:EmissionsConfig",
     work="izoo.benchmarks.emissions:run",

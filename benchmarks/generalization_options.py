@@ -45,6 +45,7 @@ class Scale:
         horizon_s: length of an episode.
         eval_seeds: paired episodes per test context.
         test_limit: test contexts; ``None``: all.
+        train_contexts: training contexts that are played too.
         train_workers: environments that a run trains on.
         num_workers: processes that evaluate; 0: this one, which spares short evaluations the start of others.
     """
@@ -54,18 +55,15 @@ class Scale:
     horizon_s: float
     eval_seeds: int
     test_limit: int | None
+    train_contexts: int
     train_workers: int
     num_workers: int
 
 
 SCALES = {
-    "smoke": Scale(seeds=2, episodes=11, horizon_s=200.0, eval_seeds=3, test_limit=4, train_workers=1, num_workers=0),
-    "small": Scale(
-        seeds=4, episodes=100, horizon_s=1000.0, eval_seeds=3, test_limit=32, train_workers=2, num_workers=2
-    ),
-    "paper": Scale(
-        seeds=4, episodes=5000, horizon_s=1000.0, eval_seeds=3, test_limit=None, train_workers=10, num_workers=10
-    ),
+    "smoke": Scale(2, 11, 200.0, eval_seeds=3, test_limit=4, train_contexts=2, train_workers=1, num_workers=0),
+    "small": Scale(4, 100, 1000.0, eval_seeds=3, test_limit=32, train_contexts=32, train_workers=2, num_workers=2),
+    "paper": Scale(4, 5000, 1000.0, eval_seeds=3, test_limit=None, train_contexts=32, train_workers=10, num_workers=10),
 }
 """``smoke``: minutes on two cores, shows that everything works and nothing else. ``small``: hours. ``paper``: the
 published scale (5,000 episodes, 4 seeds, every test context)."""
@@ -132,6 +130,9 @@ class GeneralizationConfig:
             otherwise show little but roads that are still filling.
         eval_seeds: paired episodes per test context; null: the scale's.
         test_limit: most test contexts, drawn reproducibly; null: the scale's; 0: all.
+        train_contexts: contexts of the training, drawn reproducibly, that every entry plays too; how much more it saves
+            there is the generalisation gap. 0: none; null: the scale's, and none where nothing is trained, or
+            where it is tested on what it was trained on (``form=paper``).
         human_vehicles: also test every entry on CVs whose vehicle parameters are those of human-driven ones, where all
             that differs from human driving is due to commands; takes as long again.
         select: which weights of a run are tested: ``last``, or ``best`` on the validation split, which is measured
@@ -175,6 +176,7 @@ class GeneralizationConfig:
     train_warmup_s: float | None = None
     eval_seeds: int | None = None
     test_limit: int | None = None
+    train_contexts: int | None = None
     human_vehicles: bool = False
     select: Literal["last", "best"] = "last"
     simulator: Literal["sumo", "twin"] = "sumo"
@@ -201,6 +203,7 @@ class GeneralizationConfig:
             "train_warmup_s": (0, 86400),
             "eval_seeds": (1, 10**6),
             "test_limit": (0, 10**7),
+            "train_contexts": (0, 10**7),
             "train_workers": (1, 1024),
             "num_envs": (1, 65536),
             "num_workers": (0, 1024),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
 from izoo.metrics.summary import summarise
-from izoo.report.tables import Row, Table
+from izoo.report.tables import Table
 
 RELATIVE, ABSOLUTE = ("co2_g", "throughput", "stopped_time_s_per_vehicle"), ("delay_s",)
 """Figures that are compared per approach: by their relative difference, or by their difference."""
@@ -213,13 +213,7 @@ def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
 
 
 class Ladder(NamedTuple):
-    """What was found; tables that were not measured are empty.
-
-    Attributes:
-        few, exact, conduct: of :func:`few`, :func:`exactness` and :func:`conduct`.
-        rungs, own: of :func:`rungs`, for the twin and for SUMO with late vehicles.
-        gains: of :func:`gains`.
-    """
+    """What was found; ``own`` are the rungs of SUMO with late vehicles. Tables that were not measured are empty."""
 
     few: pd.DataFrame
     exact: pd.DataFrame
@@ -251,7 +245,7 @@ def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
         apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
         rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
     columns = ("policy", "n", "CO2 mean|d|", "SUMO itself", "bias", "delay, s", "SUMO, %", "twin, %")
-    return _table("The twin against SUMO, per approach; CO2 saved over human driving on either", columns, rows)
+    return Table.of("The twin against SUMO, per approach; CO2 saved over human driving on either", columns, rows)
 
 
 def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
@@ -276,16 +270,16 @@ def tables(found: Ladder) -> list[Table]:
         if r.measure in MEASURE_TITLES
     ]
     shown = [
-        _table("1. One and two vehicles alone, to 1e-6", ("vehicles", "commanded", "episodes", "the same"), few_),
-        _table(
+        Table.of("1. One and two vehicles alone, to 1e-6", ("vehicles", "commanded", "episodes", "the same"), few_),
+        Table.of(
             "2. Every vehicle and step; distance of speeds and accelerations",
             ("policy", "demand", "lanes", "n", "same", "parted at", "KS speed", "accel."),
             steps,
         ),
-        _table("3. What drivers did, summed over episodes", ("policy", "demand", "measure", "SUMO", "twin"), done),
+        Table.of("3. What drivers did, summed over episodes", ("policy", "demand", "measure", "SUMO", "twin"), done),
         *_aggregates("twin against SUMO", found.rungs),
         *_aggregates("SUMO with a late vehicle against SUMO", found.own),
-        _table(
+        Table.of(
             "5. CO2 saved over human driving, %",
             ("policy", "CVs", "demand", "SUMO", "twin", "points", "SUMO's own"),
             [
@@ -307,13 +301,9 @@ def _aggregates(title: str, summed: pd.DataFrame) -> list[Table]:
         others.append((*_about(r), *delay, _share(r.crossed, "+"), _share(r.stopped, "+")))
     about = ("policy", "CVs", "demand", "lanes")
     return [
-        _table(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),
-        _table(f"4. Delay and vehicles, {title}", (*about, "delay, s", "mean|d|", "crossed", "stopped"), others),
+        Table.of(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),
+        Table.of(f"4. Delay and vehicles, {title}", (*about, "delay, s", "mean|d|", "crossed", "stopped"), others),
     ]
-
-
-def _table(title: str, columns: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
-    return Table(title, columns, (("", tuple(Row(str(first), tuple(map(str, rest))) for first, *rest in rows)),))
 
 
 def _about(row: Any) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,9 +126,11 @@ def play_twin(case: Case, steps: int, commands: Commands | None = None) -> Trace
     return trace
 
 
-@dataclass
-class Departure:
-    """Where two traces part: the step, the vehicle, and its (lane, position, speed) in SUMO and on the twin."""
+class Departure(NamedTuple):
+    """Where two episodes part first: the step, the vehicle, and its (lane, m, m/s) in SUMO and on the twin.
+
+    The lane is empty where the vehicle is not on the road, or not in what is compared.
+    """
 
     step: int
     vehicle: int
@@ -136,7 +138,8 @@ class Departure:
     twin: tuple[str, float, float]
 
     def __str__(self) -> str:
-        return f"step {self.step} vehicle {self.vehicle}: SUMO {self.sumo}, twin {self.twin}"
+        sides = (f"{lane or 'outside'} {at:.3f} m {speed:.3f} m/s" for lane, at, speed in (self.sumo, self.twin))
+        return "step {} vehicle {}: SUMO {}; twin {}".format(self.step, self.vehicle, *sides)
 
 
 def first_departure(case: Case, sumo: Trace, twin: Trace, tolerance: float = 1e-3) -> Departure | None:

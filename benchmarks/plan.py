@@ -42,6 +42,7 @@ class Plan:
         train: contexts of the training runs, as options of ``izoo.train``.
         train_text, test_text: what is trained and tested on, in words.
         test: the test contexts.
+        seen: training contexts that are played too.
         seeds: episode seeds of the evaluation.
     """
 
@@ -49,6 +50,7 @@ class Plan:
     train: ContextsConfig
     train_text: str
     test: list[Context]
+    seen: list[Context]
     test_text: str
     seeds: EpisodeSeeds
 
@@ -80,7 +82,19 @@ def make_plan(config: GeneralizationConfig) -> Plan:
         texts[1] += f", {len(limited)} drawn of {len(contexts)} contexts"
     if config.horizon_s != EnvConfig().horizon_s:
         task += f", {config.horizon_s:g} s"
-    return Plan(task, train, texts[0], limited, texts[1], seeds)
+    return Plan(task, train, texts[0], limited, seen_contexts(train, config), texts[1], seeds)
+
+
+def seen_contexts(train: ContextsConfig, config: GeneralizationConfig) -> list[Context]:
+    """Return the training contexts that are played too, of a larger number among them those of every smaller one."""
+    count = config.train_contexts or 0
+    if count == 0 or config.form == "paper" or all(entry.kind != "trained" for entry in config.entries()):
+        return []
+    source = train.build()
+    if hasattr(source, "__len__"):
+        return limit_contexts(cast(Sequence[Context], source), count)
+    generator = np.random.default_rng(EVALUATION_SEED)
+    return [source.sample(generator) for _ in range(count)]
 
 
 def place_name(place: str) -> str:

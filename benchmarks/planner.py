@@ -10,33 +10,91 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.conf.built_in import CityContexts
+from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import to_mapping
+from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
+from izoo.errors import IzooError, check_range
+from izoo.files import expanded
 
 if TYPE_CHECKING:
     import pandas as pd
     from tensordict import TensorDictBase
 
-    from izoo.benchmarks.planner_options import PlannerConfig
-    from izoo.envs import EnvConfig, TwinEnv
-    from izoo.results.rollout import Play
+    from izoo.envs import TwinEnv
 
 PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
 MAY_DIFFER, MAY_GROW = ("out", "threads", "verbose"), ("adoptions", "seeds")
 AT_ONCE = 16
 """Intersections that are played side by side."""
-HEARD: list[Callable[[int], None]] = []
-"""What is told how many decisions the planner has made in an episode: a policy that is played is a copy."""
+SAY_EVERY = 50
+"""Decisions between two lines that say how far the planner is."""
 WAY_G_PER_M = 0.3
 """About what a vehicle burns per metre, with delay. A trial is paid this for the way that vehicles have driven: at its
 end more still lies ahead of those that were slowed down, and otherwise putting off would pay."""
 LEAST_GAIN = 1e-3
 """Advice is changed for no less, in units of what human driving burns in a step: rounding is no reason."""
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """Options of the planner.
+
+    Attributes:
+        contexts: which contexts to play; every one is played at every adoption below.
+        env: the environment; its reward and ``env.hold_s`` are the planner's own.
+        num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
+        adoptions: shares of CVs.
+        caps: advice that is tried for a CV, each a speed limit lower by that share; doing nothing is tried in any case.
+        look_ahead_s: how far a trial goes.
+        every_s: time between two trials; each is about one CV per intersection.
+        brake_mps2: advice brakes no harder than this.
+        seeds: episodes per context.
+        seed: base of the episode seeds and of the drawn contexts.
+        threads: of the twin; null: one per core.
+        out: folder of the results, which an interrupted comparison goes on in; null: nothing is kept.
+        verbose: print all figures of every driver.
+    """
+
+    contexts: ContextsConfig = field(default_factory=CityContexts)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    num_contexts: int | None = None
+    adoptions: tuple[float, ...] = (1 / 3, 1.0)
+    caps: tuple[float, ...] = (0.2, 0.4, 0.55, 0.7, 0.8)
+    look_ahead_s: float = 90.0
+    every_s: float = 4.0
+    brake_mps2: float = 1.5
+    seeds: int = 1
+    seed: int = 0
+    threads: int | None = None
+    out: str | None = None
+    verbose: bool = False
+
+    def __post_init__(self) -> None:
+        if self.num_contexts is not None:
+            check_range("num_contexts", self.num_contexts, 1, 10**7)
+        check_range("seeds", self.seeds, 1, 10**6)
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        for adoption in self.adoptions:
+            check_range("adoptions", adoption, 1e-3, 1.0)
+        for cap in self.caps:
+            check_range("caps", cap, 1e-3, 1.0)
+        if not (self.adoptions and self.caps):
+            raise IzooError("adoptions and caps each need one entry or more.")
+        self.env.require_accelerations("the planner")
+        check_range("every_s", self.every_s, self.env.step_s, 60.0, "s")
+        if abs(self.every_s / self.env.step_s - round(self.every_s / self.env.step_s)) > 1e-6:
+            raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")
+        check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
+        check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
+        if self.out is not None:
+            object.__setattr__(self, "out", str(expanded(self.out).absolute()))
 
 
 def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
@@ -46,12 +104,11 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
         IzooError: ``out`` is no folder of this command, or was made with other options.
     """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.benchmarks.comparing import check_settings, show, summaries, write_summaries
+    from izoo.benchmarks.comparing import check_settings, show, summaries
     from izoo.cores import usable_cores
-    from izoo.results.policies import as_policy
-    from izoo.results.rollout import Play, missing, play_missing
+    from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
-    from izoo.results.store import PolicyRecord, Store
+    from izoo.results.store import Store
 
     contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
@@ -65,41 +122,16 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
             here = [context.replace(adoption=adoption) for context in contexts]
             store.keep_contexts(here)
             episodes = [(context, seed) for context in here for seed in seeds.of(context)]
-            options = {"task": task, "workers": config.threads or usable_cores()}
+            options: dict[str, Any] = {"task": task, "workers": config.threads or usable_cores()}
             for name in BESIDE:
-                driver = as_policy(name, env)
-                store.admit({name: driver.record})
-                plays = [Play(name, 0, *each) for each in episodes]
-                play_missing(store, plays, {name: driver.policy}, env, "twin", **options)
-            store.admit({PLANNER: PolicyRecord()})
-            todo = missing(store, [Play(PLANNER, 0, *each) for each in episodes], "twin")
-            for part in shown(todo, env, task):
-                own = {"record": ("team_reward",), "progress": False, **options}
-                play_missing(store, part, {PLANNER: Planning(config)}, env, "twin", **own)
-    table, found = store.table, summaries(store.table, tasks.values())
-    if folder is not None:
-        write_summaries(folder, found)
+                play_policy(store, name, episodes, env, "twin", **options)
+            options |= {"name": PLANNER, "record": ("team_reward",), "side_by_side": AT_ONCE}
+            play_policy(store, Planning(config), episodes, env, "twin", **options)
+    table, found = store.table, summaries(folder, store.table, tasks.values())
     if config.verbose:
         show(found, verbose=True)
     print_gains(table, list(tasks.values()))
     return table
-
-
-def shown(todo: Sequence[Play], env: EnvConfig, task: str) -> Iterator[Sequence[Play]]:
-    """Yield as many plays as are played side by side, and show how far the planner is, decision by decision."""
-    from izoo.console import Progress
-
-    parts = [todo[first : first + AT_ONCE] for first in range(0, len(todo), AT_ONCE)]
-    most = -(-(env.control_steps + env.drain_steps) // env.hold_steps)
-    with Progress(len(parts) * most, unit="decisions", file=sys.stderr) as bar:
-        for number, part in enumerate(parts):
-
-            def hear(decisions: int, before: int = number * most) -> None:
-                bar.update(before + decisions, task)
-
-            HEARD.append(hear)
-            yield part
-            HEARD.remove(hear)
 
 
 def settings(config: PlannerConfig) -> EnvConfig:
@@ -128,11 +160,8 @@ class Planning:
 class Planner:
     """Advises CVs by trial: one CV per intersection at a time, whoever has waited longest for it.
 
-    Advice holds until the next trial about the same CV, or until it has crossed the stop line.
-
-    Args:
-        world: the environments, at the beginning of their episodes; the branches are made of them.
-        config: options.
+    Advice holds until the next trial about the same CV, or until it has crossed the stop line. Branches are made of the
+    ``world``, which is at the beginning of its episodes.
     """
 
     def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
@@ -170,8 +199,8 @@ class Planner:
             self.advice[rows[better], slot[better]] = tried[rows, best][better]
             self.asked[rows, slot] = float(self.decisions)
         self.decisions += 1
-        for hear in HEARD:
-            hear(self.decisions)
+        if self.decisions % SAY_EVERY == 0:
+            print(f"{PLANNER}: {self.decisions} decisions in each episode", file=sys.stderr, flush=True)
         return self._command(state, self.advice)
 
     def _tried(self, slot: Any, tried: Any) -> Any:
@@ -206,17 +235,16 @@ class Planner:
 
 def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
     """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
-    from rich.console import Console
 
     from izoo.metrics.pairing import UNCOMMANDED
     from izoo.metrics.summary import Summary, summarise
-    from izoo.report.tables import Cell, Row, Table, figure_cell
+    from izoo.report.tables import Cell, Table, figure_cell
 
     def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
         return figure_cell(summary["entries"][name], key, UNCOMMANDED, summary["block"])
 
     figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
-    console, rows, said = Console(), [], []
+    rows, said = [], []
     for task in tasks:
         part = table[table["task"] == task]
         said.append(f"{gained(summarise(part), PLANNER)} with {task}")
@@ -224,12 +252,9 @@ def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
             if lanes.any():
                 summary = summarise(part[lanes])
                 cells = (gained(summary, name, key) for name, key in figures)
-                rows.append(Row(f"{task}, {kind}", (str(summary["n"]["contexts"]), *cells)))
+                rows.append((f"{task}, {kind}", summary["n"]["contexts"], *cells))
     columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
-    shown = Table(
-        "What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, (("", tuple(rows)),)
-    )
-    console.print(shown.rich(console.width))
+    Table.of("What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, rows).show()
     print(f"The planner saves {', '.join(said)}; it tries one CV at a time, so more may be there to gain.")
 
 
@@ -240,7 +265,7 @@ COMMAND = OptionCommand(
         "izoo.benchmarks.planner contexts=city contexts.split=validation num_contexts=8",
         "izoo.benchmarks.planner contexts=pcg contexts.lane_count=1 num_contexts=8 adoptions=[1.0] out=planner",
     ),
-    config="izoo.benchmarks.planner_options:PlannerConfig",
+    config="izoo.benchmarks.planner:PlannerConfig",
     work="izoo.benchmarks.planner:run",
     stopped=f"with out=FOLDER {GOES_ON}",
 )

@@ -8,26 +8,27 @@ the intersections with growing numbers of environments.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.benchmarks.stopwatch import clocked, seconds_per_step
 from izoo.commands.option_command import OptionCommand
+from izoo.console import counted
 from izoo.errors import check_range
-from izoo.files import expanded, write_json
 
 if TYPE_CHECKING:
     from izoo.envs import EnvConfig
 
 SETTLE_STEPS = 400
 RESETS = 7
+PARTS = ("advance", "read", "command_speeds")
+"""Of a step in SUMO: methods of its session."""
 MIDDLE, MANY_STEPS = 3, 50
 """The world with some 60 vehicles, and the timed steps of the largest number of environments."""
 
@@ -43,7 +44,6 @@ class ScalingConfig:
         counts: numbers of environments on the twin in one of the worlds, that with some 60 vehicles.
         threads: of the twin.
         surrogate: of the twin: ``torch``, ``cuda`` or ``compiled``.
-        out: also write the rows as JSON to this file.
     """
 
     steps: int = 800
@@ -52,7 +52,6 @@ class ScalingConfig:
     counts: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)
     threads: int = 1
     surrogate: Literal["torch", "cuda", "compiled"] = "torch"
-    out: str | None = None
 
     def __post_init__(self) -> None:
         check_range("steps", self.steps, 1, 10**5)
@@ -115,89 +114,53 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             _, state = env.step_and_maybe_reset(state)
             vehicles.append(len(simulator.names.members))
 
-        parts = _Parts(simulator)
-        whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, parts.begin)
+        seconds = dict.fromkeys(PARTS, 0.0)
+        for name in PARTS:
+            setattr(simulator.session, name, clocked(getattr(simulator.session, name), seconds, name))
+        whole = 1e6 * seconds_per_step(step, steps, SETTLE_STEPS, lambda: seconds.update(dict.fromkeys(PARTS, 0.0)))
         return {
             "vehicles": float(np.mean(vehicles[SETTLE_STEPS:])),
             "bare_us": bare,
             "environment_us": whole,
-            **parts.means_us(steps),
+            **{f"{name}_us": 1e6 * spent / steps for name, spent in seconds.items()},
             "reset_ms": 1e3 * statistics.median(resets),
         }
     finally:
         env.close()
 
 
-class _Parts:
-    """Clocks around the parts of a simulator's step."""
-
-    NAMES = ("advance", "read", "command_speeds")
-
-    def __init__(self, simulator: Any) -> None:
-        self.seconds = dict.fromkeys(self.NAMES, 0.0)
-        for name in self.NAMES:
-            setattr(simulator.session, name, self._clocked(name, getattr(simulator.session, name)))
-
-    def begin(self) -> None:
-        """Forget what came before."""
-        self.seconds = dict.fromkeys(self.NAMES, 0.0)
-
-    def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*args: Any) -> Any:
-            begin = time.perf_counter()
-            result = call(*args)
-            self.seconds[name] += time.perf_counter() - begin
-            return result
-
-        return run
-
-    def means_us(self, steps: int) -> dict[str, float]:
-        """Return microseconds per step by part."""
-        return {f"{name}_us": 1e6 * seconds / steps for name, seconds in self.seconds.items()}
-
-
-def bare_us(context: Any, steps: int) -> float:
-    """Return microseconds per step of bare libsumo."""
-    from izoo.envs import EcoDrivingEnv
-
-    with contextlib.closing(EcoDrivingEnv(context, config=settings(steps))) as env:
-        env.reset()
-        simulator: Any = env.backend
-        return 1e6 * seconds_per_step(simulator.session.advance, steps, SETTLE_STEPS)
-
-
 def run_twin(config: ScalingConfig) -> None:
     """Measure the twin: every world, then growing numbers of environments in one of them."""
     from izoo.benchmarks import twin_parts
 
-    contexts = worlds()
-    options: dict[str, Any] = {"threads": config.threads, "surrogate": config.surrogate}
+    contexts, on = worlds(), (config.threads, config.surrogate)
     by_world: list[dict[str, float]] = []
     by_count: list[dict[str, float]] = []
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
-        row = twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, **options)
-        by_world.append({**row, "bare_us": bare_us(context, config.steps)})
+        by_world.append(twin_parts.measure(context, config.num_envs, config.steps, SETTLE_STEPS, *on))
     for count in config.counts:
         print(f"{count} environments", file=sys.stderr, flush=True)
         steps = max(config.steps // count, MANY_STEPS)
-        by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, **options))
-    slope, fixed = np.polyfit([row["vehicles"] for row in by_world], [row["whole_us"] for row in by_world], 1)
-    about = f"surrogate {config.surrogate}, {config.threads} thread{'s' if config.threads > 1 else ''}"
-    twin_parts.print_table(f"the twin beside bare libsumo, us per environment step, {about}", by_world)
+        by_count.append(twin_parts.measure(contexts[MIDDLE], count, steps, SETTLE_STEPS, *on))
+    about = f"surrogate {config.surrogate}, {counted(config.threads, 'thread')}"
+    twin_parts.print_table(f"the twin, us per environment step, {about}", by_world)
     twin_parts.print_table(f"the twin by number of environments, {about}", by_count)
+    print_growth(by_world, "whole_us")
+
+
+def print_growth(rows: Sequence[Mapping[str, float]], column: str) -> None:
+    """Print how a time grows with the vehicles, by least squares."""
+    slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row[column] for row in rows], 1)
     print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
-    if config.out is not None:
-        content = {"worlds": by_world, "environments": by_count, "us_per_vehicle": slope, "us_fixed": fixed}
-        write_json(expanded(config.out), {**content, **options})
 
 
 def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
-    """Measure every world, print the table, and write the rows where they are wanted."""
+    """Measure every world, and print the table."""
     print("Loading torch and SUMO.", flush=True)
     import torch
-    from rich.console import Console
-    from rich.table import Table
+
+    from izoo.report.tables import Table
 
     torch.set_num_threads(1)
     if config.simulator == "twin":
@@ -207,37 +170,22 @@ def run(config: ScalingConfig, given: frozenset[str] = frozenset()) -> None:
     for number, context in enumerate(contexts, 1):
         print(f"world {number} of {len(contexts)}", file=sys.stderr, flush=True)
         rows.append(measure(context, config.steps))
-    slope, fixed = np.polyfit([row["vehicles"] for row in rows], [row["environment_us"] for row in rows], 1)
-    table = Table(title="one environment: microseconds per step")
-    for heading in (
-        "vehicles",
-        "bare libsumo",
-        "environment",
-        "SUMO's step",
-        "reading",
-        "commands",
-        "rest",
-        "reset ms",
-    ):
-        table.add_column(heading, justify="right")
+    columns = "vehicles", "bare libsumo", "environment", "SUMO's step", "reading", "commands", "rest", "reset ms"
+    lines = []
     for row in rows:
-        parts = [row[f"{name}_us"] for name in _Parts.NAMES]
-        rest = row["environment_us"] - sum(parts)
-        cells = (row["bare_us"], row["environment_us"], *parts, rest)
-        table.add_row(f"{row['vehicles']:.0f}", *(f"{cell:.0f}" for cell in cells), f"{row['reset_ms']:.0f}")
-    Console().print(table)
-    print(f"least squares: {fixed:.0f} us + {slope:.2f} us per vehicle")
-    if config.out is not None:
-        write_json(expanded(config.out), {"rows": rows, "us_per_vehicle": slope, "us_fixed": fixed})
+        parts = [row[f"{name}_us"] for name in PARTS]
+        cells = row["vehicles"], row["bare_us"], row["environment_us"], *parts, row["environment_us"] - sum(parts)
+        lines.append([f"{cell:.0f}" for cell in (*cells, row["reset_ms"])])
+    Table.of("one environment: microseconds per step", columns, lines).show()
+    print_growth(rows, "environment_us")
 
 
 COMMAND = OptionCommand(
     name="benchmarks.scaling",
     summary="Measure how an environment's step grows with traffic, where its time goes, and what a reset costs.",
-    examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling simulator=twin steps=400 out=scaling.json"),
+    examples=("izoo.benchmarks.scaling", "izoo.benchmarks.scaling simulator=twin steps=400"),
     config="izoo.benchmarks.scaling:ScalingConfig",
     work="izoo.benchmarks.scaling:run",
-    check="izoo.benchmarks.result_file:check_out",
 )
 main = COMMAND.main
 

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from izoo.benchmarks.conduct import Conduct
+from izoo.benchmarks.oracle import Departure
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import STEP, EnvConfig
@@ -38,23 +39,7 @@ class Motion:
             counts += np.histogram(np.clip(scene.vehicles[name], edges[0], edges[-1]), edges)[0]
 
 
-class Parting(NamedTuple):
-    """Where two episodes part first: the step, the vehicle, and its (lane, position, speed) in SUMO and on the twin.
-
-    The lane is empty where the vehicle is not in the region.
-    """
-
-    step: int
-    vehicle: int
-    sumo: tuple[str, float, float]
-    twin: tuple[str, float, float]
-
-    def __str__(self) -> str:
-        sides = (f"{lane or 'outside'} {at:.3f} m {speed:.3f} m/s" for lane, at, speed in (self.sumo, self.twin))
-        return "step {} vehicle {}: SUMO {}; twin {}".format(self.step, self.vehicle, *sides)
-
-
-def parting(step: int, sumo: Scene, twin: Scene) -> Parting | None:
+def parting(step: int, sumo: Scene, twin: Scene) -> Departure | None:
     """Return the vehicle that differs most between two scenes, or ``None`` where none differs."""
     places = [_places(scene) for scene in (sumo, twin)]
     nowhere = ("", np.nan, np.nan)
@@ -63,7 +48,7 @@ def parting(step: int, sumo: Scene, twin: Scene) -> Parting | None:
         here, there = (place.get(vehicle, nowhere) for place in places)
         apart = np.inf if here[0] != there[0] else max(abs(here[1] - there[1]), abs(here[2] - there[2]))
         if apart > worst:
-            worst, found = apart, Parting(step, vehicle, here, there)
+            worst, found = apart, Departure(step, vehicle, here, there)
     return found
 
 
@@ -84,7 +69,7 @@ class Played(NamedTuple):
         conducts: what drivers did; ``None`` where a decision lasts longer than a step, since then nobody sees when.
     """
 
-    parting: Parting | None
+    parting: Departure | None
     steps: int
     motions: tuple[Motion, Motion]
     conducts: tuple[Conduct, Conduct] | None
@@ -109,16 +94,12 @@ class SideBySide:
 
     def play(self, policy: Policy, context: Context, seed: int) -> Played:
         """Play an episode to its end."""
-        found: Parting | None = None
+        found: Departure | None = None
         motions, conducts = (Motion(), Motion()), (Conduct(), Conduct())
         environments: list[Any] = [self._sumo, self._twin]
         config = self._sumo.config
         counted = config.hold_steps == 1
-        with (
-            torch.random.fork_rng(devices=[]),
-            set_exploration_type(ExplorationType.DETERMINISTIC),
-            torch.no_grad(),
-        ):
+        with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
             states = [env.reset(context=context, seed=seed) for env in environments]
             for decision in range(1, config.decisions + 1):
                 step = min(decision * config.hold_steps, config.control_steps)

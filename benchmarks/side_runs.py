@@ -11,7 +11,6 @@ import sys
 import tempfile
 import threading
 from collections.abc import Hashable
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -21,20 +20,6 @@ from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError, UnfinishedError
 
 _COMMAND = "train"
-
-
-@dataclass(frozen=True)
-class Order:
-    """A run to train.
-
-    Attributes:
-        config, given: as :func:`izoo.training.loop.train` takes them.
-        log: file that what the run says is added to.
-    """
-
-    config: TrainConfig
-    given: frozenset[str]
-    log: Path
 
 
 class SideRuns:
@@ -81,9 +66,9 @@ class SideRuns:
         """Whether the run of this name was begun."""
         return name in self._runs
 
-    def begin(self, name: Hashable, order: Order) -> None:
-        """Begin to train in a new process."""
-        self._runs[name] = _Run(order, self._free.pop())
+    def begin(self, name: Hashable, config: TrainConfig, given: frozenset[str], log: Path) -> None:
+        """Begin :func:`izoo.training.loop.train` in a new process; what it says is added to the file ``log``."""
+        self._runs[name] = _Run(config, given, log, self._free.pop())
 
     def is_done(self, name: Hashable) -> bool:
         """Return whether a run has come to its end, and make room for others where some have.
@@ -107,16 +92,16 @@ class _Run:
         ended: whether its end was noticed.
     """
 
-    def __init__(self, order: Order, cores: frozenset[int]) -> None:
-        self.cores, self.ended, self._log = cores, False, order.log
+    def __init__(self, config: TrainConfig, given: frozenset[str], log: Path, cores: frozenset[int]) -> None:
+        self.cores, self.ended, self._log = cores, False, log
         self._parent, child = socket.socketpair()
-        order.log.parent.mkdir(parents=True, exist_ok=True)
-        self._said_before = order.log.stat().st_size if order.log.exists() else 0
-        with child, tempfile.TemporaryFile() as setup, order.log.open("ab") as log:
-            pickle.dump((order.config, order.given, cores), setup)
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self._said_before = log.stat().st_size if log.exists() else 0
+        with child, tempfile.TemporaryFile() as setup, log.open("ab") as output:
+            pickle.dump((config, given, cores), setup)
             setup.flush()
             call = f"from izoo.benchmarks.side_runs import worker_main; worker_main({child.fileno()}, {setup.fileno()})"
-            self.process = start_process(call, child.fileno(), setup.fileno(), output=log)
+            self.process = start_process(call, child.fileno(), setup.fileno(), output=output)
 
     def require_success(self) -> None:
         """Raise what the process said last, unless it came to its end."""

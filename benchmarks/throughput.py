@@ -1,6 +1,6 @@
 """How fast environments run, beside bare libsumo on the same network, demand and machine.
 
-``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400 out=FILE``
+``python -m izoo.benchmarks.throughput workers=2 scenarios=[light,medium,heavy] steps=400``
 
 Rows of the twin hold many environments in this process, in one or several threads; they play the same episodes over
 and over, and are collected in shorter batches the more there are of them.
@@ -19,24 +19,22 @@ medians are reported.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import statistics
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from itertools import groupby
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from izoo.benchmarks.stopwatch import CHUNK
 from izoo.commands.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.errors import IzooError, check_range
-from izoo.files import expanded, write_json
 
 if TYPE_CHECKING:
     from izoo.benchmarks.throughput_plan import Sample
 
 ROUNDS = 3
-PROFILED_ENVS = 64
 Scenario = Literal["light", "medium", "heavy"]
 
 
@@ -49,10 +47,9 @@ class ThroughputConfig:
         workers: processes of the variants that have several.
         steps: timed steps per environment, variant and round; a multiple of 200, as collectors are timed in such
             batches.
-        twin_envs: environments on the twin, a row for each number; the last also with compiled CO2, with a policy, and
-            with resets; empty: no such rows.
+        twin_envs: environments on the twin, a row for each number; the last also with compiled CO2 and with a policy;
+            empty: no such rows.
         twin_threads: threads of the twin, rows for each number.
-        out: also write the rows as JSON to this file.
     """
 
     scenarios: tuple[Scenario, ...] = ("light", "medium", "heavy")
@@ -60,7 +57,6 @@ class ThroughputConfig:
     steps: int = 400
     twin_envs: tuple[int, ...] = (1, 16, 256, 128)
     twin_threads: tuple[int, ...] = (1, 2)
-    out: str | None = None
 
     def __post_init__(self) -> None:
         check_range("workers", self.workers, 1, 1024)
@@ -85,25 +81,19 @@ class Row:
     agents: float
 
 
-def measure(names: Sequence[str], workers: int, steps: int, twins: Sequence[tuple[int, int]] = ()) -> list[Row]:
-    """Measure all variants of the named scenarios, a bar on the error stream meanwhile.
-
-    Args:
-        names: of ``light``, ``medium`` and ``heavy``.
-        workers: processes of the variants that have several.
-        steps: timed steps per environment, variant and round.
-        twins: environments and threads of each row of the twin.
-    """
+def measure(config: ThroughputConfig) -> list[Row]:
+    """Measure all variants of the scenarios, with a bar on the error stream meanwhile."""
     import torch
 
     from izoo.benchmarks.throughput_plan import Plan, scenarios
     from izoo.benchmarks.variants import make_variants
 
     torch.set_num_threads(1)
-    plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, workers, steps)
+    names, twins = config.scenarios, itertools.product(config.twin_threads, config.twin_envs)
+    plan = Plan(tuple(scenarios()[name] for name in names), ROUNDS, config.workers, config.steps)
     rows = []
     with contextlib.ExitStack() as stack:
-        variants = make_variants(plan, twins)
+        variants = make_variants(plan, [(envs, threads) for threads, envs in twins if threads <= envs])
         for variant in variants.values():
             stack.callback(variant.close)
         played = 0
@@ -132,63 +122,36 @@ def _rows(scenario: str, samples: dict[str, list[Sample]]) -> list[Row]:
 
 
 def print_tables(rows: Sequence[Row]) -> None:
-    """Print the rows for people, a table per scenario."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
+    """Print the rows, a table per scenario."""
+    from izoo.report.tables import Table
 
-    console = Console()
-    for scenario, group in groupby(rows, lambda row: row.scenario):
-        table = Table(
-            title=f"{scenario}: medians of {ROUNDS} rounds", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
-        )
-        table.add_column("variant")
-        for heading in ("env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"):
-            table.add_column(heading, justify="right", no_wrap=True)
-        for row in group:
-            rates = f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"
-            table.add_row(row.variant, *rates, f"{row.vehicles:.0f}", f"{row.agents:.0f}")
-        console.print(table)
-
-
-def profile(config: ThroughputConfig) -> list[dict[str, float]]:
-    """Measure and print where a step of the twin goes, in one thread, scenario after scenario."""
-    from izoo.benchmarks import twin_parts
-    from izoo.benchmarks.throughput_plan import scenarios
-
-    envs = min(max(config.twin_envs), PROFILED_ENVS)
-    rows: list[dict[str, float]] = []
-    for surrogate in ("torch", "compiled"):
-        contexts = [scenarios()[name] for name in config.scenarios]
-        found = [twin_parts.measure(context, envs, CHUNK, CHUNK, surrogate=surrogate) for context in contexts]
-        title = (
-            f"where a step of the twin goes, us per environment step: {', '.join(config.scenarios)}; {surrogate} CO2"
-        )
-        twin_parts.print_table(title, found)
-        rows += found
-    return rows
+    columns = "variant", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "CVs"
+    for scenario, group in itertools.groupby(rows, lambda row: row.scenario):
+        lines = [
+            (
+                row.variant,
+                *(f"{row.env_steps_per_s:,.0f}", f"{row.ratio_to_bare:.2f}", f"{row.agent_steps_per_s:,.0f}"),
+                *(f"{row.vehicles:.0f}", f"{row.agents:.0f}"),
+            )
+            for row in group
+        ]
+        Table.of(f"{scenario}: medians of {ROUNDS} rounds", columns, lines).show()
 
 
 def run(config: ThroughputConfig, given: frozenset[str] = frozenset()) -> list[Row]:
-    """Measure, print the tables, and write the rows where they are wanted."""
+    """Measure, and print the tables."""
     print("Loading torch and SUMO.", flush=True)
-    twins = [(envs, threads) for threads in config.twin_threads for envs in config.twin_envs if threads <= envs]
-    rows = measure(config.scenarios, config.workers, config.steps, twins)
+    rows = measure(config)
     print_tables(rows)
-    parts = profile(config) if twins else []
-    if config.out is not None:
-        content = {"workers": config.workers, "rows": [asdict(row) for row in rows], "twin_parts": parts}
-        write_json(expanded(config.out), content)
     return rows
 
 
 COMMAND = OptionCommand(
     name="benchmarks.throughput",
     summary="Measure how fast environments run, beside bare libsumo on the same network, demand and machine.",
-    examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4 out=rates.json"),
+    examples=("izoo.benchmarks.throughput", "izoo.benchmarks.throughput scenarios=[medium] workers=4"),
     config="izoo.benchmarks.throughput:ThroughputConfig",
     work="izoo.benchmarks.throughput:run",
-    check="izoo.benchmarks.result_file:check_out",
 )
 main = COMMAND.main
 

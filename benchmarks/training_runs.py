@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from izoo.benchmarks.side_runs import Order, SideRuns
+from izoo.benchmarks.side_runs import SideRuns
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, counted
@@ -58,12 +58,8 @@ class TrainingRuns:
 
     def left(self, key: Key) -> int:
         """Return the frames that a run has still to learn from."""
-        learned, _ = _learned(self.run_dir(key))
-        return max(self.wanted[key].total_frames - learned, 0)
-
-    def seconds(self, key: Key) -> float:
-        """Return how long a run was trained for, so far."""
-        return _learned(self.run_dir(key))[1]
+        learned, _ = MetricsTable.read(self.run_dir(key) / runs.METRICS_FILE).series("seconds")
+        return max(self.wanted[key].total_frames - max(learned, default=0), 0)
 
     def is_trained(self, key: Key) -> bool:
         """Whether a run has all its frames, and owes no validation.
@@ -120,7 +116,7 @@ class TrainingRuns:
             while True:
                 for key in keys:
                     if beside.has_room and key not in beside:
-                        beside.begin(key, Order(*self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX)))
+                        beside.begin(key, *self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX))
                 if beside.is_done(keys[0]):
                     break
                 bar.update(total - sum(map(self.left, keys)), counted(len(beside.going), "run"))
@@ -165,9 +161,3 @@ def _frames(run_dir: Path) -> int:
     """Return the frames of a run's newest checkpoint; 0: it has none."""
     found = checkpoint.listed(run_dir)
     return int(found[-1].stem.rpartition("-")[2]) if found else 0
-
-
-def _learned(run_dir: Path) -> tuple[int, float]:
-    """Return the frames that a run has learned from, and how long it took, so far."""
-    frames, seconds = MetricsTable.read(run_dir / runs.METRICS_FILE).series("seconds")
-    return max(frames, default=0), max(seconds, default=0.0)

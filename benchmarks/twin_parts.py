@@ -1,14 +1,13 @@
-"""What a step of the twin costs, and where it goes: used by the speed benchmarks."""
+"""What a step of the twin costs, and where it goes: used by the scaling benchmark."""
 
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from izoo.benchmarks.stopwatch import seconds_per_step
+from izoo.benchmarks.stopwatch import clocked, seconds_per_step
 from izoo.envs.mdp.tally import EPISODE_METRICS
 
 PARTS = {"drive": "driving", "emit": "CO2", "conclude": "MDP", "play": "all three"}
@@ -18,28 +17,19 @@ _CALLS = {"drive_all": "drive", "conclude_all": "conclude", "play_all": "play"}
 
 
 @contextlib.contextmanager
-def clocked(backend: Any) -> Iterator[dict[str, float]]:
+def clocks_around(backend: Any) -> Iterator[dict[str, float]]:
     """Put clocks around the parts of a backend's steps; seconds add up in the dictionary. For one thread."""
     from izoo.envs.twin import twin_backend
 
     seconds = dict.fromkeys(PARTS, 0.0)
 
-    def clock(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*args: Any) -> Any:
-            begin = time.perf_counter()
-            result = call(*args)
-            seconds[part] += time.perf_counter() - begin
-            return result
-
-        return run
-
     before = {name: getattr(twin_backend, name) for name in _CALLS}
     emitters = backend._emitters
     try:
         for name, part in _CALLS.items():
-            setattr(twin_backend, name, clock(part, before[name]))
+            setattr(twin_backend, name, clocked(before[name], seconds, part))
         for emitter in emitters:
-            emitter.emit = clock("emit", emitter.emit)
+            emitter.emit = clocked(emitter.emit, seconds, "emit")
         yield seconds
     finally:
         for name, call in before.items():
@@ -80,7 +70,7 @@ def measure(
 
         clocks: contextlib.AbstractContextManager[dict[str, float]] = contextlib.nullcontext({})
         if threads == 1:
-            clocks = clocked(env.backend)
+            clocks = clocks_around(env.backend)
         with clocks as seconds:
             for _ in range(settle):
                 step()
@@ -97,21 +87,14 @@ def measure(
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, float]]) -> None:
-    """Print rows of :func:`measure` for people, beside bare libsumo where they have it."""
-    from rich.console import Console
-    from rich.table import Table
+    """Print rows of :func:`measure`."""
+    from izoo.report.tables import Table
 
-    columns = {"environments": "envs", "vehicles": "vehicles", "bare_us": "bare", "whole_us": "twin"}
+    columns = {"environments": "envs", "vehicles": "vehicles", "whole_us": "twin"}
     columns |= {f"{part}_us": heading for part, heading in PARTS.items()} | {"kilobytes": "kB each"}
     shown = [name for name in columns if any(name in row for row in rows)]
-    table = Table(title=title, title_justify="left")
-    for name in [*shown, *(["ratio"] if "bare_us" in shown else [])]:
-        table.add_column(columns.get(name, name), justify="right")
-    for row in rows:
-        cells = [f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown]
-        ratio = [f"{row['bare_us'] / row['whole_us']:.1f}"] if "bare_us" in row else []
-        table.add_row(*cells, *ratio)
-    Console().print(table)
+    lines = [[f"{row[name]:,.1f}" if name.endswith("_us") else f"{row[name]:,.0f}" for name in shown] for row in rows]
+    Table.of(title, [columns[name] for name in shown], lines).show()
 
 
 def _kilobytes(backend: Any) -> float:

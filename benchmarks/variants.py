@@ -11,7 +11,7 @@ import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -24,26 +24,28 @@ from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.bare_variants import Bare, BareSideBySide
 from izoo.benchmarks.stopwatch import CHUNK, seconds_per_step
 from izoo.benchmarks.throughput_plan import SAMPLE_STEPS, VEHICLE_STEPS, Plan, Sample, Variant
-from izoo.benchmarks.twin_variants import OnTwin, OnTwinWithResets
-from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import CollectorConfig, TrainConfig, TrainingTwinConfig
+from izoo.console import counted
+from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.mdp.frame import TOTALS
 from izoo.training.collectors import BatchSource, ShiftedSchedule
 
+TWIN_ROWS = 4096
+"""Steps of a batch from the twin over all its environments, about."""
+
 
 def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str, Variant]:
     """Return every variant by the name of its row; the first is what the others are compared with.
 
     Args:
-        plan: what is played.
-        twins: environments and threads of each row of the twin; the last of them also with the compiled surrogate,
-            with a policy, and with whole episodes and the resets between them (with either surrogate).
+        twins: environments and threads of each row of the twin; the last also with compiled CO2, and with a policy.
     """
     lean = plan.env(emit=())
     last = {threads: (envs, threads) for envs, threads in twins}.values()
-    several = f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'}"
+    several = counted(plan.workers, "worker")
     return {
         "bare libsumo": Bare(plan),
         f"{several}, bare libsumo": BareSideBySide(plan),
@@ -57,18 +59,11 @@ def make_variants(plan: Plan, twins: Sequence[tuple[int, int]] = ()) -> dict[str
         **{_twin_label(*twin): OnTwin(plan, *twin, policy=FullAcceleration()) for twin in twins},
         **{f"{_twin_label(*twin)}, compiled CO2": OnTwin(plan, *twin, "compiled", FullAcceleration()) for twin in last},
         **{f"{_twin_label(*twin)}, PPO": OnTwin(plan, *twin) for twin in last},
-        **{f"{_twin_label(*twin)}, with resets": OnTwinWithResets(plan, *twin) for twin in last},
-        **{
-            f"{_twin_label(*twin)}, compiled CO2, with resets": OnTwinWithResets(plan, *twin, "compiled")
-            for twin in last
-        },
     }
 
 
 def _twin_label(envs: int, threads: int) -> str:
-    return f"twin, {envs} {'environment' if envs == 1 else 'environments'}" + (
-        f", {threads} threads" if threads > 1 else ""
-    )
+    return f"twin, {counted(envs, 'environment')}" + (f", {threads} threads" if threads > 1 else "")
 
 
 class Single:
@@ -130,32 +125,79 @@ class Collected:
     def _collect(self, source: BatchSource) -> Sample:
         """Time the batches of the next episodes, but for the first and the last."""
         source.next()
-        agents, vehicle_steps, begin = 0, 0.0, time.perf_counter()
-        for _ in range(self.plan.batches):
-            batch = source.next()
-            agents += int(batch["agents", "mask"].sum())
-            counted = batch["next", TOTALS][..., VEHICLE_STEPS]
-            vehicle_steps += float((counted[:, -1] - counted[:, 0]).sum())
-        elapsed = time.perf_counter() - begin
+        sample = _timed(source, self.plan.batches, CHUNK, self._envs)
         source.next()  # the episodes end in it
-        steps = self.plan.batches * CHUNK * self._envs
-        vehicles = vehicle_steps / (self.plan.batches * (CHUNK - 1) * self._envs)
-        return Sample(steps / elapsed, agents / elapsed, vehicles, agents / steps)
+        return sample
 
     def _start(self, schedule: Schedule) -> BatchSource:
-        options = TrainConfig(
-            algo=PPOConfig(frames_per_batch=self._envs * CHUNK),
-            collector=CollectorConfig(name=self.collector),
-            env=self.plan.env(emit=()),
-            num_workers=self.plan.workers,
-        )
-        torch.manual_seed(0)
-        policy = self.policy or make_algorithm(options.algo, options.action, options.env).policy
-        return BatchSource(options, policy, schedule)
+        collector, workers = CollectorConfig(name=self.collector), self.plan.workers
+        return _source(self.plan, schedule, self.policy, self._envs * CHUNK, collector=collector, num_workers=workers)
 
     def close(self) -> None:
         if self._source is not None:
             self._source.close()
+
+
+@dataclass
+class OnTwin:
+    """Batches collected from the twin as training does, by default with a freshly initialised PPO policy.
+
+    Args:
+        plan: whose episodes are played, the same one by every ``plan.workers``-th environment.
+        envs, threads: of the twin.
+        surrogate: what computes CO2.
+        policy: what acts.
+    """
+
+    plan: Plan
+    envs: int
+    threads: int
+    surrogate: Literal["torch", "compiled"] = "torch"
+    policy: TensorDictModuleBase | None = None
+
+    def __call__(self, episode: int) -> tuple[Context, int]:
+        """Return context and seed of an episode: the schedule of the scenario that is being played."""
+        return self._context, episode_seed(0, episode % self.plan.workers)
+
+    def play(self, scenario: int) -> Sample:
+        """Time the batches of the next episodes, but for those of the first and the last two hundred steps."""
+        self._context = self.plan.contexts[scenario]
+        length = next(steps for steps in (200, 100, 50, 20, 10) if steps * self.envs <= TWIN_ROWS or steps == 10)
+        twin = TrainingTwinConfig(self.threads, self.surrogate, stagger=False)
+        options = {"simulator": "twin", "twin": twin, "num_envs": self.envs}
+        with contextlib.closing(_source(self.plan, self, self.policy, self.envs * length, **options)) as source:
+            for _ in range(CHUNK // length):
+                source.next()
+            if source.twin is not None:
+                source.twin.backend.forget_ahead()  # their warm-up is longer here than what is timed
+            return _timed(source, self.plan.steps // length, length, self.envs)
+
+    def close(self) -> None:
+        pass
+
+
+def _source(
+    plan: Plan, schedule: Schedule, policy: TensorDictModuleBase | None, frames_per_batch: int, **options: Any
+) -> BatchSource:
+    """Return a source of batches as training has it; without a policy, of a freshly initialised one."""
+    config = TrainConfig(algo=PPOConfig(frames_per_batch=frames_per_batch), env=plan.env(emit=()), **options)
+    torch.manual_seed(0)
+    policy = policy or make_algorithm(config.algo, config.action, config.env).policy
+    return BatchSource(config, policy, schedule)
+
+
+def _timed(source: BatchSource, batches: int, length: int, envs: int) -> Sample:
+    """Time batches of so many steps in each of so many environments."""
+    agents, vehicle_steps, begin = 0, 0.0, time.perf_counter()
+    for _ in range(batches):
+        batch = source.next()
+        agents += int(batch["agents", "mask"].sum())
+        driven = batch["next", TOTALS][..., VEHICLE_STEPS]
+        vehicle_steps += float((driven[:, -1] - driven[:, 0]).sum())
+    elapsed = time.perf_counter() - begin
+    steps = batches * length * envs
+    vehicles = vehicle_steps / (batches * (length - 1) * envs)
+    return Sample(steps / elapsed, agents / elapsed, vehicles, agents / steps)
 
 
 def _in_turn(samples: Sequence[Sample]) -> Sample:

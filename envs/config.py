@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 from izoo.contexts.features import OBSERVED, check_observed
@@ -23,7 +24,7 @@ STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
 SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
 ACTIONS = (ACCELERATION, SPEED)
-WHOLE_WAY, BEFORE_AND_BEHIND = ("speed",), ("speed_before", "speed_behind")
+WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class EnvConfig:
             its next, and a step of the environment plays on until a CV is to decide, the horizon, or the end.
         action: what a decision is: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
             the vehicle's own car-following keeps to; 1 leaves it alone.
-        action_parts: numbers of an action ``speed``: one for the whole way (``speed``), or one each before and behind
-            the stop line (``speed_before``, ``speed_behind``).
+        action_parts: numbers of an action ``speed``: one for the whole way (``speed``), one for the way to the stop
+            line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``).
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
             rounded to whole steps.
         warmup_s: time at the start in which nothing is controlled or measured.
@@ -146,10 +147,10 @@ class EnvConfig:
     def _check_decisions(self) -> None:
         check_choice("env.decide", self.decide, SCOPES)
         check_choice("env.action", self.action, ACTIONS)
-        if self.action_parts not in (WHOLE_WAY, BEFORE_AND_BEHIND):
+        if self.action_parts not in (WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND):
             raise IzooError(
-                f"env.action_parts is {list(self.action_parts)}; give {list(WHOLE_WAY)} for one speed all the way, or "
-                f"{list(BEFORE_AND_BEHIND)} for one before and one behind the stop line."
+                f"env.action_parts is {list(self.action_parts)}; give {list(WHOLE_WAY)} for one speed all the way, "
+                f"{list(BEFORE)} for one before the stop line, or {list(BEFORE_AND_BEHIND)} for one on either side."
             )
         if self.action != SPEED and self.action_parts != WHOLE_WAY:
             raise IzooError(
@@ -175,10 +176,20 @@ class EnvConfig:
                 f"{self.action}; set env.decide=step and env.action=acceleration{instead}."
             )
 
+    def with_accelerations(self, hold_s: float | None = None) -> EnvConfig:
+        """Return the same environment, in which accelerations are commanded in every step, or every ``hold_s``."""
+        changes = {"decide": STEP, "hold_s": hold_s, "action": ACCELERATION, "action_parts": WHOLE_WAY}
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
     @property
     def action_size(self) -> int:
         """Numbers of an action, ``D``."""
         return len(self.action_parts) if self.action == SPEED else 1
+
+    @property
+    def action_columns(self) -> int:
+        """Numbers of an action as a simulator reads it: behind the stop line stands 1 where nothing is said of it."""
+        return 2 if self.action_parts == BEFORE else self.action_size
 
     @property
     def hold_steps(self) -> int:

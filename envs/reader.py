@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from izoo.envs.config import SPEED, EnvConfig
+from izoo.envs.config import SPEED, STEP, EnvConfig
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
@@ -84,6 +84,10 @@ class Copies:
         return copy, copy
 
 
+ROUNDING = 1e-5
+"""How far above 1 a share may lie: that of a policy's single precision."""
+
+
 class FrameReader:
     """Turns the arrays of frames into TensorDicts that own their memory, unless :attr:`observations` says otherwise.
 
@@ -118,7 +122,8 @@ class FrameReader:
         sources += [self.tensors[name] for name in self._root_keys]
         self._sources = [tensor.numpy() for tensor in sources]
         self.action_shape = torch.Size((*self.agents_batch, config.action_size))
-        self._action = self.tensors["action"]
+        self._action = self.tensors["action"][..., : config.action_size]
+        self.tensors["action"][..., config.action_size :] = 1.0
         self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
         self.observations: Observations = Copies(arrays["observation"])
 
@@ -126,7 +131,7 @@ class FrameReader:
         """Check the action keys.
 
         Raises:
-            IzooError: an action is missing, is of another shape or type than its spec, or is no lane change.
+            IzooError: an action is missing, is of another shape or type than its spec, or is no share or lane change.
         """
         agents = tensordict.get("agents", None)
         action = None if agents is None else agents.get("action", None)
@@ -141,8 +146,21 @@ class FrameReader:
         if defer is not None and defer.numel() != self.agents_batch.numel():
             shape = list(self.agents_batch)
             raise IzooError(f"('agents', 'defer') is of shape {list(defer.shape)}; give flags of shape {shape}.")
+        if self.config.action == SPEED:
+            self._check_shares(action, defer)
         if self.config.lane_change:
             self._check_lane_change(agents.get("lane_change", None))
+
+    def _check_shares(self, action: Tensor, defer: Tensor | None) -> None:
+        asked = self.tensors["mask" if self.config.decide == STEP else "decides"]
+        if defer is not None:
+            asked = asked & (defer.reshape(asked.shape) == 0)
+        wrong = action[asked & ((action <= 0.0) | (action > 1.0 + ROUNDING)).any(-1)]
+        if len(wrong) > 0:
+            raise IzooError(
+                f"('agents', 'action') asks for desired speeds of {wrong.flatten()[:5].tolist()}; give shares of the "
+                "speed limit above 0 and up to 1, which leaves the vehicle alone, or set ('agents', 'defer')."
+            )
 
     def _check_lane_change(self, lanes: Tensor | None) -> None:
         legal = self.tensors["lane_change"].shape

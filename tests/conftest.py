@@ -6,12 +6,17 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from izoo.contexts.context import Context
+from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextList
+from izoo.envs.config import EnvConfig
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.net.net_cache import CACHE_ENV
 
+SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
 LONGEST = (
     # These two compile the twin and the environment on SUMO where they are not compiled yet: each in its own process.
     *("tests/training/test_simulators.py", "tests/test_train.py"),
@@ -36,6 +41,14 @@ def dataset() -> ContextList:
     if not root:
         pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
     return load_dataset(Path(root) / "salt-lake-city-60")
+
+
+@pytest.fixture(scope="session")
+def contexts() -> list[Context]:
+    """Two contexts with demand from one approach, for :data:`SHORT` episodes."""
+    base = {"lane_count": 1, "phase_count": 1, "green_s": 25}
+    sources = [ProceduralSource({**base, "inflow_vph_per_lane": inflow}) for inflow in (500, 600)]
+    return [source.sample(np.random.default_rng(0)) for source in sources]
 
 
 @pytest.fixture(scope="session", autouse=True)

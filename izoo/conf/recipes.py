@@ -21,13 +21,23 @@ BUSY_LANE = (
     "contexts.lane_length_m=250..500",
     "simulator=twin",
     "twin.surrogate=compiled",
-    "action=advise",
-    "env.hold_s=2",
     "env.num_agents=32",
     "env.num_vehicles=128",
     "evaluation.contexts=16",
+    "evaluation.seeds=1",
 )
-"""One-lane approaches near capacity, where smooth driving helps most; the simulator and the action that suit them."""
+"""One-lane approaches near capacity, where smooth driving helps most, and the simulator that suits them."""
+ADVISED = (*BUSY_LANE, "action=advise", "env.hold_s=2")
+"""The same, advised every 2 s."""
+ONCE = (
+    "action=speed",
+    "action.initial=0.75",
+    "env.action=speed",
+    "env.action_parts=[speed_before]",
+    "env.decide=vehicle",
+    "env.reward=fuel",
+)
+"""A CV chooses a desired speed for its way to the stop line when it enters."""
 GLIDE_SEARCH = (
     "contexts.adoption=[0.1,0.3333333333333333,1.0]",
     "simulator=twin",
@@ -54,9 +64,30 @@ GLIDE_SEARCH = (
 """The settings of glide, searched by what whole teams are paid: 20 generations of 32 contexts for each of 16 rules."""
 RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     "busy_lane": (
-        "one-lane approaches near capacity, on the twin; the policy imitates glide: what make train trains",
+        "one-lane approaches near capacity, on the twin; every CV chooses its speed once: what make train trains",
         (
             *BUSY_LANE,
+            *ONCE,
+            "num_envs=64",
+            "algo=ppo",
+            "algo.control_variate=vehicle",
+            "algo.frames_per_batch=1536",
+            "algo.epochs=6",
+            "algo.lr=5e-3",
+            "algo.activation=relu",
+            "algo.separate_clips=true",
+            "algo.max_grad_norm=1",
+            "total_frames=92160",
+            "validation.every_batches=20",
+            "validation.contexts=32",
+            "validation.seeds=1",
+            "validation.simulator=twin",
+        ),
+    ),
+    "busy_lane_imitation": (
+        "the same approaches; the policy imitates glide, every 2 s",
+        (
+            *ADVISED,
             "num_envs=32",
             "algo=ppo",
             "algo.warm_start=glide",
@@ -90,10 +121,10 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
             *GLIDE_SEARCH,
         ),
     ),
-    "from_scratch": (
+    "busy_lane_search": (
         "the same approaches; linear policies are searched by what whole teams are paid",
         (
-            *BUSY_LANE,
+            *ADVISED,
             "num_envs=256",
             "env.reward=fuel_team",
             "env.neighbours=[leader]",
@@ -107,7 +138,13 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
 }
 """What each recipe is for, and its words."""
-_CHOICES = ("algo", "action", "contexts", "env.reward")
+_CHOICES = {
+    "algo": ("algo",),
+    "action": ("action", "env.action", "env.action_parts", "env.decide"),
+    "contexts": ("contexts",),
+    "env.reward": ("env.reward",),
+}
+"""Options that another choice takes the place of, with all that stand below them."""
 
 
 def recipe_words(name: str) -> tuple[str, ...]:
@@ -133,7 +170,7 @@ def with_recipe(words: Sequence[str]) -> list[str]:
         return others
     words = recipe_words(named[-1].removeprefix(RECIPE).strip("'\""))
     said = {word.partition("=")[0] for word in others}
-    replaced = [group for group in _CHOICES if group in said]
+    replaced = [option for group, options in _CHOICES.items() if group in said for option in options]
     kept = [
         word
         for word in words

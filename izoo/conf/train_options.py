@@ -11,7 +11,7 @@ from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range, check_types
 from izoo.files import expanded
@@ -202,8 +202,9 @@ class TrainConfig:
 
     Attributes:
         algo: the algorithm and its hyper-parameters.
-        action: whether the policy commands accelerations (``direct``), advises the simulator's own driver (``advise``)
-            or corrects a scripted one (``residual``).
+        action: whether the policy commands accelerations (``direct``), desired speeds that the vehicle's own
+            car-following keeps to (``speed``), advises the simulator's own driver (``advise``) or corrects a scripted
+            one (``residual``).
         contexts: which contexts episodes are drawn from.
         levels: which of these are played.
         env: the environment.
@@ -263,9 +264,7 @@ class TrainConfig:
                 "set num_envs and twin.threads."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
-        self.env.require_accelerations(
-            f"algo={self.algo.name}", ", or learn with a loop of your own on izoo.envs.TwinEnv"
-        )
+        self._fit_action()
         warm_start = getattr(self.algo, "warm_start", "none")
         if warm_start != "none" and self.action.name != "advise":
             raise IzooError(
@@ -276,13 +275,10 @@ class TrainConfig:
             self._credit_the_team()
         if self.algo.candidates > 1:
             self._emit(TEAM_REWARD)
+        if getattr(self.algo, "control_variate", "none") == "vehicle":
+            self._emit("number")
         if getattr(self.algo, "critic_sees", "cvs") == "all":
             self._emit("vehicles")
-        if getattr(self.algo, "control_variate", False) and self.simulator != "twin":
-            raise IzooError(
-                "algo.control_variate=true plays every training episode a second time, uncommanded, which only the "
-                "twin does beside training; choose simulator=twin, or algo.control_variate=false."
-            )
         if self.levels.draw == "prioritised" and (self.simulator != "twin" or not hasattr(self.algo, "gae_lambda")):
             raise IzooError(
                 f"levels.draw=prioritised scores contexts by the advantages that PPO, MAPPO and graph RL estimate, and "
@@ -300,9 +296,22 @@ class TrainConfig:
     @property
     def staggered(self) -> int:
         """How many of the first episodes begin at random phases."""
-        if self.simulator == "sumo" or not self.twin.stagger or self.algo.candidates > 1:
+        by_step = self.env.decide == STEP and self.algo.candidates == 1
+        if self.simulator == "sumo" or not self.twin.stagger or not by_step:
             return 0
         return self.num_envs or TWIN_ENVS
+
+    def _fit_action(self) -> None:
+        """Let the environment take what the policy's actions stand for."""
+        name, env = self.action.name, self.env
+        parts = BEFORE_AND_BEHIND if name == "arrive" else env.action_parts
+        if name in ("speed", "arrive"):
+            object.__setattr__(self, "env", dataclasses.replace(env, action=SPEED, action_parts=parts))
+        elif env.action == SPEED:
+            raise IzooError(
+                f"env.action=speed takes desired speeds, but the policy's actions are those of action="
+                f"{name}; choose action=speed or arrive, or env.action=acceleration."
+            )
 
     def _credit_the_team(self) -> None:
         """Refuse a reward that is not the team's, and let the environment emit the team's."""

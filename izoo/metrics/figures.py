@@ -29,13 +29,13 @@ class Ratio:
     """A level: ``scale * (sum of top - sum of minus) / sum of bottom``, or the numerator alone without ``bottom``.
 
     Attributes:
-        top, bottom, minus: names of sums.
+        top, bottom, minus: names of sums, separated by spaces.
         scale: 100 for per cent.
     """
 
-    top: tuple[str, ...]
-    bottom: tuple[str, ...] = ()
-    minus: tuple[str, ...] = ()
+    top: str
+    bottom: str = ""
+    minus: str = ""
     scale: float = 1.0
 
     def __call__(self, own: Frame, baseline: Frame | None = None) -> Array:
@@ -48,11 +48,11 @@ class Ratio:
 
     def of_tensors(self, sums: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return value (not scaled: shares are fractions) and validity, ``[*B]`` each, of float sums ``[*B]``."""
-        minus = sum(sums[name] for name in self.minus)
-        top = torch.stack([sums[name] for name in self.top]).sum(0) - minus
+        top = sum(sums[name] for name in self.top.split()) - sum(sums[name] for name in self.minus.split())
+        assert isinstance(top, Tensor)
         if not self.bottom:
             return top, torch.ones_like(top, dtype=torch.bool)
-        bottom = torch.stack([sums[name] for name in self.bottom]).sum(0)
+        bottom = torch.stack([sums[name] for name in self.bottom.split()]).sum(0)
         valid = bottom > 0
         return torch.where(valid, top / torch.where(valid, bottom, torch.ones_like(bottom)), 0.0), valid
 
@@ -80,8 +80,13 @@ class Figure:
     paired: bool = False
 
 
-CO2_G = Ratio(("cohort_region_co2_g", "cohort_blocked_co2_g"), ("cohort",))
-DELAY_S = Ratio(("cohort_region_delay_s", "cohort_blocked_s"), ("cohort",))
+def share(top: str, bottom: str, minus: str = "") -> Ratio:
+    """Return a :class:`Ratio` in per cent."""
+    return Ratio(top, bottom, minus, scale=100.0)
+
+
+CO2_G = Ratio("cohort_region_co2_g cohort_blocked_co2_g", "cohort")
+DELAY_S = Ratio("cohort_region_delay_s cohort_blocked_s", "cohort")
 
 
 def co2_saved(own: Frame, baseline: Frame) -> Array:
@@ -102,46 +107,25 @@ FIGURES: dict[str, Figure] = {
         Figure("delay_change_s", "delay added", "s", 1, "lower", delay_change_s, paired=True),
         Figure("co2_g", "CO2 per vehicle", "g", 1, "lower", CO2_G),
         Figure("delay_s", "delay per vehicle", "s", 1, "lower", DELAY_S),
-        Figure("unserved", "unserved", "%", 1, "lower", Ratio(("cohort",), ("cohort",), ("cohort_left",), 100.0)),
-        Figure("blocked_s", "blocked time per vehicle", "s", 1, "lower", Ratio(("cohort_blocked_s",), ("cohort",))),
-        Figure("collisions", "collisions", "", 2, "lower", Ratio(("collisions_cv", "collisions_hdv"))),
+        Figure("unserved", "unserved", "%", 1, "lower", share("cohort", "cohort", "cohort_left")),
+        Figure("blocked_s", "blocked time per vehicle", "s", 1, "lower", Ratio("cohort_blocked_s", "cohort")),
+        Figure("collisions", "collisions", "", 2, "lower", Ratio("collisions_cv collisions_hdv")),
+        Figure("red_crossings", "crossings on red", "veh", 2, "lower", Ratio("red_crossings_cv red_crossings_hdv")),
+        Figure("min_ttc_s", "smallest time to collision", "s", 2, "higher", Ratio("min_ttc_sum_s", "min_ttc_vehicles")),
         Figure(
-            "red_crossings", "crossings on red", "veh", 2, "lower", Ratio(("red_crossings_cv", "red_crossings_hdv"))
+            "comfort_mps2", "mean absolute acceleration", "m/s2", 3, "lower", Ratio("abs_accel_sum", "vehicle_steps")
         ),
-        Figure(
-            "min_ttc_s",
-            "smallest time to collision",
-            "s",
-            2,
-            "higher",
-            Ratio(("min_ttc_sum_s",), ("min_ttc_vehicles",)),
-        ),
-        Figure(
-            "comfort_mps2",
-            "mean absolute acceleration",
-            "m/s2",
-            3,
-            "lower",
-            Ratio(("abs_accel_sum",), ("vehicle_steps",)),
-        ),
-        Figure("jerk_mps3", "mean absolute jerk", "m/s3", 3, "lower", Ratio(("abs_jerk_sum",), ("vehicle_steps",))),
-        Figure("throughput", "vehicles that crossed by the horizon", "veh", 1, "higher", Ratio(("crossed",))),
-        Figure(
-            "unfinished_share",
-            "not across at the horizon",
-            "%",
-            1,
-            "lower",
-            Ratio(("unfinished",), ("entered",), scale=100.0),
-        ),
-        Figure("emission_g_per_vehicle", "CO2 to the stop line", "g", 1, "lower", Ratio(("emission_g",), ("crossed",))),
+        Figure("jerk_mps3", "mean absolute jerk", "m/s3", 3, "lower", Ratio("abs_jerk_sum", "vehicle_steps")),
+        Figure("throughput", "vehicles that crossed by the horizon", "veh", 1, "higher", Ratio("crossed")),
+        Figure("unfinished_share", "not across at the horizon", "%", 1, "lower", share("unfinished", "entered")),
+        Figure("emission_g_per_vehicle", "CO2 to the stop line", "g", 1, "lower", Ratio("emission_g", "crossed")),
         Figure(
             "emission_hdv_g_per_vehicle",
             "CO2 to the stop line, human-driven",
             "g",
             1,
             "lower",
-            Ratio(("emission_hdv_g",), ("crossed_hdv",)),
+            Ratio("emission_hdv_g", "crossed_hdv"),
         ),
         Figure(
             "travel_time_s_per_vehicle",
@@ -149,19 +133,12 @@ FIGURES: dict[str, Figure] = {
             "s",
             1,
             "lower",
-            Ratio(("travel_time_s",), ("crossed",)),
+            Ratio("travel_time_s", "crossed"),
         ),
-        Figure("approach_speed_mps", "approach speed", "m/s", 2, "higher", Ratio(("distance_m",), ("travel_time_s",))),
-        Figure("stopped_time_s_per_vehicle", "stopped time", "s", 1, "lower", Ratio(("stopped_time_s",), ("crossed",))),
-        Figure(
-            "deferred_share",
-            "deferred commands",
-            "%",
-            1,
-            "neither",
-            Ratio(("deferred_steps",), ("agent_steps",), scale=100.0),
-        ),
-        Figure("nan_share", "NaN commands", "%", 2, "lower", Ratio(("nan_actions",), ("agent_steps",), scale=100.0)),
+        Figure("approach_speed_mps", "approach speed", "m/s", 2, "higher", Ratio("distance_m", "travel_time_s")),
+        Figure("stopped_time_s_per_vehicle", "stopped time", "s", 1, "lower", Ratio("stopped_time_s", "crossed")),
+        Figure("deferred_share", "deferred commands", "%", 1, "neither", share("deferred_steps", "agent_steps")),
+        Figure("nan_share", "NaN commands", "%", 2, "lower", share("nan_actions", "agent_steps")),
     )
 }
 """Every figure by name, in the order in which tables show them."""
@@ -182,7 +159,7 @@ def level_tensors(sums: Mapping[str, Tensor], names: tuple[str, ...]) -> dict[st
     return {name: FIGURES[name].value.of_tensors(sums) for name in names}  # type: ignore[attr-defined]
 
 
-def _added(sums: Frame, names: tuple[str, ...]) -> Array:
+def _added(sums: Frame, names: str) -> Array:
     if not names:
         return np.zeros(1)
-    return np.sum([np.asarray(sums[name], dtype=np.float64) for name in names], axis=0)
+    return np.sum([np.asarray(sums[name], dtype=np.float64) for name in names.split()], axis=0)

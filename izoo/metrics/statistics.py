@@ -150,6 +150,20 @@ def difference(x: ArrayLike, y: ArrayLike, n: int | None = None) -> Estimate:
     return _interval(float(_of_both(own)), parts, places if n is None else n, places, seeds)
 
 
+def separate_difference(x: ArrayLike, y: ArrayLike, n: int) -> Estimate:
+    """Return how far the figure of the same training seeds is higher on some intersections than on others.
+
+    Args:
+        x, y: ``[S, I_x]`` and ``[S, I_y]``, over intersections that have nothing to do with one another.
+        n: number of contexts on both.
+    """
+    sides = [np.asarray(values, dtype=np.float64) for values in (x, y)]
+    a, b = (iqm(values) for values in sides)
+    of_x, of_y = (_of_intersections(iqm(_without_each(values).T)) for values in sides)
+    parts = [_added(of_x, of_y), *_of_seeds(_without_each(a) - _without_each(b), a - b)]
+    return _interval(float(iqm(a) - iqm(b)), parts, n, min(values.shape[1] for values in sides), (len(a),))
+
+
 def holm(p: Sequence[float]) -> list[float]:
     """Holm's correction of p-values for their number, in the order given; NaN stays and counts for nothing."""
     known = [k for k in np.argsort(np.asarray(p, dtype=np.float64), kind="stable") if not math.isnan(p[k])]
@@ -230,6 +244,15 @@ def _of_seeds(without: Array, own: Array) -> list[Part]:
     return [Part(max((count - 1) * float(np.var(without)), float(own.var(ddof=1)) / count), count - 1)]
 
 
+def _added(*parts: Part) -> Part:
+    """Return the sum of parts, with Satterthwaite's degrees of freedom, rounded down."""
+    variance = sum(part.variance for part in parts)
+    if not variance > 0.0:
+        return parts[0]
+    degrees = variance**2 / sum(part.variance**2 / part.degrees for part in parts)
+    return Part(variance, max(int(degrees + 1e-9), 1))
+
+
 def _interval(value: float, parts: Sequence[Part], n: int, places: int, seeds: tuple[int, ...]) -> Estimate:
     """Return the estimate whose variance is the sum of ``parts``, the first of them over intersections."""
     none = (math.nan, math.nan, n, places, max(seeds))
@@ -241,9 +264,7 @@ def _interval(value: float, parts: Sequence[Part], n: int, places: int, seeds: t
         # An interval of no width would claim certainty.
         missing = f"no interval: the same figure without any of its {places} intersections"
         return Estimate(value, *none, missing=missing)
-    variance = sum(part.variance for part in parts)
-    # Rounded down.
-    degrees = max(int(variance**2 / sum(part.variance**2 / part.degrees for part in parts) + 1e-9), 1)
+    variance, degrees = _added(*parts)
     error = math.sqrt(variance)
     half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, degrees) * error
     p = 2.0 * student_t_below(-abs(value) / error, degrees)

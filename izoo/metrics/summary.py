@@ -23,26 +23,41 @@ from izoo.metrics.pairing import (
     of_policy,
     pair,
 )
-from izoo.metrics.statistics import MIN_INTERSECTIONS, SIGNIFICANCE, Estimate, difference, estimate, holm, pooled
+from izoo.metrics.statistics import (
+    MIN_INTERSECTIONS,
+    SIGNIFICANCE,
+    Estimate,
+    difference,
+    estimate,
+    holm,
+    pooled,
+    separate_difference,
+)
 
 BLOCKS = ("unsaturated", "saturated", "all")
 """Kinds of contexts, the main one first; saturated is where volume exceeds capacity."""
+TRAINING = ", training contexts"
+"""Ends the name of the task under which contexts are played that policies were trained on."""
 NOTABLE = 1.0
 """Per cent of CO2 from which an intersection counts as one that gains or loses."""
 Summary = dict[str, Any]
+Pairs = Mapping[str, Mapping[str, Paired]]
+"""By policy and baseline."""
 
 
-def summarise(table: pd.DataFrame, reference: str | None = None) -> Summary:
+def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.DataFrame | None = None) -> Summary:
     """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
         table: rows of episodes of policies, with those of baselines. Of two simulators SUMO is summed up.
         reference: an entry that the others are compared with; without one, all are compared pairwise.
+        trained_on: rows of the same policies on contexts of their training.
 
     Returns:
         ``task``, ``simulators`` (the first is the one summed up), ``n`` (numbers of contexts, intersections, episode
         seeds per context and episodes; ``left_out``: names of contexts without demand), ``block`` (the main one),
-        ``entries`` by policy, ``pairwise`` differences of CO2 saved, and ``verdict``, a sentence. An entry has
+        ``entries`` by policy, ``pairwise`` differences of CO2 saved, ``gaps`` by policy (the CO2 saved on ``training``
+        contexts, and the generalisation ``gap``: how much more it is), and ``verdict``, a sentence. An entry has
         ``train_seeds``; ``slower``: whether its delay is shown to be above that of uncommanded CVs; ``against`` by
         baseline and block: ``intersections``, ``contexts``, ``figures`` (:class:`~izoo.metrics.statistics.Estimate`),
         and of CO2 saved ``mean`` and ``median`` (per cent), ``gain_share`` and ``lose_share``; ``levels`` by block and
@@ -55,16 +70,13 @@ def summarise(table: pd.DataFrame, reference: str | None = None) -> Summary:
         raise IzooError("there are no episodes to sum up; evaluate a policy first.")
     simulators = sorted(table["simulator"].unique())  # "sumo" comes before "twin"
     rows = table[table["simulator"] == simulators[0]]
-    names = list(dict.fromkeys(rows["policy"]))
     without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
     left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()
     counted = rows[~rows["context_hash"].isin(without.index[without["cohort"] <= 0.0])]
-    pairs = {
-        name: {other: pair(rows, name, other) for other in BASELINES if other in names and name not in (other, HUMAN)}
-        for name in names
-    }
+    pairs = _pairs(rows)
     block = _main_block(counted)
-    entries = {name: _entry(rows, name, pairs[name], block) for name in names}
+    training = None if trained_on is None else trained_on[trained_on["simulator"] == simulators[0]]
+    entries = {name: _entry(rows, name, pairs[name], block) for name in pairs}
     pairwise = _pairwise(pairs, block, reference)
     return {
         "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
@@ -79,20 +91,14 @@ def summarise(table: pd.DataFrame, reference: str | None = None) -> Summary:
         "block": block,
         "entries": entries,
         "pairwise": pairwise,
+        "gaps": {} if training is None else _gaps(pairs, _pairs(training), block),
         "verdict": verdict(entries, pairwise, block),
     }
 
 
-def generalisation_gap(test: Summary, train: Summary) -> dict[str, dict[str, float | None]]:
-    """Return by entry the CO2 saved on training contexts, on test contexts, and how much less that is (points)."""
-    gaps = {}
-    for name in test["entries"]:
-        if name in train["entries"]:
-            on_train, on_test = (_headline(s["entries"][name], s["block"]) for s in (train, test))
-            known = on_train["value"] is not None and on_test["value"] is not None
-            gap = on_train["value"] - on_test["value"] if known else None
-            gaps[name] = {"train": on_train["value"], "test": on_test["value"], "gap": gap}
-    return gaps
+def summarise_task(table: pd.DataFrame, task: str) -> Summary:
+    """Sum up one task of a table, with the generalisation gap where its training contexts were played too."""
+    return summarise(table[table["task"] == task], trained_on=table[table["task"] == task + TRAINING])
 
 
 def verdict(entries: Mapping[str, Summary], pairwise: list[Summary], block: str) -> str:
@@ -199,6 +205,15 @@ def _number(found: Summary, figure: str, unit: str = "") -> str:
     return f"{value} {unit or FIGURES[figure].unit}" + (f" [{low}, {high}]" if low else "")
 
 
+def _pairs(rows: pd.DataFrame) -> Pairs:
+    """Pair each policy with the baselines that it is compared with."""
+    names = list(dict.fromkeys(rows["policy"]))
+    return {
+        name: {other: pair(rows, name, other) for other in BASELINES if other in names and name not in (other, HUMAN)}
+        for name in names
+    }
+
+
 def _main_block(counted: pd.DataFrame) -> str:
     saturated = counted.groupby("context_hash")["volume_over_capacity"].max() > 1.0
     return "all" if saturated.empty else "saturated" if saturated.all() else "unsaturated"
@@ -242,16 +257,13 @@ def _against(paired: Paired) -> Summary:
     return found
 
 
-def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str, reference: str | None) -> list[Summary]:
+def _pairwise(pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
     """Differences of CO2 saved between entries, over the contexts that both have."""
     matrices: dict[str, pd.DataFrame] = {}
     for name, compared in pairs.items():
         if name in BASELINES or not compared:
             continue
-        paired = next(iter(compared.values()))
-        chosen = _blocks(paired.contexts).get(block, np.zeros(len(paired.contexts), bool))
-        value = FIGURES["co2_saved"].value(paired.own, paired.baseline)
-        matrices[name] = context_matrix(paired.contexts[chosen], value[chosen])
+        matrices[name] = context_matrix(*_saved(next(iter(compared.values())), block))
     found: list[tuple[str, str, Estimate]] = []
     both = itertools.combinations(matrices, 2)
     for x, y in both if reference is None else [(name, reference) for name in matrices if name != reference]:
@@ -264,6 +276,26 @@ def _pairwise(pairs: Mapping[str, Mapping[str, Paired]], block: str, reference: 
         {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
         for (x, y, each), p in zip(found, corrected, strict=True)
     ]
+
+
+def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
+    """By entry, the CO2 saved on training contexts, and how much more that is than on test contexts (points)."""
+    found = {}
+    for name in test.keys() & training.keys() - set(BASELINES):
+        if not (test[name] and training[name]):
+            continue
+        sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
+        (there, _, n), (here, _, m) = (by_intersection(*_saved(paired, block)) for paired in sides)
+        if there.size and here.size and len(there) == len(here):
+            gap = separate_difference(there, here, n + m)
+            found[name] = {"training": estimate(there, n).to_dict(), "gap": gap.to_dict()}
+    return found
+
+
+def _saved(paired: Paired, block: str) -> tuple[pd.DataFrame, np.ndarray]:
+    """Contexts of a block, and the CO2 saved in each."""
+    chosen = _blocks(paired.contexts).get(block, np.zeros(len(paired.contexts), bool))
+    return paired.contexts[chosen], FIGURES["co2_saved"].value(paired.own, paired.baseline)[chosen]
 
 
 def _told_apart(value: float, p: float) -> str:

@@ -102,9 +102,7 @@ def make_entry(
 
     Args:
         policy: its record in the manifest, and its ``name``.
-        task: what was tested.
-        model_version: of the simulation that played.
-        versions: of packages.
+        task, model_version, versions: as in the manifest.
         rows: of the policy, human driving and uncommanded.
         superseded: why its figures are of another measure; empty: they are not.
     """

@@ -143,6 +143,7 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "counts": tables.counts(summary),
         "cautions": tables.cautions(summary),
         "headline": tables.headline(summary).html(),
+        "gaps": tables.gaps(summary).html() if summary["gaps"] else "",
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],

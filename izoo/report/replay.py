@@ -42,12 +42,9 @@ class Scene:
     """An episode to replay.
 
     Attributes:
-        policy: its name in the table.
         which: ``best`` or ``worst``.
-        context, approach: the context's name, and the leg to look at.
-        context_hash, train_seed, seed: the episode.
+        approach: the leg to look at.
         saved: CO2 over uncommanded in the context, in per cent, mean over episode seeds.
-        evaluation: what it belongs to.
     """
 
     policy: str

@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
@@ -15,7 +14,7 @@ from izoo.files import check_folder
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, pair
 from izoo.metrics.paper_form import paper_form
-from izoo.metrics.summary import summarise
+from izoo.metrics.summary import TRAINING, summarise
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
 from izoo.training.records import MetricsTable
@@ -28,14 +27,11 @@ Curves = dict[str, list[tuple[MetricsTable, MetricsTable | None]]]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A table of results.
+    """The rows of a task in a results folder, played on one simulator.
 
     Attributes:
         name: how the report calls it.
-        task: what was tested.
-        folder: where it lies.
-        table: its rows, of one task and one simulator.
-        manifest: what is known of how they came to be.
+        trained_on: rows of the same policies on contexts of their training.
         run: the folder of the training run that it belongs to.
     """
 
@@ -43,13 +39,14 @@ class Evaluation:
     task: str
     folder: Path
     table: pd.DataFrame = field(repr=False)
+    trained_on: pd.DataFrame = field(repr=False)
     manifest: Manifest
     run: Path | None = None
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """:func:`izoo.metrics.summary.summarise` of the table."""
-        return summarise(self.table)
+        return summarise(self.table, trained_on=self.trained_on)
 
     @property
     def policies(self) -> list[str]:
@@ -69,14 +66,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that a report shows.
-
-    Attributes:
-        title: of the page.
-        evaluations: of the folder.
-        curves: metrics and validations of the training runs of every choice.
-        facts: label and text of what describes the results.
-    """
+    """Everything that a report shows: its title, evaluations, learning curves, and facts with their labels."""
 
     title: str
     evaluations: tuple[Evaluation, ...] = ()
@@ -121,14 +111,17 @@ def _evaluations(folder: Path, run: Path | None, partial: bool) -> list[Evaluati
         )
     if "sumo" in set(table["simulator"]):
         table = table[table["simulator"] == "sumo"]
-    found, tasks = [], sorted(table["task"].unique(), key=lambda task: task != manifest.task)
+    parts = {str(task): rows for task, rows in table.groupby("task")}
+    tasks = sorted((task for task in parts if not task.endswith(TRAINING)), key=lambda task: task != manifest.task)
+    found = []
     for task in tasks:
-        rows = table[table["task"] == task]
+        rows = parts[task]
         lacking = [baseline for baseline in BASELINES if baseline not in set(rows["policy"])]
         if lacking:
             raise IzooError(f"{folder} has no rows of {' and '.join(lacking)}; evaluate again with out={folder}.")
-        name = str(task) if len(tasks) > 1 else folder.resolve().name
-        found.append(Evaluation(name, str(task), folder, rows, manifest, run))
+        name = task if len(tasks) > 1 else folder.resolve().name
+        trained_on = parts.get(task + TRAINING, rows.iloc[:0])
+        found.append(Evaluation(name, task, folder, rows, trained_on, manifest, run))
     return found
 
 
@@ -178,11 +171,5 @@ def context_rows(evaluations: tuple[Evaluation, ...]) -> dict[str, list[Any]]:
             parts.append(means.join(features).assign(policy=policy, test=evaluation.name))
     columns = ["context", "policy", "test", *FIGURES, *FEATURES, "train_seeds"]
     rows = pd.concat(parts) if parts else pd.DataFrame(columns=columns)
-    return {name: [_short(value) for value in rows[name]] for name in columns}
-
-
-def _short(value: Any) -> Any:
-    """Six digits are more than is shown, and keep the page small."""
-    if isinstance(value, str):
-        return value
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    # Six digits are more than is shown, and keep the page small.
+    return {name: [v if isinstance(v, str) else float(f"{v:.6g}") for v in rows[name]] for name in columns}

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -17,10 +17,17 @@ from izoo.report.leaderboard import PAPER_COLUMNS, make_entry, write_entry
 
 OLD_FORMAT = "izoo-leaderboard-2"
 WHY = "figures of an earlier measure; a row is the mean over {seeds} episode seeds"
-TASK = ["context_hash", "approach"]
 UNTRAINED = "_untrained"
 Rows = dict[tuple[Any, ...], dict[str, Any]]
 """Rows by policy, training seed, context and approach."""
+
+
+class _Old(NamedTuple):
+    """A file of the old format: its content, and the rows of its policy and of human driving."""
+
+    content: Mapping[str, Any]
+    own: Rows
+    human: Rows
 
 
 def convert(paths: Sequence[Path], out: Path) -> list[Path]:
@@ -34,51 +41,37 @@ def convert(paths: Sequence[Path], out: Path) -> list[Path]:
         IzooError: a file cannot be read, or is of another format.
     """
     old = {path: _read(path) for path in paths}
-    uncommanded = [
-        (content, _side(content, UNCOMMANDED, "policy"))
-        for content in old.values()
-        if content["policy"]["name"] == UNCOMMANDED
-    ]
-    human = [_human(content) for content, _ in uncommanded]
+    uncommanded = [each for each in old.values() if each.content["policy"]["name"] == UNCOMMANDED]
     written, common = [], os.path.commonpath([path.parent for path in paths])
-    for path, content in old.items():
-        driving = _human(content)
-        beside = next((rows for own, (_, rows) in zip(human, uncommanded, strict=True) if _covers(own, driving)), {})
+    for path, each in old.items():
+        beside = next((other.own for other in uncommanded if _covers(other.human, each.human)), {})
         written.append(out / path.relative_to(common))
         written[-1].parent.mkdir(parents=True, exist_ok=True)
-        write_entry(written[-1], _converted(content, driving, beside))
+        write_entry(written[-1], _converted(each, beside))
     return written
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> _Old:
     try:
         content = json.loads(read_text(path))
         if content["format"] != OLD_FORMAT:
             raise IzooError(f"{path} is of the format {str(content['format'])[:40]!r}, not {OLD_FORMAT!r}.")
-        for row in content["rows"]:
-            (
-                float(row["throughput_policy"]),
-                float(row["throughput_baseline"]),
-                row["emission_policy_g"],
-                *map(row.get, TASK),
-            )
-        return content
+        return _Old(content, _side(content, content["policy"]["name"], "policy"), _side(content, HUMAN, "baseline"))
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise IzooError(f"cannot read {path}: {type(error).__name__}: {error}; give a file of {OLD_FORMAT}.") from error
 
 
-def _converted(content: Mapping[str, Any], human: Rows, uncommanded: Rows) -> dict[str, Any]:
-    policy, protocol = content["policy"], content["protocol"]
-    rows = _side(content, policy["name"], "policy") | human
+def _converted(old: _Old, uncommanded: Rows) -> dict[str, Any]:
+    policy, protocol = old.content["policy"], old.content["protocol"]
+    rows, approaches = old.own | old.human, {key[2:] for key in old.human}
     if policy["name"] != UNCOMMANDED:
-        approaches = {key[2:] for key in human}
         rows |= {key: row for key, row in uncommanded.items() if key[2:] in approaches}
     untrained = policy["name"].endswith(UNTRAINED)
     about = {**policy, "kind": "untrained" if untrained else policy["kind"], "weights": []}
     task = f"{protocol['title']}, {protocol['scale']}" + (f", {protocol['env']}" if "env" in protocol else "")
     table = pd.DataFrame(list(rows.values())).reindex(columns=list(PAPER_COLUMNS)).assign(task=task)
-    why = WHY.format(seeds=len(content["eval_seeds"]))
-    return make_entry(about, task, 0, content["versions"], table, why)
+    why = WHY.format(seeds=len(old.content["eval_seeds"]))
+    return make_entry(about, task, 0, old.content["versions"], table, why)
 
 
 def _side(content: Mapping[str, Any], name: str, side: str) -> Rows:
@@ -92,10 +85,6 @@ def _side(content: Mapping[str, Any], name: str, side: str) -> Rows:
         played = {"policy": name, "train_seed": seed, "simulator": content.get("simulator", "sumo"), "seed": 0}
         found.setdefault((name, seed, row["context_hash"], row["approach"]), {**played, **about, **sums})
     return found
-
-
-def _human(content: Mapping[str, Any]) -> Rows:
-    return _side(content, HUMAN, "baseline")
 
 
 def _covers(own: Rows, other: Rows) -> bool:

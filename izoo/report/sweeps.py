@@ -17,8 +17,8 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
 from izoo.report.report_data import EVALUATIONS
-from izoo.report.tables import SAVED, Cell, Row, Table, compared
-from izoo.results.store import MANIFEST_FILE, ROWS_FILE, read_table
+from izoo.report.tables import SAVED, Cell, Table, compared
+from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
 from izoo.training import plots, runs
 from izoo.training.records import MetricsTable
 from izoo.training.validation import VALIDATION_FILE
@@ -41,7 +41,7 @@ FEW_OPTIONS = 3
 """So many options are named in the picture; ``sweep.csv`` has all."""
 CHARACTERS_PER_OPTION = 40
 """A terminal shows one option for so many characters of its width; the other columns need the rest."""
-Choice = dict[str, Any]
+OPTION = "option "
 
 
 def is_sweep(folder: Path) -> bool:
@@ -50,17 +50,18 @@ def is_sweep(folder: Path) -> bool:
     return not any((folder / name).exists() for name in own) and next(folder.rglob(runs.CONFIG_FILE), None) is not None
 
 
-def read_run(run_dir: Path) -> Choice:
-    """Return what a run has achieved, with its options under their paths.
+def read_run(run_dir: Path) -> dict[str, Any]:
+    """Return what a run has achieved, with its options, each a text, under ``option PATH``.
 
     ``state`` is ``finished``, ``unfinished`` (killed, stopped, or still running) or a reason why it cannot be read.
     """
-    row: Choice = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0}
+    row: dict[str, Any] = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0}
+    row |= dict.fromkeys(MEASURES)
     try:
         config = runs.read_config(run_dir)
     except IzooError as error:
         return {**row, "state": str(error)}
-    row |= {f"option {path}": value for path, value in _flat(to_mapping(config))}
+    row |= {OPTION + path: "" if value is None else str(value) for path, value in flat(to_mapping(config)).items()}
     table = MetricsTable.read(run_dir / runs.METRICS_FILE)
     if table.rows:
         row["frames"], row["seconds"] = int(table.rows[-1]["frames"]), float(table.rows[-1]["seconds"])
@@ -73,101 +74,77 @@ def read_run(run_dir: Path) -> Choice:
     return row | ({"state": "finished"} if row["frames"] >= config.total_frames else {})
 
 
-def varied(rows: Sequence[Choice]) -> list[str]:
+def varied(table: pd.DataFrame) -> list[str]:
     """Return the options in which runs differ, but for their seeds.
 
     The options of a group, such as an algorithm's, are compared among the runs that made the same choice of it.
     """
     found = []
-    for key in dict.fromkeys(key for row in rows for key in row if key.startswith("option ")):
-        path = key.removeprefix("option ")
-        name = f"option {path.split('.')[0]}.name"
-        values: dict[Any, set[str]] = {}
-        for row in rows:
-            if key in row and path not in NOT_OPTIONS:
-                values.setdefault(None if key == name else row.get(name), set()).add(repr(row[key]))
-        if any(len(distinct) > 1 for distinct in values.values()):
+    for column in table.columns[table.columns.str.startswith(OPTION)]:
+        path = column.removeprefix(OPTION)
+        name = f"{OPTION}{path.split('.')[0]}.name"
+        alike = table[name].fillna("") if name in table and name != column else pd.Series("", table.index)
+        if path not in NOT_OPTIONS and table[column].groupby(alike).nunique().gt(1).any():
             found.append(path)
-    return found
-
-
-def aggregate(rows: Sequence[Choice]) -> tuple[pd.DataFrame, list[str]]:
-    """Return a table with a row per choice, and the options that make a choice.
-
-    Columns: the varied options, ``runs``, ``finished``, the mean of each of :data:`MEASURES` over the runs that have
-    it, frames in all, and hours per run.
-    """
-    options = varied(rows) or ["algo.name"]
-    groups: dict[tuple[str, ...], list[Choice]] = {}
-    for row in rows:
-        groups.setdefault(_choice(row, options), []).append(row)
-    lines = []
-    for choice, members in groups.items():
-        line: Choice = dict(zip(options, choice, strict=True))
-        line |= {"runs": len(members), "finished": sum(row["state"] == "finished" for row in members)}
-        for measure in MEASURES:
-            known = [row[measure] for row in members if row.get(measure) is not None]
-            line[measure] = float(np.mean(known)) if known else None
-        line["frames"] = sum(row["frames"] for row in members)
-        line["hours_per_run"] = float(np.mean([row["seconds"] for row in members])) / 3600.0
-        lines.append(line)
-    return pd.DataFrame(lines), options
+    return found or ["algo.name"]
 
 
 def report(folder: Path, console: Console | None = None) -> Path:
     """Print the table of the sweep in ``folder``; write it and the learning curves there; return the choices' file.
+
+    The table has a row per choice: the varied options, ``runs``, ``finished``, the mean of each of :data:`MEASURES`
+    over the runs that have it, frames in all, and hours per run.
 
     Raises:
         IzooError: there are no runs.
     """
     check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
     found = sorted((path.parent for path in folder.rglob(runs.CONFIG_FILE)), key=_natural)
-    rows = [read_run(run_dir) for run_dir in found]
-    table, options = aggregate(rows)
+    table = pd.DataFrame([read_run(run_dir) for run_dir in found])
+    table[list(MEASURES)] = table[list(MEASURES)].astype(float)
+    options = varied(table)
+    chosen = table.reindex(columns=[OPTION + path for path in options]).fillna("").set_axis(options, axis=1)
+    grouped = table.groupby([chosen[path] for path in options], sort=False)
+    choices = grouped[list(MEASURES)].mean()
+    choices.insert(0, "runs", grouped.size())
+    choices.insert(1, "finished", grouped["state"].agg(lambda state: (state == "finished").sum()))
+    choices["frames"], choices["hours_per_run"] = grouped["frames"].sum(), grouped["seconds"].mean() / 3600.0
+    choices = choices.reset_index()
     console = console or Console()
     shown = options[: max(1, console.width // CHARACTERS_PER_OPTION)]
-    console.print(_shown(table, shown).rich(console.width))
+    _shown(choices, shown).show(console)
     if len(shown) < len(options):
-        more = (
-            f"{len(options)} options differ, of which {len(shown)} are shown; {SWEEP_FILE} has all, in the same rows."
-        )
-        console.print(f"  {more}", highlight=False)
-    for row in rows:
-        if row["state"] != "finished":
-            console.print(f"  {row['run']}: {row['state']}, {row['frames']:,} frames", highlight=False, markup=False)
-    write_text(folder / RUNS_FILE, pd.DataFrame(rows).to_csv(index=False))
-    write_text(folder / SWEEP_FILE, table.to_csv(index=False))
-    choices = list(dict.fromkeys(_choice(row, options) for row in rows))
+        more = f"{len(options)} options differ, of which {len(shown)} are shown"
+        console.print(f"  {more}; {SWEEP_FILE} has all, in the same rows.", highlight=False)
+    for run in table[table["state"] != "finished"].itertuples():
+        console.print(f"  {run.run}: {run.state}, {run.frames:,} frames", highlight=False, markup=False)
+    write_text(folder / RUNS_FILE, table.to_csv(index=False))
+    write_text(folder / SWEEP_FILE, choices.to_csv(index=False))
     curves: dict[str, list[MetricsTable]] = {}
-    for run_dir, row in zip(found, rows, strict=True):
+    for run_dir, number, choice in zip(found, grouped.ngroup(), chosen.itertuples(index=False), strict=True):
         metrics = MetricsTable.read(run_dir / runs.METRICS_FILE)
-        choice = _choice(row, options)
-        number = f"row {choices.index(choice) + 1}: " if len(choice) > FEW_OPTIONS else ""
+        row = f"row {number + 1}: " if len(options) > FEW_OPTIONS else ""
         if metrics.rows:
-            curves.setdefault(number + ", ".join(choice[:FEW_OPTIONS]), []).append(metrics)
+            curves.setdefault(row + ", ".join(choice[:FEW_OPTIONS]), []).append(metrics)
     if curves:
         rest = f" and {len(options) - FEW_OPTIONS} more" if len(options) > FEW_OPTIONS else ""
         plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options[:FEW_OPTIONS]) + rest)
     return folder / SWEEP_FILE
 
 
-def _shown(table: pd.DataFrame, options: Sequence[str]) -> Table:
-    measures = [name for name in MEASURES if table[name].notna().any()]
+def _shown(choices: pd.DataFrame, options: Sequence[str]) -> Table:
+    measures = [name for name in MEASURES if choices[name].notna().any()]
     rows = []
-    for number, line in enumerate(table.to_dict("records"), 1):
-        cells: list[Cell | str] = [*(str(line[path]) for path in options), f"{line['finished']}/{line['runs']}"]
+    for number, line in enumerate(choices.to_dict("records"), 1):
+        cells: list[Cell | str] = [*(line[path] for path in options), f"{line['finished']}/{line['runs']}"]
         cells += [
             Cell(None if pd.isna(line[name]) else line[name], unit=MEASURES[name][1], signed=name != "return")
             for name in measures
         ]
-        rows.append(Row(str(number), (*cells, f"{line['hours_per_run']:.2f}")))
+        rows.append((number, *cells, f"{line['hours_per_run']:.2f}"))
     names = (path.replace(".", ".\n") for path in options)
     headings = ("row", *names, "done", *(MEASURES[name][0] for name in measures), "h per run")
-    return Table(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, (("", tuple(rows)),))
-
-
-def _choice(row: Choice, options: Sequence[str]) -> tuple[str, ...]:
-    return tuple("" if row.get(f"option {path}") is None else str(row[f"option {path}"]) for path in options)
+    return Table.of(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, rows)
 
 
 def _evaluated(run_dir: Path) -> float | None:
@@ -178,14 +155,6 @@ def _evaluated(run_dir: Path) -> float | None:
         return None
     found = [summary["entries"][name]["against"].get(UNCOMMANDED, {}) for name in compared(summary)]
     return next((of[summary["block"]]["figures"][MEASURE.name]["value"] for of in found if of), None)
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Options with their paths, those of groups after one another."""
-    found = []
-    for name, value in values.items():
-        found += _flat(value, f"{prefix}{name}.") if isinstance(value, dict) and value else [(f"{prefix}{name}", value)]
-    return found
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

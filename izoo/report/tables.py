@@ -9,7 +9,7 @@ import dataclasses
 import html
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,6 +98,12 @@ class Table:
     columns: tuple[str, ...]
     groups: tuple[tuple[str, tuple[Row, ...]], ...]
 
+    @classmethod
+    def of(cls, title: str, columns: Iterable[str], rows: Iterable[Sequence[Any]]) -> Table:
+        """Return a table of one group; a row is its label and its cells, and what is no :class:`Cell` becomes text."""
+        lines = [Row(str(row[0]), tuple(c if isinstance(c, Cell) else str(c) for c in row[1:])) for row in rows]
+        return cls(title, tuple(columns), (("", tuple(lines)),))
+
     @property
     def rows(self) -> list[Row]:
         """All rows."""
@@ -138,6 +144,11 @@ class Table:
             shown.add_section()
         return shown
 
+    def show(self, console: Console | None = None) -> None:
+        """Print the table."""
+        console = console or Console()
+        console.print(self.rich(console.width))
+
     def markdown(self) -> str:
         """Return the table in Markdown, without its title."""
         lines = [_line(self.columns), "|---" * len(self.columns) + "|"]
@@ -163,11 +174,11 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    first = headline(summary)
-    for table in [first, *details(summary)] if verbose else [first.first(FIRST_ROWS)]:
-        console.print(table.rich(console.width))
-    if not verbose and len(first.rows) > FIRST_ROWS:
-        console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)
+    shown = [*_tables(summary), *(details(summary) if verbose else ())]
+    for table in shown:
+        (table if verbose else table.first(FIRST_ROWS)).show(console)
+    if not verbose and len(shown[0].rows) > FIRST_ROWS:
+        console.print(f"The first {FIRST_ROWS} of {len(shown[0].rows)} rows; -v shows all.", highlight=False)
     for text in (counts(summary), *cautions(summary), summary["verdict"]):
         console.print(Text(plain(text)))
 
@@ -175,9 +186,14 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
 def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
     """Return what :func:`print_summary` prints, in Markdown."""
     parts = []
-    for table in headline(summary), *(details(summary) if verbose else ()):
+    for table in [*_tables(summary), *(details(summary) if verbose else ())]:
         parts += [f"{_marked(table.title)}:", table.markdown()]
     return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
+
+
+def _tables(summary: Mapping[str, Any]) -> list[Table]:
+    """The tables that are always shown."""
+    return [headline(summary), *([gaps(summary)] if summary["gaps"] else [])]
 
 
 def headline(summary: Mapping[str, Any]) -> Table:
@@ -236,6 +252,20 @@ def entry_row(summary: Mapping[str, Any], name: str) -> Row:
     return Row(label, (*cells, *(figure_cell(entry, f, UNCOMMANDED, block) for f in BESIDE)))
 
 
+def gaps(summary: Mapping[str, Any]) -> Table:
+    """Return the CO2 saved on training contexts and on test contexts, and how much more it is on the former."""
+    figure, rows = FIGURES[SAVED], []
+    for name in ranking(summary):
+        if name in summary["gaps"]:
+            gap, here = (
+                summary["gaps"][name],
+                figure_cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]),
+            )
+            rows.append((name, _estimate(gap["training"], figure), here, _estimate(gap["gap"], figure, "points")))
+    title = f"Generalisation gap, {figure.label} over {UNCOMMANDED}"
+    return Table.of(title, ("entry", "training contexts", "test contexts", "gap"), rows)
+
+
 def details(summary: Mapping[str, Any]) -> list[Table]:
     """Return what the headline leaves out: every figure of every entry, and the differences between entries."""
     tables = [_of_entry(summary, name, tuple(FIGURES)) for name in compared(summary)]
@@ -249,11 +279,11 @@ def pairwise(summary: Mapping[str, Any]) -> Table:
     figure, rows = FIGURES[SAVED], []
     for pair in summary["pairwise"]:
         p = pair["p_holm"]
-        words = ("-" if p is None else f"{p:.3f}" if p >= 0.001 else "< 0.001", pair["verdict"])
-        points = _estimate(pair["difference"], figure, "points" if figure.unit == "%" else figure.unit)
-        rows.append(Row(f"{pair['x']} - {pair['y']}", (points, *words)))
+        shown = "-" if p is None else f"{p:.3f}" if p >= 0.001 else "< 0.001"
+        points = _estimate(pair["difference"], figure, "points")
+        rows.append((f"{pair['x']} - {pair['y']}", points, shown, pair["verdict"]))
     title = f"Differences in {figure.label}, {summary['block']} intersections"
-    return Table(title, ("pair", "difference", "p (Holm)", "verdict"), (("", tuple(rows)),))
+    return Table.of(title, ("pair", "difference", "p (Holm)", "verdict"), rows)
 
 
 def compared(summary: Mapping[str, Any]) -> list[str]:
@@ -309,28 +339,24 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
                 rows.append((label, [_plain(entry["against"][b].get(block, {}).get(key)) for block in blocks]))
             label = f"intersections that gain, lose over 1 %, over {b}"
             rows.append((label, [_shares(entry, block, b) for block in blocks]))
-    lines = tuple(Row(label, tuple(cells)) for label, cells in rows[:most])
     found = [entry["against"][b] for b in against]
     n = [max((of[block]["intersections"] for of in found if block in of), default=0) for block in blocks]
     headings = (f"{block} (n = {number})" for block, number in zip(blocks, n, strict=True))
-    return Table(f"{name}{_task(summary)}", ("figure", *headings), (("", lines),))
+    task = f" on {summary['task']}" if summary["task"] else ""
+    return Table.of(f"{name}{task}", ("figure", *headings), [(label, *cells) for label, cells in rows[:most]])
 
 
 def _levels(summary: Mapping[str, Any], names: Sequence[str]) -> Table:
     """Return the levels of policies side by side, in the main block."""
     figures = [f for f in FIGURES if not FIGURES[f].paired]
-    rows = [Row(FIGURES[f].label, tuple(_level(summary, name, f, summary["block"]) for name in names)) for f in figures]
-    return Table(f"Levels, {summary['block']} intersections", ("figure", *names), (("", tuple(rows)),))
+    rows = [(FIGURES[f].label, *(_level(summary, name, f, summary["block"]) for name in names)) for f in figures]
+    return Table.of(f"Levels, {summary['block']} intersections", ("figure", *names), rows)
 
 
 def _beside(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
     """A level of an entry, with that of the uncommanded CVs."""
     own, other = (_level(summary, policy, figure, block) for policy in (name, UNCOMMANDED))
     return dataclasses.replace(own, note="" if other.value is None else f"{UNCOMMANDED} {other.number}")
-
-
-def _task(summary: Mapping[str, Any]) -> str:
-    return f" on {summary['task']}" if summary.get("task") else ""
 
 
 def figure_cell(entry: Mapping[str, Any], figure: str, baseline: str, block: str) -> Cell:

@@ -5,23 +5,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Sequence
 
-import cloudpickle
-
 from izoo.contexts.context import Context
 from izoo.envs.twin_env import TwinEnv
 from izoo.errors import IzooError
-from izoo.results.playing import EpisodeFailed, Job, Measured, Setup, measured, play
+from izoo.results.playing import EpisodeFailed, Measured, Play, Setup, measured, play
 
 
 class Batch:
-    """Plays blocks of episodes of one policy, which acts on a batch ``[N]`` as on each of its rows.
-
-    Args:
-        setup: policies and settings.
-
-    Attributes:
-        size: episodes of a block, at most.
-    """
+    """Plays blocks of at most ``size`` episodes of one policy, which acts on a batch ``[N]`` as on each of its rows."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup, self.size = setup, setup.side_by_side
@@ -29,29 +20,21 @@ class Batch:
         self._plays: list[tuple[Context, int]] = []
         self._begun = 0
 
-    def play(self, jobs: Sequence[Job], ahead: Sequence[Job] = ()) -> Iterator[tuple[Job, Measured]]:
-        """Play a block until its last episode has ended; meanwhile the episodes of the next one are prepared.
-
-        Args:
-            jobs: of one policy.
-            ahead: the next block.
-
-        Raises:
-            EpisodeFailed: an episode failed.
-        """
-        policy = cloudpickle.loads(self.setup.policies[jobs[0].key])
+    def play(self, plays: Sequence[Play], ahead: Sequence[Play] = ()) -> Iterator[tuple[Play, Measured]]:
+        """Play episodes of one policy until the last has ended; meanwhile those of the block ahead are prepared."""
+        policy = self.setup.policy(plays[0])
         try:
-            env = self._env_of(jobs, ahead)
+            env = self._env_of(plays, ahead)
             recorded = play(env, policy, env.reset(), self.setup.record)
-            found = [measured(env, job.context, recorded[k], k) for k, job in enumerate(jobs)]
+            found = [measured(env, play.context, recorded[k], k) for k, play in enumerate(plays)]
         except IzooError:
             raise
         except Exception as error:
             raise EpisodeFailed(
-                f"{jobs[0]}, or one of the {len(jobs)} played with it: {type(error).__name__}: {error}. A policy that "
-                "cannot act on several environments at a time needs executor=processes."
+                f"{plays[0]}, or one of the {len(plays)} played with it: {type(error).__name__}: {error}. "
+                "A policy that cannot act on several environments at a time needs executor=processes."
             ) from error
-        yield from zip(jobs, found, strict=True)
+        yield from zip(plays, found, strict=True)
 
     def close(self) -> None:
         """End the simulations."""
@@ -59,18 +42,18 @@ class Batch:
             self._env.close()
             self._env = None
 
-    def _env_of(self, jobs: Sequence[Job], ahead: Sequence[Job]) -> TwinEnv:
-        """Return environments whose next episodes are ``jobs``; the ones that there are, if they are as many."""
-        if self._env is not None and self._env.num_envs != len(jobs):
+    def _env_of(self, plays: Sequence[Play], ahead: Sequence[Play]) -> TwinEnv:
+        """Return environments whose next episodes are ``plays``; the ones that there are, if they are as many."""
+        if self._env is not None and self._env.num_envs != len(plays):
             self.close()
         if self._env is None:
             self._plays, self._begun = [], 0
-        self._plays[self._begun :] = [(job.context, job.seed) for job in (*jobs, *ahead)]
-        self._begun += len(jobs)
+        self._plays[self._begun :] = [(play.context, play.seed) for play in (*plays, *ahead)]
+        self._begun += len(plays)
         if self._env is None:
             setup = self.setup
             self._env = TwinEnv(
-                len(jobs),
+                len(plays),
                 functools.partial(_numbered, self._plays),
                 config=setup.config,
                 threads=max(setup.workers, 1),

@@ -10,7 +10,7 @@ import cloudpickle
 
 from izoo.errors import IzooError
 from izoo.results import ray_cluster as cluster
-from izoo.results.playing import EpisodeFailed, Job, Measured, Player, Setup
+from izoo.results.playing import EpisodeFailed, Measured, Play, Player, Setup
 from izoo.results.processes import ATTEMPTS, answer
 
 
@@ -23,17 +23,13 @@ class RemotePlayer:
         torch.set_num_threads(1)
         self._player = Player(cloudpickle.loads(setup))
 
-    def play(self, job: bytes) -> tuple[str, Any]:
+    def play(self, play: bytes) -> tuple[str, Any]:
         """Return :func:`izoo.results.processes.answer`."""
-        return answer(self._player, job)
+        return answer(self._player, play)
 
 
 class OnRay:
-    """Plays episodes in processes of a Ray cluster, each on a core; they wait for one where too few are free.
-
-    Args:
-        setup: policies and settings.
-    """
+    """Plays episodes in processes of a Ray cluster, each on a core; they wait for one where too few are free."""
 
     size: int | None = None
 
@@ -44,7 +40,7 @@ class OnRay:
         self._ray: Any = None
         self._players: list[Any] = []
 
-    def play(self, jobs: Sequence[Job], ahead: Sequence[Job] = ()) -> Iterator[tuple[Job, Measured]]:
+    def play(self, plays: Sequence[Play], ahead: Sequence[Play] = ()) -> Iterator[tuple[Play, Measured]]:
         """Play episodes and yield them as they finish.
 
         Raises:
@@ -54,29 +50,29 @@ class OnRay:
         ray = self._ray = cluster.connect()
         make = ray.remote(**cluster.WORKER_RESOURCES)(RemotePlayer).remote
         setup = ray.put(cloudpickle.dumps(self.setup))
-        self._players = [make(setup) for _ in range(min(self.setup.workers, len(jobs)))]
-        queue, idle = deque((job, 1) for job in jobs), list(self._players)
-        running: dict[Any, tuple[Any, Job, int]] = {}
+        self._players = [make(setup) for _ in range(min(self.setup.workers, len(plays)))]
+        queue, idle = deque((play, 1) for play in plays), list(self._players)
+        running: dict[Any, tuple[Any, Play, int]] = {}
         while queue or running:
             while queue and idle:
-                player, (job, attempt) = idle.pop(), queue.popleft()
-                running[player.play.remote(cloudpickle.dumps(job))] = (player, job, attempt)
+                player, (play, attempt) = idle.pop(), queue.popleft()
+                running[player.play.remote(cloudpickle.dumps(play))] = (player, play, attempt)
             (done,), _ = ray.wait(list(running), num_returns=1)
-            player, job, attempt = running.pop(done)
+            player, play, attempt = running.pop(done)
             try:
                 kind, content = ray.get(done)
             except ray.exceptions.RayActorError as error:
                 if attempt >= ATTEMPTS:
-                    raise EpisodeFailed(f"{job}: the worker process was lost {ATTEMPTS} times.") from error
+                    raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times.") from error
                 self._players.remove(player)
                 self._players.append(make(setup))
                 idle.append(self._players[-1])
-                queue.appendleft((job, attempt + 1))
+                queue.appendleft((play, attempt + 1))
                 continue
             if kind != "played":
-                raise (IzooError if kind == "refused" else EpisodeFailed)(f"{job}: {content}")
+                raise (IzooError if kind == "refused" else EpisodeFailed)(f"{play}: {content}")
             idle.append(player)
-            yield job, content
+            yield play, content
 
     def close(self) -> None:
         """End the processes."""

@@ -6,7 +6,7 @@ import contextlib
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -28,8 +28,10 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 Series = dict[str, NDArray[np.float32]]
 INIT = "is_init"
 """Key ``[*B, 1]``, as of TorchRL's ``InitTracker``: whether an episode begins."""
-RECORDS = (TEAM_REWARD,)
-"""What can be recorded per decision."""
+VEHICLE_SPANS, VEHICLE_REWARD = "vehicle_spans", "vehicle_reward"
+RECORDS = (TEAM_REWARD, VEHICLE_SPANS, VEHICLE_REWARD)
+"""What can be recorded: ``[decisions]``, the reward's fleet part; ``[C, 3]``, of each CV its number in the demand, its
+first decision and how many it was paid for; and what it was paid for each of them, one CV after the other."""
 SIDE_BY_SIDE = 64
 """Episodes that are played at once on the twin."""
 _SEED_MASK = 2**63 - 1
@@ -40,7 +42,7 @@ class Measured(NamedTuple):
 
     Attributes:
         rows: per scored approach ``approach``, features, sums and counts; without the columns of identity.
-        series: what was recorded, ``[T]`` per name, one value per decision.
+        series: what was recorded, by name (:data:`RECORDS`).
     """
 
     rows: list[Row]
@@ -48,21 +50,28 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Job:
-    """An episode to play: key of the policy among those given, its name, the context as it is played, the seed."""
+class Play:
+    """An episode to play.
 
-    key: Key
-    name: str
+    Attributes:
+        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
+        train_seed: which of its training seeds; 0 where nothing was trained.
+        context: it is evaluated in; human drivers are alone in it.
+        seed: of the episode.
+    """
+
+    policy: str
+    train_seed: int
     context: Context
     seed: int
 
     @property
-    def id(self) -> tuple[Key, str, int]:
-        """What tells it from other jobs."""
-        return self.key, self.context.content_hash, self.seed
+    def episode(self) -> tuple[str, int, str, int]:
+        """What tells it from other plays."""
+        return self.policy, self.train_seed, self.context.content_hash, self.seed
 
     def __str__(self) -> str:
-        return f"policy {self.name}, context {self.context.name}, seed {self.seed}"
+        return f"policy {self.policy}, context {self.context.name}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,11 @@ class Setup:
     record: tuple[str, ...] = ()
     side_by_side: int = SIDE_BY_SIDE
     surrogate: str = "compiled"
+
+    def policy(self, play: Play) -> Policy:
+        """Return a fresh copy of what plays an episode."""
+        own = (play.policy, play.train_seed)
+        return cloudpickle.loads(self.policies[own if own in self.policies else play.policy])
 
 
 class EpisodeFailed(RuntimeError):
@@ -133,7 +147,7 @@ def play(
     begins = torch.ones(*env.batch_size, 1, dtype=torch.bool)
     goes_on = ~begins
     tensordict.set(INIT, begins)
-    kept: dict[str, list[NDArray[np.float32]]] = {name: [] for name in record}
+    kept: dict[str, list[NDArray[np.float32]]] = {name: [] for name in _recorded(record)}
     lengths = np.zeros(env.batch_size.numel(), int)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         while True:
@@ -146,9 +160,11 @@ def play(
                     "the policy wrote no ('agents', 'action'); it must return the TensorDict with that key."
                 )
             written = result.get("next", None)
+            if "number" in kept:
+                kept["number"].append(env.frames["number"].copy())
             following = env.step_lean(result)
-            for name in record:
-                kept[name].append(env.frames[name][:, 0].copy())
+            for name in kept.keys() - {"number"}:
+                kept[name].append(env.frames[name].copy())
             if following.get("done").all():
                 break
             if written is not None:
@@ -156,18 +172,30 @@ def play(
             following.set(INIT, goes_on)
             tensordict = step_mdp(result, exclude_action=True)
     whole = {name: np.stack(values, 1) for name, values in kept.items()}
-    return [{name: values[k, :length] for name, values in whole.items()} for k, length in enumerate(lengths)]
+    return [_series({name: values[k, :length] for name, values in whole.items()}) for k, length in enumerate(lengths)]
+
+
+def _recorded(record: Sequence[str]) -> list[str]:
+    """Return the arrays of a frame that are kept of every decision."""
+    of_vehicles = ["number", "reward"] if VEHICLE_REWARD in record else []
+    return [*(name for name in record if name == TEAM_REWARD), *of_vehicles]
+
+
+def _series(kept: Mapping[str, NDArray[Any]]) -> Series:
+    """Return what was recorded of an episode, from arrays ``[T, 1]`` and, of slots, ``[T, A]``."""
+    series = {name: values[:, 0] for name, values in kept.items() if name == TEAM_REWARD}
+    if "number" in kept:
+        step, slot = np.nonzero(kept["number"] >= 0)
+        number = kept["number"][step, slot]
+        order = np.lexsort((step, number))
+        found, first, count = np.unique(number[order], return_index=True, return_counts=True)
+        series[VEHICLE_SPANS] = np.stack([found, step[order][first], count], 1).astype(np.float32)
+        series[VEHICLE_REWARD] = kept["reward"][step, slot][order].astype(np.float32)
+    return series
 
 
 def measured(env: EcoDrivingBase, context: Context, series: Series, index: int = 0) -> Measured:
-    """Return what the episode that has ended in an environment came to.
-
-    Args:
-        env: the environments.
-        context: which was played.
-        series: what was recorded.
-        index: which environment.
-    """
+    """Return what the episode that has ended in the environment number ``index`` came to."""
     road = env.backend.scene(index).road
     approaches: list[list[float]] = env.frames["approach_metrics"][index].tolist()
     whole = dict(zip(EPISODE_COLUMNS, env.frames["episode_metrics"][index].tolist(), strict=True))
@@ -190,12 +218,12 @@ class Player:
     beat: Callable[[], None] | None = None
     _env: EcoDrivingEnv | None = field(default=None, init=False)
 
-    def play(self, job: Job) -> Measured:
+    def play(self, play: Play) -> Measured:
         """Play an episode."""
         if self._env is None:
             self._env = EcoDrivingEnv(config=self.setup.config, simulator=self.setup.simulator)
-        policy: Policy = cloudpickle.loads(self.setup.policies[job.key])
-        return run_episode(self._env, policy, job.context, job.seed, self.setup.record, self.beat)
+        policy = self.setup.policy(play)
+        return run_episode(self._env, policy, play.context, play.seed, self.setup.record, self.beat)
 
     def close(self) -> None:
         """End the simulation."""

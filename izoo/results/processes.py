@@ -22,7 +22,7 @@ from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 
 if TYPE_CHECKING:  # worker processes come up before torch is loaded
-    from izoo.results.playing import Job, Measured, Setup
+    from izoo.results.playing import Measured, Play, Setup
 
 STARTUP_S = 300.0
 """How long a process may take before its first step: it imports PyTorch, and may have to compile."""
@@ -31,11 +31,7 @@ ATTEMPTS = 2
 
 
 class Processes:
-    """Plays episodes in worker processes of this machine; with 0 of them, in this process.
-
-    Args:
-        setup: policies and settings.
-    """
+    """Plays episodes in worker processes of this machine; with 0 of them, in this process."""
 
     size: int | None = None
 
@@ -43,14 +39,14 @@ class Processes:
         self.setup = setup
         self._workers: list[_Worker] = []
 
-    def play(self, jobs: Sequence[Job], ahead: Sequence[Job] = ()) -> Iterator[tuple[Job, Measured]]:
+    def play(self, plays: Sequence[Play], ahead: Sequence[Play] = ()) -> Iterator[tuple[Play, Measured]]:
         """Play episodes and yield them as they finish.
 
         Raises:
             IzooError: an episode's input cannot be used (the message names the episode).
             EpisodeFailed: an episode failed otherwise.
         """
-        return self._play(jobs) if self.setup.workers else self._play_here(jobs)
+        return self._play(plays) if self.setup.workers else self._play_here(plays)
 
     def close(self) -> None:
         """End the processes."""
@@ -60,15 +56,15 @@ class Processes:
             worker.close()
         self._workers.clear()
 
-    def _play(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Measured]]:
+    def _play(self, plays: Sequence[Play]) -> Iterator[tuple[Play, Measured]]:
         from izoo.results.playing import EpisodeFailed
 
-        queue = deque((job, 1) for job in jobs)
+        queue = deque((play, 1) for play in plays)
         watchdog_s, workers = self.setup.config.watchdog_s, self._workers
         with tempfile.TemporaryFile() as setup:
             cloudpickle.dump(self.setup, setup)
             setup.flush()
-            workers += [_Worker(setup.fileno(), watchdog_s) for _ in range(min(self.setup.workers, len(jobs)))]
+            workers += [_Worker(setup.fileno(), watchdog_s) for _ in range(min(self.setup.workers, len(plays)))]
             while queue or any(worker.current for worker in workers):
                 for worker in workers:
                     if worker.current is None and queue:
@@ -76,7 +72,7 @@ class Processes:
                 busy = {worker.connection: worker for worker in workers if worker.current}
                 ready = wait(list(busy), max(min(worker.patience_left_s() for worker in busy.values()), 0.0))
                 for connection, worker in busy.items():
-                    job, attempt = worker.current  # type: ignore[misc]
+                    play, attempt = worker.current  # type: ignore[misc]
                     if connection in ready:
                         heard = worker.hear()
                     elif worker.patience_left_s() > 0.0:
@@ -84,26 +80,26 @@ class Processes:
                     else:
                         heard = Lost(f"no answer for {worker.patience_s:g} s")
                     if isinstance(heard, Lost) and attempt == ATTEMPTS:
-                        raise EpisodeFailed(f"{job}: the worker process was lost {ATTEMPTS} times ({heard.reason}).")
+                        raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times ({heard.reason}).")
                     if isinstance(heard, Lost):
                         worker.kill()
                         workers[workers.index(worker)] = _Worker(setup.fileno(), watchdog_s)
-                        queue.appendleft((job, attempt + 1))
+                        queue.appendleft((play, attempt + 1))
                     elif heard is not None:
-                        yield job, heard
+                        yield play, heard
 
-    def _play_here(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Measured]]:
+    def _play_here(self, plays: Sequence[Play]) -> Iterator[tuple[Play, Measured]]:
         from izoo.results.playing import EpisodeFailed, Player
 
         with contextlib.closing(Player(self.setup)) as player:
-            for job in jobs:
+            for play in plays:
                 try:
-                    found = player.play(job)
+                    found = player.play(play)
                 except IzooError as error:
-                    raise IzooError(f"{job}: {error}") from error
+                    raise IzooError(f"{play}: {error}") from error
                 except Exception as error:
-                    raise EpisodeFailed(f"{job}: {type(error).__name__}: {error}") from error
-                yield job, found
+                    raise EpisodeFailed(f"{play}: {type(error).__name__}: {error}") from error
+                yield play, found
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,7 @@ class _Worker:
         self.process = start_process(call, child.fileno(), setup)
         child.close()
         self.connection = Connection(ours.detach())
-        self.current: tuple[Job, int] | None = None
+        self.current: tuple[Play, int] | None = None
         self._watchdog_s, self.patience_s = watchdog_s, max(watchdog_s, STARTUP_S)
         self._heard_s = time.monotonic()
 
@@ -139,18 +135,18 @@ class _Worker:
         """For how long it may still be silent."""
         return self._heard_s + self.patience_s - time.monotonic()
 
-    def begin(self, job: Job, attempt: int) -> None:
+    def begin(self, play: Play, attempt: int) -> None:
         """Hand over an episode."""
-        self.current = (job, attempt)
+        self.current = (play, attempt)
         self._heard_s = time.monotonic()
         with contextlib.suppress(OSError):  # a dead worker shows when its answer is read
-            self.connection.send_bytes(cloudpickle.dumps(job))
+            self.connection.send_bytes(cloudpickle.dumps(play))
 
     def hear(self) -> Measured | Lost | None:
         """Return what the current episode came to, or that the process has ended; ``None``: it plays on."""
         from izoo.results.playing import EpisodeFailed
 
-        job, _ = self.current  # type: ignore[misc]
+        play, _ = self.current  # type: ignore[misc]
         try:
             kind, content = self.connection.recv()
         except (EOFError, OSError):
@@ -162,9 +158,9 @@ class _Worker:
             return None
         self.current = None
         if kind == "refused":
-            raise IzooError(f"{job}: {content}")
+            raise IzooError(f"{play}: {content}")
         if kind == "failed":
-            raise EpisodeFailed(f"{job}: {content}")
+            raise EpisodeFailed(f"{play}: {content}")
         return content
 
     def kill(self) -> None:
@@ -223,7 +219,7 @@ def worker_main(descriptor: int, setup: int) -> None:
 
 
 def answer(player: Any, message: bytes) -> tuple[str, Any]:
-    """Return ``("played", what it came to)`` of a pickled job, or ``refused`` or ``failed`` and why."""
+    """Return ``("played", what it came to)`` of a pickled play, or ``refused`` or ``failed`` and why."""
     try:
         return "played", player.play(cloudpickle.loads(message))
     except IzooError as error:

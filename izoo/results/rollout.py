@@ -23,7 +23,17 @@ from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES, HUMAN
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.playing import RECORDS, SIDE_BY_SIDE, Job, Measured, Policy, Series, Setup
+from izoo.results.playing import (
+    RECORDS,
+    SIDE_BY_SIDE,
+    VEHICLE_REWARD,
+    VEHICLE_SPANS,
+    Measured,
+    Play,
+    Policy,
+    Series,
+    Setup,
+)
 from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
@@ -38,31 +48,8 @@ EXECUTORS = {
 """What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
 
 
-@dataclass(frozen=True)
-class Play:
-    """An episode to play.
-
-    Attributes:
-        policy: ``human``, ``uncommanded``, or the name of one of the policies that are given.
-        train_seed: which of its training seeds; 0 where nothing was trained.
-        context: it is evaluated in; human drivers are alone in it.
-        seed: of the episode.
-    """
-
-    policy: str
-    train_seed: int
-    context: Context
-    seed: int
-
-
 class Played(NamedTuple):
-    """An episode that was played.
-
-    Attributes:
-        play: what was asked for.
-        rows: of the table, one per scored approach.
-        series: what was recorded, ``[decisions]`` float32 by name.
-    """
+    """An episode that was played: a row per scored approach, and what was recorded, by name."""
 
     play: Play
     rows: list[Row]
@@ -96,7 +83,7 @@ def rollout(
         executor: one of :data:`EXECUTORS`; ``None``: ``batch`` on the twin, for policies that draw no random numbers,
             and otherwise ``processes``.
         workers: processes (0: this one plays), or threads of ``batch``.
-        record: what to record per decision: ``team_reward``.
+        record: what to record of each episode (:data:`~izoo.results.playing.RECORDS`).
         cache: folder of the baselines' episodes; ``None``: in the user's cache.
         progress: show a bar with the time left.
         side_by_side: episodes of a block of ``batch``; ``None``: :data:`SIDE_BY_SIDE`.
@@ -113,7 +100,8 @@ def rollout(
     executor = executor_for(simulator, policies, executor)
     named: dict[Key, Policy] = {**{name: make_driver(name, config) for name in BASELINES}, **policies}
     packed = {key: pack(key if isinstance(key, str) else key[0], policy) for key, policy in named.items()}
-    emitting = dataclasses.replace(config, emit=tuple(record))
+    emits = {"number" if name in (VEHICLE_SPANS, VEHICLE_REWARD) else name: None for name in record}
+    emitting = dataclasses.replace(config, emit=tuple(emits))
     setup = Setup(packed, emitting, simulator, workers, tuple(record), side_by_side or SIDE_BY_SIDE, surrogate)
     if executor == "batch" and isinstance(plays, Sequence):
         plays = sorted(plays, key=lambda play: (play.policy, play.train_seed))
@@ -230,6 +218,31 @@ def play_missing(
             store.add(played.rows)
 
 
+def play_policy(
+    store: Store,
+    given: str | Policy,
+    episodes: Iterable[tuple[Context, int]],
+    config: EnvConfig,
+    simulator: str,
+    *,
+    name: str | None = None,
+    train_seed: int = 0,
+    known: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> None:
+    """Play what a store lacks of a policy, and keep it.
+
+    Args:
+        given: as for :func:`evaluate_policy`.
+        known: what the manifest says of it beside what can be seen of it, as fields of its record.
+        options: of :func:`rollout`.
+    """
+    named = as_policy(given, config, name)
+    key = (named.name, train_seed)
+    store.admit({key: dataclasses.replace(named.record, **(known or {}))})
+    play_missing(store, [Play(*key, *each) for each in episodes], {key: named.policy}, config, simulator, **options)
+
+
 def evaluated(config: EnvConfig) -> EnvConfig:
     """Return the environment of evaluated episodes: played out after their horizon."""
     return config if config.drain_s else dataclasses.replace(config, drain_s=DRAIN_S)
@@ -256,7 +269,7 @@ class _Block:
     """A part of the plays: what the cache has of it, and what is to be played, each for one or more plays."""
 
     kept: list[Played] = field(default_factory=list)
-    jobs: list[Job] = field(default_factory=list)
+    todo: list[Play] = field(default_factory=list)
     waiting: dict[tuple[Any, ...], list[Play]] = field(default_factory=dict)
 
 
@@ -288,12 +301,12 @@ class _Rollout:
                 block = ahead
 
     def _play(self, block: _Block, ahead: _Block | None) -> Iterator[Played]:
-        if not block.jobs:
+        if not block.todo:
             return
-        for job, found in self.player.play(block.jobs, ahead.jobs if ahead else []):
-            if job.name in BASELINES:
-                self.cache.put(job.name, job.context, job.seed, found)
-            for play in block.waiting[job.id]:
+        for played, found in self.player.play(block.todo, ahead.todo if ahead else []):
+            if played.policy in BASELINES:
+                self.cache.put(played.policy, played.context, played.seed, found)
+            for play in block.waiting[played.episode]:
                 yield self._played(play, found)
 
     def _parts(self, plays: Iterable[Play]) -> Iterator[list[Play]]:
@@ -313,13 +326,11 @@ class _Rollout:
                 if found is not None:
                     block.kept.append(self._played(play, found))
                     continue
-            own = (play.policy, play.train_seed)
-            key: Key = own if own in self.setup.policies else play.policy
-            job = Job(key, play.policy, context, play.seed)
             # Contexts that differ only in what concerns CVs share their human episodes.
-            if job.id not in block.waiting:
-                block.jobs.append(job)
-            block.waiting.setdefault(job.id, []).append(play)
+            played = Play(play.policy, play.train_seed, context, play.seed)
+            if played.episode not in block.waiting:
+                block.todo.append(played)
+            block.waiting.setdefault(played.episode, []).append(play)
         return block
 
     def _played(self, play: Play, found: Measured) -> Played:

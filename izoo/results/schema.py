@@ -36,6 +36,7 @@ IDENTITY = (
 )
 """Which episode a row belongs to. ``train_seed`` is 0 where nothing was trained; ``demand`` is ``one`` (approach) or
 ``all``; the context is the one that is evaluated, also in rows of human driving, so that rows pair up."""
+OF_CONTEXT = ("context_id", "hour", "season", "engine", "adoption", "cv_vehicle", "temperature_c", "humidity_pct")
 FEATURES = (
     "flow_vph_per_lane",
     "lane_count",
@@ -60,26 +61,18 @@ def identity(
     policy: str, train_seed: int, simulator: str, context: Context, seed: int, approach: str, task: str = ""
 ) -> Row:
     """Return the columns :data:`IDENTITY` of a row."""
-    return {
+    return {name: getattr(context, name) for name in OF_CONTEXT} | {
         "task": task,
         "policy": policy,
         "train_seed": train_seed,
         "simulator": simulator,
         "context": context.name,
         "context_hash": context.content_hash,
-        "context_id": context.context_id,
         "intersection": context.intersection.name,
         "city": context.intersection.city,
         "approach": approach,
         "seed": seed,
         "demand": "all" if context.approach is None else "one",
-        "hour": context.hour,
-        "season": context.season,
-        "engine": context.engine,
-        "adoption": context.adoption,
-        "cv_vehicle": context.cv_vehicle,
-        "temperature_c": context.temperature_c,
-        "humidity_pct": context.humidity_pct,
     }
 
 

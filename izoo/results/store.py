@@ -1,4 +1,7 @@
-"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with."""
+"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with.
+
+In ``rows.csv`` a blank line follows the header and each episode, so that one that was cut short is seen and left out.
+"""
 
 from __future__ import annotations
 
@@ -117,10 +120,7 @@ class Store:
 
     @contextlib.contextmanager
     def open(self, policies: Mapping[Key, PolicyRecord] | None = None) -> Iterator[Store]:
-        """Read what is there and keep other processes out; the folder is complete once the block ends without an error.
-
-        Args:
-            policies: those about to be played (:meth:`admit`).
+        """Read what is there, :meth:`admit` policies, and keep other processes out; the end of the block completes it.
 
         Raises:
             IzooError: the folder was written with other settings or by another version, or another process works in it.
@@ -253,7 +253,7 @@ def check_same(stored: Mapping[str, Any], wanted: Mapping[str, Any], what: str) 
         stored, wanted: the settings.
         what: the beginning of the sentence, such as ``FOLDER holds results``.
     """
-    old, new = _flat(stored), _flat(wanted)
+    old, new = flat(stored), flat(wanted)
     changed = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
     if changed:
         listed = ", ".join(f"{key} {_short(old.get(key))} -> {_short(new.get(key))}" for key in changed)
@@ -275,18 +275,19 @@ def _refuse_earlier(folder: Path) -> None:
 def _lines(rows: Iterable[Row], header: bool) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([COLUMNS] * header)
+    if header:
+        writer.writerows([COLUMNS, ()])
     writer.writerows([row[column] for column in COLUMNS] for row in rows)
+    writer.writerow(())
     return text.getvalue()
 
 
 def _read_rows(path: Path) -> tuple[bool, list[Row]]:
-    """Return whether a table is whole, and its rows; of one that was cut short the last episode is left out."""
+    """Return whether a table is whole, and its rows without those of an episode that was cut short."""
     try:
         text = read_text(path)
-        whole = text.endswith("\n")
         raw = pd.read_csv(
-            io.StringIO(text[: text.rfind("\n") + 1]),
+            io.StringIO(text[: text.rfind("\n\n") + 1] or text),
             float_precision="round_trip",
             dtype={**dict.fromkeys(TEXT, str), **dict.fromkeys(WHOLE, "Int64")},
             keep_default_na=False,  # a policy may be called "null", an intersection "NA"
@@ -299,17 +300,15 @@ def _read_rows(path: Path) -> tuple[bool, list[Row]]:
         raise IzooError(
             f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
         )
-    if not whole and len(raw):
-        last = raw[list(EPISODE)].iloc[-1]
-        raw = raw[(raw[list(EPISODE)] != last).any(axis=1)]
     raw = raw.drop_duplicates(list(KEY), keep="last")[list(COLUMNS)].astype(object)
-    return whole, raw.where(raw.notna(), None).to_dict("records")
+    return text.endswith("\n\n"), raw.where(raw.notna(), None).to_dict("records")
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested values by their paths, such as ``algo.lr``."""
     found: dict[str, Any] = {}
     for key, value in values.items():
-        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
     return found
 
 

@@ -25,6 +25,7 @@ from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
+from izoo.envs.config import SPEED, STEP
 from izoo.envs.twin.twin_backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.gpu import check_gpu
@@ -235,6 +236,7 @@ def check_collector(config: TrainConfig) -> None:
         check_settings(config.env)
         if config.twin.surrogate == "cuda":
             check_gpu("twin.surrogate", "torch")
+    _check_decisions(config)
     policies, envs = config.algo.candidates, num_envs(config)
     if policies > 1 and (config.simulator != "twin" or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(
@@ -245,6 +247,29 @@ def check_collector(config: TrainConfig) -> None:
         )
     if config.collector.name == "ray":
         cluster.connect()
+
+
+def _check_decisions(config: TrainConfig) -> None:
+    """Raise :class:`IzooError` where the options of a run need decisions, or a simulator, that it does not have."""
+    algo, decide = config.algo, config.env.decide
+    variate = getattr(algo, "control_variate", "none")
+    if variate != "none" and config.simulator != "twin":
+        raise IzooError(
+            f"algo.control_variate={variate} plays every training episode a second time, uncommanded, which only the "
+            "twin does beside training; choose simulator=twin, or algo.control_variate=none."
+        )
+    if decide == STEP:
+        return
+    by_step = {
+        f"algo={algo.name}": algo.candidates > 1,
+        f"action={config.action.name}": config.action.name in ("advise", "residual"),
+        "algo.credit=team": getattr(algo, "credit", "agent") == "team",
+        "algo.stores=applied": getattr(algo, "stores", "commanded") == "applied" and config.env.action != SPEED,
+        "levels.draw=prioritised": config.levels.draw == "prioritised",
+    }
+    for option, chosen in by_step.items():
+        if chosen:
+            raise IzooError(f"{option} learns from decisions in every step; set env.decide=step, not {decide}.")
 
 
 def num_envs(config: TrainConfig) -> int:

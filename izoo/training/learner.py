@@ -12,9 +12,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.base import Algorithm, Keys, reads
+from izoo.algos.base import POTENTIAL, Algorithm, Keys, reads
+from izoo.algos.decisions import Decisions, shaped
 from izoo.algos.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
+from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
 
 COLLECTS_ON = torch.device("cpu")
@@ -79,19 +81,35 @@ class Learner:
     Args:
         config: options of the run.
         device: where networks, losses and replay live.
+
+    Attributes:
+        decisions: makes decisions out of steps, where agents do not decide in every step.
     """
 
     def __init__(self, config: TrainConfig, device: torch.device) -> None:
         self.device = device
+        self.gamma: float = getattr(config.algo, "gamma", 1.0)
         self.algorithm = make_algorithm(config.algo, config.action, config.env, device)
+        whole = getattr(_learned(self.algorithm), "looks_around", False)
+        self.decisions = None if config.env.decide == STEP else Decisions(whole)
         shared = device == COLLECTS_ON
         self.policy: TensorDictModuleBase = (
             self.algorithm.policy if shared else copy.deepcopy(self.algorithm.policy).to(COLLECTS_ON)
         )
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`."""
-        stats = self.algorithm.update(to_learner(batch, self.device), progress)
+        """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`.
+
+        The algorithm sees decisions, and of rewards what differs from the uncommanded episode where the batch says it.
+        """
+        stats: dict[str, float] = {}
+        if self.decisions is not None:
+            batch = self.decisions(batch)
+            stats["decisions"] = float(len(batch))
+        if batch.get(POTENTIAL, None) is not None:
+            batch = shaped(batch, self.gamma)
+        if batch.numel() > 0:
+            stats |= self.algorithm.update(to_learner(batch, self.device), progress)
         self.share()
         return stats
 
@@ -110,6 +128,8 @@ class Learner:
         if acts is not kept and hasattr(acts, "noise"):  # exploration goes on in the copy
             kept.noise = acts.noise
         state = {"algorithm": self.algorithm.state_dict(), "torch_rng": torch.get_rng_state()}
+        if self.decisions is not None:
+            state["decisions"] = self.decisions.state_dict()
         if self.device.type == "cuda":
             state["cuda_rng"] = torch.cuda.get_rng_state(self.device)
         return state
@@ -117,6 +137,8 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
         load_state(self.algorithm, state["algorithm"])
+        if self.decisions is not None:
+            self.decisions.load_state_dict(state["decisions"])
         self.share()
         acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
         if acts is not kept and hasattr(acts, "noise"):

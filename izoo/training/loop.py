@@ -173,7 +173,7 @@ class Session:
         self._batches: BatchSource | None = None
         self._paired: Paired | None = None
         self._environments: dict[str, Any] = {}
-        self._saved_at = -1
+        self._saved_at, self._forgets = -1, False
         self._plotted_s = 0.0
         self._threads = torch.get_num_threads()
 
@@ -207,17 +207,23 @@ class Session:
             whole = len(episodes) == num_envs(self.config)
             if whole and is_own_state(environments):
                 self._environments = environments
-            elif self.levels is not None:
-                self.levels.forget_episodes()
             else:
-                self.first_episode += later
-            if whole and not self._environments:
-                print("Another user or version of izoo saved the episodes in progress: they are left out.", flush=True)
+                self._forget_episodes(later)
+                if whole:
+                    print("Another user or version of izoo saved the episodes in progress, left out here.", flush=True)
         elif len(pasts.pasts) == len(self.pasts.pasts):
             self.pasts = pasts
         else:
-            self.first_episode += pasts.next_episode
+            self._forget_episodes(pasts.next_episode)
         print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
+
+    def _forget_episodes(self, later: int) -> None:
+        """Leave the episodes in progress out; ``later`` is the first that has not begun."""
+        self._forgets = True
+        if self.levels is not None:
+            self.levels.forget_episodes()
+        else:
+            self.first_episode += later
 
     def run(self, show: Show | None = None) -> None:
         """Collect and learn until the frames are used up or Ctrl-C is pressed; then save, plot and evaluate.
@@ -338,6 +344,8 @@ class Session:
         if self._state is None:
             return
         self.learner.load_state_dict(self._state)
+        if self._forgets and self.learner.decisions is not None:
+            self.learner.decisions.open = None
         if batches is not None:
             batches.synchronise(self.learner.policy)
         self._state = None
@@ -350,7 +358,7 @@ class Session:
         collected = time.perf_counter()
         stats = episode_stats(batch, self.config.staggered)
         if self._paired is not None:
-            self._paired.add_team_rewards(batch)
+            self._paired.add(batch)
             stats |= self._paired.compare(batch)
         beside = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))

@@ -56,6 +56,7 @@ class Series:
         colour: of the mark.
         faint: drawn thin, beside something that sums it up.
         hollow: points without filling.
+        dash: of lines, as Matplotlib writes it.
         text: ``[N]`` words about the points.
     """
 
@@ -68,6 +69,7 @@ class Series:
     colour: str = PALETTE[0]
     faint: bool = False
     hollow: bool = False
+    dash: str = "-"
     text: Sequence[str] | None = None
 
     @property
@@ -271,7 +273,7 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
             axes.annotate(place[2], place[:2], fontsize=8, parse_math=False)
         return
     shape = "steps-post" if series.kind == "step" else "default"
-    dash = ":" if series.hollow else "-"
+    dash = ":" if series.hollow else series.dash
     style |= {"linewidth": 0.8, "alpha": 0.35} if series.faint else {"linewidth": 1.8}
     axes.plot(x, y, drawstyle=shape, linestyle=dash, **style)
 

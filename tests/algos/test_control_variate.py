@@ -19,7 +19,8 @@ GAMMA = 0.9
 def make(control_variate: bool, lmbda: float = 1.0) -> MAPPO:
     torch.manual_seed(2)
     small = {"hidden": (6, 6), "critic_queries": 2, "critic_embedding": 4, "gamma": GAMMA, "reward_scale": 1.0}
-    config = MAPPOConfig(credit="team", control_variate=control_variate, gae_lambda=lmbda, **small)  # type: ignore[arg-type]
+    variate = "team" if control_variate else "none"
+    config = MAPPOConfig(credit="team", control_variate=variate, gae_lambda=lmbda, **small)  # type: ignore[arg-type]
     return MAPPO(config, FEATURES, LOW, HIGH)
 
 
@@ -106,6 +107,8 @@ def test_the_gradient_is_the_same_in_the_mean_and_varies_less() -> None:
     assert float(signal.abs().max()) > 5.0, "there is a gradient to be biased"
 
 
-def test_it_needs_the_teams_credit() -> None:
-    with pytest.raises(IzooError, match=r"control_variate=true needs algo.credit=team"):
-        MAPPOConfig(control_variate=True)
+def test_it_fits_the_credit() -> None:
+    with pytest.raises(IzooError, match=r"control_variate=team does not go with .* choose vehicle or none"):
+        MAPPOConfig(control_variate="team")
+    with pytest.raises(IzooError, match=r"control_variate=vehicle does not go with .* choose team or none"):
+        MAPPOConfig(control_variate="vehicle", credit="team")

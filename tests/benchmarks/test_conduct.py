@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,13 +97,7 @@ def test_how_a_queue_leaves(road: RoadNet) -> None:
     at_s = dict(enumerate([73.0, 75.5, 77.5, 79.0, 81.0, 83.5]))
     moments = [(time_s, leaving(at_s, time_s)) for time_s in np.arange(70.0, 90.0, 0.5).tolist()]
     found = of(counted(road, dict.fromkeys(at_s, TO_C), *moments))
-    assert found == {
-        "passed_straight_priority": 6,
-        "queues": 1,
-        "start_up_s": 1.0,
-        "headways": 2,
-        "headway_s": 4.5,
-    }
+    assert found == {"passed_straight_priority": 6, "queues": 1, "start_up_s": 1.0, "headways": 2, "headway_s": 4.5}
     said = rates(dict.fromkeys(COUNTS, 0.0) | found)
     assert said["saturation_flow_vph"] == 1600.0 and said["start_up_lag_s"] == 1.0 and said["passed"] == 6
     assert math.isnan(rates(dict.fromkeys(COUNTS, 0.0))["start_up_lag_s"])
@@ -133,13 +126,3 @@ def test_a_green_that_yields_begins_no_queue(road: RoadNet) -> None:
     standing, gone = {1: ("A2TL_intern_2", 50.0, 0.0)}, {1: (":TL_2_0", 1.0, 3.0)}
     moments = [(71.0, standing), (71.5, standing), (72.0, standing), (72.5, standing), (73.0, gone)]
     assert of(counted(road, {1: TO_B}, *moments)) == {"passed_left_permissive": 1}
-
-
-def test_every_count_has_a_name() -> None:
-    assert list(Conduct().counts()) == list(COUNTS) and len(set(COUNTS)) == len(COUNTS)
-
-
-def test_the_handmade_net_has_a_left_turn_that_yields(tmp_path: Path) -> None:
-    clock = read_road(write_handmade(tmp_path)).clock
-    assert clock.permissive[0, 1].tolist() == [True, False, False, False, False, False]
-    assert not clock.permissive[1].any()

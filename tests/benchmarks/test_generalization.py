@@ -34,6 +34,7 @@ WORDS = [
     "frames=750",
     "horizon_s=100",
     "test_limit=2",
+    "train_contexts=2",
     "num_workers=0",
     "simulator=twin",
     "num_envs=2",
@@ -88,11 +89,12 @@ def assert_everything_is_there(folder: Path, seeds: int = 1) -> None:
     table = read_table(folder)
     assert set(table["policy"]) == ENTRIES
     played = table.groupby(["policy", "train_seed", "context_hash"])["seed"].nunique()
-    assert played.eq(3).all() and len(played) == 2 * (4 + 2 * seeds)
+    assert played.eq(3).all() and len(played) == 4 * (4 + 2 * seeds), "2 test contexts, and 2 of the training"
     frames = [line.split(",")[0] for line in (folder / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
     assert [int(number) for number in frames] == list(range(150, 751, 150)), "a batch was lost or counted twice"
     (summary,) = json.loads((folder / "summary.json").read_text())
     assert summary["entries"]["ppo"]["train_seeds"] == seeds and summary["task"] == "systematicity (grid), 100 s"
+    assert set(summary["gaps"]) == ENTRIES - {"human", "uncommanded"} and summary["n"]["contexts"] == 2
     written = {path.stem for path in (folder / "leaderboard").glob("*.json")}
     assert written == ENTRIES - {"human", "uncommanded"}
 
@@ -104,7 +106,9 @@ def test_everything_is_there(done: tuple[Path, Path]) -> None:
     assert (done[0] / str(record.source)).is_file()
     assert leaderboard(["validate", str(done[0] / "leaderboard" / "ppo.json")]) == 0
     found = collect(done[0])
-    assert set(found.evaluations[0].policies) == ENTRIES - {"human"} and list(found.curves) == ["ppo"]
+    (evaluation,) = found.evaluations
+    assert set(evaluation.summary["gaps"]) == ENTRIES - {"human", "uncommanded"}
+    assert set(evaluation.policies) == ENTRIES - {"human"} and list(found.curves) == ["ppo"]
 
 
 @pytest.mark.parametrize("runs_at_once", [1, 2])
@@ -192,14 +196,6 @@ def test_a_checkpoint_of_another_observation_is_refused(
     torch.save({**state, "features": features + 1}, newest)
     said = refused(copy, done[1], capsys)
     assert str(features) in said and str(features + 1) in said and "observ" in said
-
-
-def test_an_evaluation_that_was_cut_short_is_made_up_for(copy: Path, done: tuple[Path, Path]) -> None:
-    whole = read_table(copy)
-    lines = (copy / "rows.csv").read_text().splitlines(keepends=True)
-    (copy / "rows.csv").write_text("".join(lines[:-2]) + lines[-2][:50])
-    assert generalization.main([*WORDS, f"out={copy}", f"cache={done[1]}"]) == 0
-    assert read_table(copy).equals(whole)
 
 
 def test_an_evaluation_does_not_outlive_the_weights_that_it_tested(copy: Path, done: tuple[Path, Path]) -> None:

@@ -18,8 +18,8 @@ from rich.console import Console
 from izoo import zoo
 from izoo.benchmarks import ladder, twin
 from izoo.benchmarks.journal import Journal
-from izoo.benchmarks.ladder_options import LadderConfig
 from izoo.benchmarks.side_by_side import SideBySide, parting
+from izoo.benchmarks.twin import LadderConfig
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig

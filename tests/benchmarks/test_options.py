@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from pathlib import Path
 
 import pytest
+import yaml
 
+import izoo.conf
 from izoo import zoo
-from izoo.benchmarks import pace
 from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
-from izoo.benchmarks.plan import (
-    evaluation_env,
-    evaluation_seeds,
-    limit_contexts,
-    make_plan,
-    place_name,
-    train_config,
-)
+from izoo.benchmarks.plan import evaluation_env, evaluation_seeds, limit_contexts, make_plan, place_name, train_config
 from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
@@ -33,6 +28,8 @@ def hashes(contexts) -> list[str]:  # type: ignore[no-untyped-def]
 def test_yaml_equals_dataclass() -> None:
     name = "benchmarks.generalization"
     assert compose_config(name, GeneralizationConfig, []) == GeneralizationConfig()
+    given = yaml.safe_load((Path(izoo.conf.__path__[0]) / f"{name}.yaml").read_text())
+    assert list(given) == [field.name for field in dataclasses.fields(GeneralizationConfig)], "all can be given"
 
 
 @pytest.mark.parametrize(
@@ -65,6 +62,22 @@ def test_a_larger_limit_contains_a_smaller_one() -> None:
     assert set(hashes(few)) < set(hashes(more)) < set(hashes(contexts))
     assert hashes(few) == hashes(limit_contexts(contexts, 5))
     assert hashes(limit_contexts(contexts, 0)) == hashes(contexts)
+
+
+def test_training_contexts_are_played_where_something_is_trained() -> None:
+    cities, boxes = (
+        [
+            make_plan(GeneralizationConfig(protocol=protocol, train_contexts=count).resolved()).seen  # type: ignore[arg-type]
+            for count in (3, 5)
+        ]
+        for protocol in ("in_distribution", "systematicity")
+    )
+    trained_on = hashes(protocols.in_distribution().train)  # type: ignore[arg-type]
+    for few, more in (cities, boxes):
+        assert len(few) == 3 and len(more) == 5 and set(hashes(few)) < set(hashes(more))
+    assert set(hashes(cities[1])) < set(trained_on)
+    nothing = ({"train_contexts": 0}, {"algos": ("glide",)}, {"form": "paper", "train": "boston"})
+    assert all(make_plan(GeneralizationConfig(**options).resolved()).seen == [] for options in nothing)  # type: ignore[arg-type]
 
 
 def test_measured_intersections_are_split(dataset) -> None:  # type: ignore[no-untyped-def]
@@ -217,19 +230,9 @@ def test_the_evaluation_has_the_environment_of_the_training_but_for_its_length(p
     assert evaluation_env(dataclasses.replace(config, train_options=("env.lane_change=true",))).lane_change
 
 
-def test_time_left_follows_from_what_was_measured() -> None:
-    clock = pace.Pace()
-    jobs = [(("train", "ppo"), 1000.0), (("train", "gcrl"), 500.0)]
-    assert clock.left(jobs) is None
-    clock.add(("train", "ppo"), 100.0, 10.0)
-    assert clock.left(jobs) == pytest.approx(150.0)
-    clock.add(("train", "gcrl"), 10.0, 10.0)
-    assert clock.left(jobs) == pytest.approx(600.0)
-
-
 def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
     config = GeneralizationConfig(
-        algos=("recipe:from_scratch", "ppo"),
+        algos=("recipe:busy_lane_search", "ppo"),
         frames=1000,
         train_simulator="twin",
         num_envs=8,
@@ -237,7 +240,7 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
         scale="small",
     ).resolved()
     entries = {entry.name: entry for entry in config.entries()}
-    recipe = entries["from_scratch"]
+    recipe = entries["busy_lane_search"]
     run = train_config(config, make_plan(config), recipe, 2)
     assert (run.algo.name, run.action.name, run.simulator, run.seed) == ("cmaes", "advise", "twin", 2)
     assert run.total_frames == 1_990_000, "a recipe brings its length"
@@ -248,15 +251,15 @@ def test_a_recipe_is_an_entry_with_its_own_length_and_environment() -> None:
     assert evaluation_env(config, recipe) == dataclasses.replace(run.env, emit=(), drain_s=600.0)
     assert evaluation_env(config, recipe).hold_s == 2.0
     assert evaluation_env(config, entries["ppo"]).hold_s is None
-    untrained = entries["from_scratch_untrained"]
+    untrained = entries["busy_lane_search_untrained"]
     assert (untrained.kind, untrained.algo, untrained.options) == ("untrained", "cmaes", recipe.options)
-    assert [len(config.seeds_of(entries[name])) for name in ("from_scratch", "ppo_untrained", "uncommanded")] == [
+    assert [len(config.seeds_of(entries[name])) for name in ("busy_lane_search", "ppo_untrained", "uncommanded")] == [
         4,
         1,
         1,
     ]
-    with pytest.raises(IzooError, match="from_scratch"):
-        parse_entry("recipe:from_scrach")
+    with pytest.raises(IzooError, match="busy_lane_search"):
+        parse_entry("recipe:busy_lane_serch")
 
 
 def test_a_policy_that_ships_is_an_entry_with_its_own_environment() -> None:

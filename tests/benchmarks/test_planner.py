@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from izoo.benchmarks import planner
-from izoo.benchmarks.planner_options import PlannerConfig
+from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv

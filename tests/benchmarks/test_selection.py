@@ -12,7 +12,6 @@ from izoo.benchmarks.campaign import Campaign
 from izoo.benchmarks.contestants import selected, untrained
 from izoo.benchmarks.generalization_options import GeneralizationConfig
 from izoo.conf.train_options import TrainConfig
-from izoo.errors import IzooError
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 
@@ -50,18 +49,6 @@ def test_every_training_seed_is_also_tested_as_it_begins(tmp_path: Path) -> None
     scripted = ("human", "uncommanded", "glide", "constant_2.0", "cap_0.6")
     assert tested[:5] == [f"evaluate {name}" for name in scripted]
     assert tested[5:] == [f"evaluate {name}, seed {seed}" for seed in range(3) for name in ("ppo_untrained", "ppo")]
-
-
-def test_the_time_that_a_run_took_is_read_as_its_own_table_reads_it(tmp_path: Path) -> None:
-    runs = campaign(tmp_path, "ppo", seeds=1).runs
-    assert runs.seconds(("ppo", 0)) == 0.0
-    path = runs.run_dir(("ppo", 0)) / "metrics.csv"
-    path.parent.mkdir(parents=True)
-    path.write_text("frames,seconds,return\n100,1.5,-3\n200,2.5,\n300,9")  # the last row was cut off
-    assert runs.seconds(("ppo", 0)) == 2.5
-    path.write_bytes(bytes(range(256)) * 8)
-    with pytest.raises(IzooError, match=r"cannot read .*metrics\.csv: .*; restore it, or remove it"):
-        runs.seconds(("ppo", 0))
 
 
 def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.side_runs import Order, SideRuns, shares
+from izoo.benchmarks.side_runs import SideRuns, shares
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -26,10 +26,10 @@ WORDS = [
 PATIENCE_S = 120.0
 
 
-def order(folder: Path, name: str, frames: int, *more: str) -> Order:
+def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
     run_dir = folder / name
     words = [*WORDS, f"total_frames={frames}", f"run_dir={run_dir}", *more]
-    return Order(compose_config("train", TrainConfig, words), frozenset(), folder / f"{name}.log")
+    return compose_config("train", TrainConfig, words), frozenset(), folder / f"{name}.log"
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:
@@ -54,7 +54,7 @@ def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path
     with SideRuns(2) as beside:
         for seed in (0, 1):
             assert beside.has_room
-            beside.begin(seed, order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
+            beside.begin(seed, *order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
         assert not beside.has_room and len(beside.going) == 2 and 0 in beside and 2 not in beside
         wait_until(lambda: beside.is_done(0) and beside.is_done(1), "two runs of 200 frames")
         assert beside.has_room
@@ -71,9 +71,9 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     (tmp_path / "taken" / "something").touch()
     failed = pytest.raises(IzooError, match=r"run failed: .*taken.* is not empty.* \(all that it said: .*taken\.log\)")
     with failed, SideRuns(2) as beside:
-        beside.begin("long", order(tmp_path, "long", 10**8))
+        beside.begin("long", *order(tmp_path, "long", 10**8))
         wait_until(lambda: MetricsTable.read(long / runs.METRICS_FILE).rows, "the first batch")
-        beside.begin("taken", order(tmp_path, "taken", 200))
+        beside.begin("taken", *order(tmp_path, "taken", 200))
         wait_until(lambda: beside.is_done("taken"), "the run that cannot begin")
     assert "go on with: python -m izoo.train resume=" in (tmp_path / "long.log").read_text()
     learned, _ = MetricsTable.read(long / runs.METRICS_FILE).series("seconds")
@@ -98,7 +98,7 @@ def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_ord
 def stopped(folder: Path) -> None:
     """Begin a run, and ask it to stop once it has learned something."""
     with SideRuns(1) as beside:
-        beside.begin("long", order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
+        beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
         wait_until(lambda: MetricsTable.read(folder / "long" / runs.METRICS_FILE).rows, "the first batch")
         beside.going[0].ask_to_stop()
         (folder / "asked").touch()

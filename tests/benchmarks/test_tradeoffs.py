@@ -9,8 +9,7 @@ import pytest
 from izoo.benchmarks import tradeoffs
 from izoo.benchmarks.generalization_options import Entry
 from izoo.benchmarks.plan import make_plan, train_config
-from izoo.benchmarks.tradeoffs import on_front
-from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
+from izoo.benchmarks.tradeoffs import TradeoffsConfig, on_front
 from izoo.commands.help_page import attribute_docs
 from izoo.conf.compose import compose_config
 from izoo.errors import IzooError

@@ -19,7 +19,7 @@ from izoo.algos.action import AdviseAction, DirectAction, ResidualAction
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.scripted import GlideConfig
 from izoo.benchmarks.generalization_options import GeneralizationConfig
-from izoo.benchmarks.tradeoffs_options import TradeoffsConfig
+from izoo.benchmarks.tradeoffs import TradeoffsConfig
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig

@@ -9,6 +9,7 @@ from izoo.commands.entries import TRAIN
 from izoo.conf.compose import compose_config
 from izoo.conf.recipes import RECIPES
 from izoo.conf.train_options import TrainConfig
+from izoo.training.collectors import check_collector
 
 
 def composed(*words: str) -> TrainConfig:
@@ -21,7 +22,9 @@ def test_every_recipe_says_something_and_its_contexts_are_none_of_the_test_box(n
     assert config != TrainConfig()
     assert all(word.partition("=")[1] for word in RECIPES[name][1])
     assert config.evaluation.contexts >= 16
-    assert getattr(config.algo, "warm_start_frames", 0) <= config.total_frames
+    if getattr(config.algo, "warm_start", "none") != "none":
+        assert config.algo.warm_start_frames <= config.total_frames  # type: ignore[attr-defined]
+    check_collector(config)
 
 
 def test_other_words_change_a_recipe_wherever_they_stand() -> None:
@@ -33,7 +36,8 @@ def test_other_words_change_a_recipe_wherever_they_stand() -> None:
 def test_another_choice_takes_the_place_of_all_that_the_recipe_says_of_it() -> None:
     changed = composed("recipe=busy_lane", "contexts=city", "algo=mappo", "action=direct")
     assert changed.contexts.name == "city" and changed.algo.name == "mappo"
-    assert changed.algo.warm_start == "none"  # type: ignore[attr-defined]
+    assert changed.algo.control_variate == "none"  # type: ignore[attr-defined]
+    assert (changed.env.decide, changed.env.action) == ("step", "acceleration")
     assert changed.simulator == "twin"
 
 

@@ -34,15 +34,17 @@ def documented_layout() -> dict[tuple[str, ...], tuple[str, str]]:
 
 
 def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
-    """The same of an environment that emits and reads everything."""
-    env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, lane_change=True))
-    config, found = env.config, {}
-    letters = {config.num_agents: "A", config.num_vehicles: "V", config.num_approaches: "P"}
-    letters |= {len(env.observation_names): "F", len(REWARD_VECTOR): "R"}
-    for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
-        for key in spec.keys(True, True):
-            shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
-            found[key if isinstance(key, tuple) else (key,)] = (shape, str(spec[key].dtype).removeprefix("torch."))
+    """The same of environments that emit and read everything, with decisions in every step and once per vehicle."""
+    found = {}
+    for options in ({"lane_change": True}, {"decide": "vehicle", "action": "speed"}):
+        env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, **options))  # type: ignore[arg-type]
+        config = env.config
+        letters = {config.num_agents: "A", config.num_vehicles: "V", config.num_approaches: "P"}
+        letters |= {len(env.observation_names): "F", len(REWARD_VECTOR): "R"}
+        for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
+            for key in spec.keys(True, True):
+                shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
+                found[key if isinstance(key, tuple) else (key,)] = (shape, str(spec[key].dtype).removeprefix("torch."))
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,12 @@ import pytest
 pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
 from izoo.benchmarks import calibration
+from izoo.benchmarks.journal import Journal
 from izoo.envs import MODEL_VERSION
 
 
-def one_set(number: int, **settings: Any) -> dict[str, Any]:
-    """A result as the study writes it: everything 10 % (or 0.1) too large, every third interval beside the truth."""
+def one_set(number: int) -> dict[str, Any]:
+    """A result as the study keeps it: everything 10 % (or 0.1) too large, every third interval beside the truth."""
     quantities = {}
     for k, (name, true) in enumerate(calibration.truth(calibration.true_population(number)).items()):
         mean = true + 0.1 if name.startswith("correlation") else 1.1 * true
@@ -25,20 +25,13 @@ def one_set(number: int, **settings: Any) -> dict[str, Any]:
         quantities[name] = {"true": true, "mean": mean, "low": low, "high": mean + 1.0}
     about = {"set": number, "drivers": 30, "minutes": 45.0, "seconds": 9.0, "processor_seconds": 8.0}
     state = {"converged": True, "not_converged": [], "diverging": 0, "autocorrelation": 0.0}
-    used = {"drivers": 30, "speed_noise": 0.0, "warmup": 200, "draws": 400, "model_version": MODEL_VERSION, **settings}
-    return {
-        "settings": used,
-        **about,
-        **state,
-        "worst_r_hat": 1.0,
-        "least_ess": 900.0,
-        "quantities": quantities,
-    }
+    return {**about, **state, "worst_r_hat": 1.0, "least_ess": 900.0, "quantities": quantities}
 
 
-def write_sets(folder: Path, count: int, **settings: Any) -> None:
-    for number in range(count):
-        (folder / f"set-{number:03d}.json").write_text(json.dumps(one_set(number, **settings)))
+def keep(folder: Path, *sets: dict[str, Any], speed_noise: float = 0.0) -> None:
+    kept = Journal(folder / calibration.SETS_FILE)
+    for found in sets:
+        kept.add((found["set"], 30, speed_noise, 200, 400, MODEL_VERSION), found)
 
 
 def test_populations_are_fixed_by_their_number() -> None:
@@ -70,33 +63,23 @@ def test_the_summary_counts_intervals_and_averages_errors() -> None:
 def test_a_folder_that_has_all_sets_is_summed_up_and_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_sets(tmp_path, 3)
+    keep(tmp_path, *map(one_set, range(3)))
     monkeypatch.setattr(calibration, "recover", None)  # nothing is left to run
     assert calibration.main(["--out", str(tmp_path), "--sets", "3", "--drivers", "30"]) == 0
     assert "3 data sets, 3 converged" in capsys.readouterr().out
     assert (tmp_path / "recovery.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_sets(tmp_path, 2, speed_noise=0.05)
-    assert calibration.main(["--out", str(tmp_path), "--sets", "2", "--drivers", "30"]) == 2
-    error = capsys.readouterr().err
-    assert "set-000.json was made with other settings" in error and "speed_noise 0.05 -> 0.0" in error
-
-
-@pytest.mark.parametrize("content", ["{", "[]", "{}", None])
-def test_a_damaged_set_is_named(content: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if content is None:
-        content = json.dumps({name: value for name, value in one_set(0).items() if name != "quantities"})
-    (tmp_path / "set-000.json").write_text(content)
-    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 2
-    error = capsys.readouterr().err
-    assert "set-000.json" in error and "remove it, and it is made anew" in error and error.count("\n") == 1
+def test_sets_of_other_options_are_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keep(tmp_path, one_set(0), speed_noise=0.05)
+    monkeypatch.setattr(calibration, "recover", lambda number, *_: one_set(number))
+    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
+    assert len(Journal(tmp_path / calibration.SETS_FILE).rows) == 2
 
 
 def test_a_set_whose_chains_did_not_move_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stuck = {**one_set(0), "converged": False, "worst_r_hat": None, "least_ess": None}
-    (tmp_path / "set-000.json").write_text(json.dumps(stuck))
+    keep(tmp_path, stuck)
     assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
     assert "chains that do not move, not converged" in capsys.readouterr().out
 

@@ -17,8 +17,8 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
 from izoo.algos.scripted import RandomDriver
-from izoo.benchmarks.planner_options import PlannerConfig
-from izoo.conf.train_options import CollectConfig, TrainConfig
+from izoo.benchmarks.planner import PlannerConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.errors import IzooError
 from izoo.training import offline
@@ -331,10 +331,8 @@ def test_pettingzoo_says_who_decides() -> None:
     env.close()
 
 
-def test_learners_and_planners_say_what_they_serve() -> None:
+def test_planners_and_lane_changes_say_what_they_serve() -> None:
     for options in ({"decide": "vehicle"}, {"action": "speed"}):
-        with pytest.raises(IzooError, match=r"env\.decide=step and env\.action=acceleration"):
-            TrainConfig(env=EnvConfig(emit=(), **options))
         with pytest.raises(IzooError, match="the planner"):
             PlannerConfig(env=EnvConfig(**options))
     with pytest.raises(IzooError, match=r"env\.lane_change"):

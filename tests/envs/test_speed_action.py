@@ -176,7 +176,7 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 
 
 def test_what_is_asked_for_is_said() -> None:
-    with pytest.raises(IzooError, match="one before and one behind"):
+    with pytest.raises(IzooError, match="one on either side"):
         EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
     with pytest.raises(IzooError, match=r"env\.action=speed"):
         EnvConfig(action_parts=("speed_before", "speed_behind"))
@@ -191,11 +191,47 @@ def test_what_is_asked_for_is_said() -> None:
         env.step(share_for_all(0.5, parts=2)(env.reset(context=one_lane(), seed=1)))
 
 
-def test_speeds_between_0_and_the_least_share_are_the_least() -> None:
+def test_speeds_below_the_least_share_are_the_least() -> None:
     """What is below the bounds of the action is cut to them, as accelerations are."""
     config = speeds(horizon_s=80.0)
-    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.0))
+    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.01))
     for ours, theirs in zip(low, lower, strict=True):
         assert ours.keys() == theirs.keys()
         for number, place in theirs.items():
             assert ours[number] == pytest.approx(place, abs=1e-3)
+
+
+@pytest.mark.parametrize("decide", ["step", "vehicle"])
+@pytest.mark.parametrize("share", [0.0, -0.2, 1.2])
+def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float, decide: str) -> None:
+    with contextlib.closing(EcoDrivingEnv(config=speeds(decide=decide), worker=0, simulator="twin")) as env:
+        state = env.reset(context=one_lane(), seed=1)
+        while not state["agents", "mask"].any():
+            state = env.step(share_for_all(0.5)(state))["next"]
+        with pytest.raises(IzooError, match=r"desired speeds of \[.*above 0 and up to 1"):
+            env.step(share_for_all(share)(state))
+        wrong = share_for_all(share)(state)
+        wrong["agents", "defer"] = state["agents", "mask"]
+        state = env.step(wrong)["next"].exclude(("agents", "reward"))
+        others = share_for_all(0.5)(state)
+        others["agents", "action"][~state["agents", "mask"]] = share
+        others["agents", "defer"] = torch.zeros_like(state["agents", "mask"])
+        env.step(others)
+
+
+@pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
+@pytest.mark.parametrize("decide", ["step", "vehicle"])
+def test_a_speed_before_the_line_alone_leaves_everybody_alone_behind_it(simulator: str, decide: str) -> None:
+    both = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before", "speed_behind"))
+    before = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before",))
+
+    def one_behind(state: TensorDictBase) -> TensorDictBase:
+        share = share_for_all(0.5)(state)["agents", "action"]
+        state["agents", "action"] = torch.cat([share, torch.ones_like(share)], -1)
+        return state
+
+    expected, found = (
+        motion(episode(simulator, one_lane(), config, act))
+        for config, act in ((both, one_behind), (before, share_for_all(0.5)))
+    )
+    assert expected == found and any(expected)

@@ -20,6 +20,7 @@ from izoo.metrics.statistics import (
     estimate,
     iqm,
     pooled,
+    separate_difference,
     typical,
 )
 from izoo.metrics.student import student_t_quantile
@@ -181,6 +182,19 @@ def test_the_difference_from_what_was_not_trained(name: str) -> None:
         return difference(ALL[name](generator, MIN_TRAIN_SEEDS, 24) + shared, shared[None] + 1.0)
 
     assert held(truth(name, True) - 1.0, RUNS // 2, draw) >= LEAST
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("seeds", [1, MIN_TRAIN_SEEDS, 10])
+def test_the_generalisation_gap_of_places_that_are_alike_is_0(name: str, seeds: int) -> None:
+    """What a training seed is better or worse by, on training and on test intersections, is no gap."""
+
+    def draw(generator: Generator) -> Estimate:
+        both = ALL[name](generator, seeds, 36)
+        return separate_difference(both[:, :24], both[:, 24:], 36)
+
+    if seeds > 1 or name in ANY:
+        assert held(0.0, RUNS // 2, draw) >= LEAST
 
 
 @pytest.mark.parametrize(

@@ -95,5 +95,5 @@ def test_every_figure_is_declared_whole() -> None:
     for name, figure in FIGURES.items():
         assert figure.name == name and figure.label and figure.digits >= 0
         if isinstance(figure.value, Ratio):
-            used = {*figure.value.top, *figure.value.bottom, *figure.value.minus}
+            used = {*figure.value.top.split(), *figure.value.bottom.split(), *figure.value.minus.split()}
             assert used <= set(APPROACH_METRICS) and not figure.paired

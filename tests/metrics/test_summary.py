@@ -11,7 +11,8 @@ import pytest
 
 from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.summary import generalisation_gap, summarise
+from izoo.metrics.statistics import iqm
+from izoo.metrics.summary import TRAINING, summarise, summarise_task
 from tests.metrics.tables import compared, episode_row
 
 NOISE = np.random.default_rng(0).normal(0.0, 1.0, (4, 20))
@@ -161,9 +162,19 @@ def test_levels_weigh_vehicles_and_count_by_context() -> None:
 
 
 def test_the_generalisation_gap() -> None:
-    test, train = (summarise(compared({"ppo": saved + NOISE[0]})) for saved in (3.0, 5.0))
-    assert generalisation_gap(test, train)["ppo"]["gap"] == pytest.approx(2.0)
-    assert generalisation_gap(test, train)["human"]["gap"] is None
+    seeds = {"ppo": 4}
+    test = compared({"ppo": 3.0 + NOISE[0], "glide": NOISE[1]}, train_seeds=seeds)
+    training = compared({"ppo": 5.0 + NOISE[0, :12]}, train_seeds=seeds).assign(task=f"test{TRAINING}")
+    table = pd.concat([test, training], ignore_index=True)
+    found = summarise_task(table, "test")
+    assert found["n"]["contexts"] == 20 and found["entries"] == summarise(test)["entries"]
+    assert list(found["gaps"]) == ["ppo"], "the others were not played in both"
+    gap, training = found["gaps"]["ppo"]["gap"], found["gaps"]["ppo"]["training"]
+    here = found["entries"]["ppo"]["against"]["uncommanded"]["all"]["figures"]["co2_saved"]
+    assert training["value"] == pytest.approx(iqm(5.0 + NOISE[0, :12]))
+    assert gap["value"] == pytest.approx(training["value"] - here["value"])
+    assert 0.0 < gap["low"] < gap["value"] < gap["high"] and (gap["n"], gap["seeds"]) == (32, 4)
+    assert summarise(test)["gaps"] == {}
 
 
 def test_twenty_thousand_rows_are_summed_up_within_two_seconds() -> None:

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import ProceduralSource
-from izoo.envs.config import EnvConfig
 from izoo.report.__main__ import main
 from izoo.results.rollout import evaluate_policy
-
-SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, num_agents=32, drain_s=60.0)
-
-
-@pytest.fixture(scope="session")
-def contexts() -> list[Context]:
-    """Two contexts with demand from one approach."""
-    base = {"lane_count": 1, "phase_count": 1, "green_s": 25}
-    sources = [ProceduralSource({**base, "inflow_vph_per_lane": inflow}) for inflow in (500, 600)]
-    return [source.sample(np.random.default_rng(0)) for source in sources]
+from tests.conftest import SHORT
 
 
 @pytest.fixture(scope="session")

@@ -152,7 +152,7 @@ def test_counters_end_where_the_evaluation_does(chromium, page: Path, evaluation
     last = sheet.get_by_label("Time of the episode").get_attribute("max")
     sheet.get_by_label("Time of the episode").fill(last)
     scene = sheet.evaluate("report.content.scenes[0]")
-    rows = [line.split(",") for line in (evaluation / "rows.csv").read_text().splitlines()]
+    rows = [line.split(",") for line in (evaluation / "rows.csv").read_text().splitlines() if line]
     place = {name: rows[0].index(name) for name in ("policy", "context_hash", "seed", "crossed")}
     wanted = ("glide", scene["context_hash"], scene["seed"])
     (mine,) = [row for row in rows if tuple(row[place[k]] for k in ("policy", "context_hash", "seed")) == wanted]

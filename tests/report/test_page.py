@@ -135,10 +135,6 @@ def test_tasks_of_a_table_and_evaluations_of_a_run_are_told_apart(tmp_path: Path
     (run / "metrics.csv").write_text(METRICS)
     found = collect(run)
     assert [each.name for each in found.evaluations] == ["last", "other"] and list(found.curves) == ["run"]
-    both = table({"ppo": (0.06, -1.0, 1)})
-    made = folder(tmp_path / "both", both)
-    with (made / "rows.csv").open("a") as file:
-        file.write(both.assign(task="another").to_csv(index=False, header=False))
     assert main([str(run), "replay=false"]) == 0
 
 

@@ -31,8 +31,8 @@ def words(text: str) -> list[str]:
 
 @pytest.mark.parametrize("policies", [SEVERAL, {"ppo": (0.06, -1.0, 4)}])
 def test_three_media_agree(policies: dict) -> None:
-    summary = summarise(table(policies))
-    for shown in (tables.headline(summary), *tables.details(summary)):
+    summary = summarise(table(policies), trained_on=table(policies))
+    for shown in (tables.headline(summary), tables.gaps(summary), *tables.details(summary)):
         page = html.unescape(re.sub("<[^>]+>", " ", shown.html().replace("</tr>", "\n")))
         marked = shown.markdown().replace("\\", "")
         for row in shown.rows:
@@ -60,6 +60,16 @@ def test_slower_entries_stand_apart_and_the_best_comes_first() -> None:
     assert [row.label for row in first[:2]] == ["ppo (4 seeds)", "glide"]
     assert heading.startswith("slower") and [row.label for row in slower] == ["cap_0.6"]
     assert first[0].cells[0].value == pytest.approx(6.0, abs=0.3)  # type: ignore[union-attr]
+
+
+def test_generalisation_gaps_are_shown_where_training_contexts_were_played() -> None:
+    test, training = table({"ppo": (0.03, 0.0, 4), "glide": (0.02, 0.0, 1)}), table({"ppo": (0.06, 0.0, 4)})
+    summary, out = summarise(test, trained_on=training), io.StringIO()
+    tables.print_summary(summary, console=Console(file=out, width=80))
+    line = next(line for line in out.getvalue().split("Generalisation gap")[1].splitlines() if "ppo" in line)
+    assert re.fullmatch(r" *ppo +\+6\.\d % \[.+\] +\+3\.\d % \[.+\] +\+3\.\d points \[.+\] *", line)
+    assert "Generalisation gap" in tables.markdown(summary) and "glide" not in tables.gaps(summary).markdown()
+    assert "Generalisation gap" not in tables.markdown(summarise(test))
 
 
 def test_the_console_ends_with_the_verdict_and_verbose_shows_every_figure() -> None:

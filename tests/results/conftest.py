@@ -9,21 +9,12 @@ import pandas as pd
 import pytest
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import EASY, ProceduralSource
-from izoo.envs.config import EnvConfig
+from izoo.contexts.procedural import EASY
 from izoo.results import evaluate_policy
+from tests.conftest import SHORT
 from tests.results import odd_policies
 
-SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
 SEEDS = [11, 12]
-
-
-@pytest.fixture(scope="session")
-def contexts() -> list[Context]:
-    """Two contexts with demand from one approach."""
-    base = {"lane_count": 1, "phase_count": 1, "green_s": 25}
-    sources = [ProceduralSource({**base, "inflow_vph_per_lane": inflow}) for inflow in (500, 600)]
-    return [source.sample(np.random.default_rng(0)) for source in sources]
 
 
 @pytest.fixture(scope="session")

@@ -11,13 +11,11 @@ import yaml
 
 import izoo.conf
 from izoo import train
-from izoo.commands.evaluating import resolve
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import with_given
 from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig, RewardConfig
-from izoo.errors import IzooError
 from izoo.evaluate import main
 from izoo.results.rollout import DRAIN_S
 from izoo.results.selection import choose_contexts
@@ -130,14 +128,6 @@ def test_options_of_a_runs_own_contexts_are_changed(
     assert "contexts=pcg, 1 context" in capsys.readouterr().out
 
 
-def test_a_folder_of_an_earlier_version_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "evaluation.json").write_text("{}")
-    assert main(["policy=glide", "num_contexts=1", f"out={tmp_path}", *TOY]) == 2
-    error = capsys.readouterr().err
-    assert "was written by an earlier version of izoo; evaluate again into another folder" in error
-    assert error.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["evaluation.json"]
-
-
 def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     long = "x" * 300
     assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
@@ -179,15 +169,3 @@ def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
     assert choose_contexts(source, 3, 0) == choose_contexts(source, 3, 0) != choose_contexts(source, 3, 1)
     assert choose_contexts(ContextList(contexts), None, 0) == contexts
     assert choose_contexts(ContextList(contexts), 1, 0)[0] in contexts
-
-
-def test_a_run_and_a_policy_at_once_are_refused() -> None:
-    with pytest.raises(IzooError, match="give one of run=RUN_DIR and policy=NAME"):
-        resolve(EvaluateConfig(run="runs/RUN", policy="glide"), frozenset())
-
-
-def test_an_imported_policy_is_named_after_its_function() -> None:
-    subject = resolve(EvaluateConfig(policy="tests.results.odd_policies:gentle"), frozenset())
-    assert subject.name == "gentle"
-    with pytest.raises(IzooError, match="nobody"):
-        resolve(EvaluateConfig(policy="tests.results.odd_policies:nobody"), frozenset())

@@ -21,8 +21,9 @@ from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.contexts_file import read_contexts
 from izoo.results.playing import EpisodeFailed, Setup
 from izoo.results.store import PolicyRecord, read_manifest
+from tests.conftest import SHORT
 from tests.results import odd_policies as drivers
-from tests.results.conftest import SEEDS, SHORT
+from tests.results.conftest import SEEDS
 
 STEPS = SHORT.control_steps
 

@@ -16,7 +16,7 @@ from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.results.schema import EPISODE, Row
 from izoo.results.store import Key, PolicyRecord, Store, own_settings, read_manifest, read_table
-from tests.results.conftest import SHORT
+from tests.conftest import SHORT
 
 A, B = PolicyRecord("trained", "a" * 64), PolicyRecord("trained", "b" * 64)
 
@@ -64,11 +64,20 @@ def test_an_interrupted_folder_goes_on(table: pd.DataFrame, tmp_path: Path) -> N
     assert read_manifest(tmp_path).complete and len(read_table(tmp_path)) == 2
 
 
-def test_a_table_that_was_cut_short_loses_its_last_episode_only(table: pd.DataFrame, tmp_path: Path) -> None:
+@pytest.mark.parametrize("where", ["in the last line", "after a line", "before the blank line"])
+def test_a_table_that_was_cut_short_loses_its_last_episode_only(
+    where: str, table: pd.DataFrame, tmp_path: Path
+) -> None:
     one, two, *_ = episodes(table)
     kept(tmp_path, {"policy": A}, [one, [{**two[0], "approach": "A"}, {**two[0], "approach": "B"}]])
     path = tmp_path / "rows.csv"
-    path.write_bytes(path.read_bytes()[:-20])
+    lines = path.read_text().splitlines(keepends=True)
+    ends = {
+        "in the last line": [*lines[:-2], lines[-2][:50]],
+        "after a line": lines[:-2],
+        "before the blank line": lines[:-1],
+    }
+    path.write_text("".join(ends[where]))
     assert len(read_table(tmp_path)) == 1
     assert kept(tmp_path, {"policy": A}, [two]) == 1
     assert read_table(tmp_path)["seed"].tolist() == [one[0]["seed"], two[0]["seed"]]

@@ -230,7 +230,7 @@ def test_states_of_the_twin_that_others_saved_are_left_out(tmp_path: Path, capsy
         torch.save(state, checkpoint.find(run_dir))
         capsys.readouterr()
         assert train.main([f"resume={run_dir}", f"total_frames={200 + 100 * seed}"]) == 0
-        assert "saved the episodes in progress: they are left out" in capsys.readouterr().out
+        assert "saved the episodes in progress, left out here" in capsys.readouterr().out
         state = checkpoint.load(checkpoint.find(run_dir))
         assert state["frames"] == 200 + 100 * seed
     assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0

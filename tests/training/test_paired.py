@@ -23,9 +23,8 @@ from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError
 from izoo.results.batch import Batch
-from izoo.results.cache import baseline_context
 from izoo.training import paired, runs
-from izoo.training.collectors import BatchSource
+from izoo.training.collectors import BatchSource, check_collector
 from izoo.training.paired import Paired
 from izoo.training.records import MetricsTable
 from tests.envs.worlds import defer
@@ -34,7 +33,7 @@ WORDS = [
     *("contexts=pcg_easy", "contexts.adoption=1.0", "contexts.inflow_vph_per_lane=500", "env.horizon_s=105"),
     *("env.warmup_s=20", "env.hold_s=2", "env.reward=fuel_team", "simulator=twin", "num_envs=4", "twin.threads=1"),
     *("twin.surrogate=compiled", "twin.compare_every=2", "algo=mappo", "algo.credit=team"),
-    *("algo.control_variate=true", "algo.frames_per_batch=48"),
+    *("algo.control_variate=team", "algo.frames_per_batch=48"),
 ]
 """Episodes of 42.5 decisions."""
 
@@ -74,7 +73,7 @@ def test_uncommanded_training_is_what_it_is_compared_with(tmp_path: Path) -> Non
     rows = []
     with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
         for batch in collected(options, UncommandedDriver(), 8):
-            beside.add_team_rewards(batch)
+            beside.add(batch)
             torch.testing.assert_close(batch["next", TEAM_BASELINE], batch["next", TEAM_REWARD], rtol=0.0, atol=0.0)
             rows.append(beside.compare(batch))
     assert float(batch["next", TEAM_REWARD].std()) > 0.0
@@ -89,7 +88,7 @@ def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
     with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
         batches = collected(options, Crawl(), 7)
         for batch in batches:
-            beside.add_team_rewards(batch)
+            beside.add(batch)
         rows = [row for row in map(beside.compare, batches) if row]
     # Vehicles that are still under way at the horizon have burned less by then, so it is the delay that shows.
     assert rows and all(row["delay_change_s"] > 10.0 for row in rows)
@@ -102,24 +101,25 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatc
     options = dataclasses.replace(config(), env=dataclasses.replace(config().env, emit=("metrics", TEAM_REWARD)))
     order = schedule(options)
     with contextlib.closing(Paired(options, order, tmp_path)) as beside:
-        human = beside._compared["human"].episodes([2, 10])
+        played = beside._compared["uncommanded"].episodes([2, 10])
         with contextlib.closing(EcoDrivingEnv(order, config=options.env, simulator="twin")) as env:
             context, seed = order(10)
-            state, rewards = env.reset(context=baseline_context(context), seed=seed), []
+            state, rewards = env.reset(context=context, seed=seed), []
             for _ in range(options.env.decisions):
                 state = env.step_lean(defer(state))
                 rewards.append(float(state[TEAM_REWARD]))
-    np.testing.assert_allclose(human[10].team_reward, rewards, rtol=1e-4, atol=1e-5)
-    assert len(human[10].team_reward) == options.env.decisions and human[10].sums.max() > 0.0
+    team = played[10].series[TEAM_REWARD]
+    np.testing.assert_allclose(team, rewards, rtol=1e-4, atol=1e-5)
+    assert len(team) == options.env.decisions and played[10].sums.max() > 0.0
     with monkeypatch.context() as patch:
         patch.setattr(Batch, "play", lambda *_: pytest.fail("it was played before"))
         with contextlib.closing(Paired(options, order, tmp_path)) as other:
-            again = other._compared["human"].episodes([10])[10]
-    assert np.array_equal(again.sums, human[10].sums) and np.array_equal(again.team_reward, human[10].team_reward)
+            again = other._compared["uncommanded"].episodes([10])[10]
+    assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
     next(path for path in tmp_path.rglob("*.npz")).write_bytes(b"damaged")
     with contextlib.closing(Paired(options, order, tmp_path)) as third:
-        mended = third._compared["human"].episodes([2, 10])
-    assert all(np.array_equal(mended[number].sums, human[number].sums) for number in human)
+        mended = third._compared["uncommanded"].episodes([2, 10])
+    assert all(np.array_equal(mended[number].sums, played[number].sums) for number in played)
 
 
 def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
@@ -133,14 +133,9 @@ def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
 
 
 def test_a_control_variate_needs_the_twin() -> None:
-    with pytest.raises(IzooError, match=r"control_variate=true .* choose simulator=twin"):
-        compose_config(
-            "train",
-            TrainConfig,
-            ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team"],
-        )
-    with pytest.raises(IzooError, match=r"compare_every is -1"):
-        config("twin.compare_every=-1")
+    words = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team"]
+    with pytest.raises(IzooError, match=r"control_variate=team .* choose simulator=twin"):
+        check_collector(compose_config("train", TrainConfig, words))
 
 
 def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,10 +39,11 @@ TOY = [
 ]
 """Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
 TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"]
-TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=true", "env.reward=fuel_team", "algo.value_norm=popart"]
+TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team", "algo.value_norm=popart"]
 """What a run may hold besides networks: statistics of value targets, and the uncommanded episodes beside it."""
 DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
 LEVELS = ["levels.draw=prioritised", "levels.kept=2", "levels.share=0.7"]
+ONCE = ["action=speed", "env.action=speed", "env.decide=vehicle", "algo.control_variate=vehicle", "env.reward=fuel"]
 TD3 = ["algo=td3", "action=advise", "algo.learning_starts=200", "algo.replay_rows=2000"]
 
 
@@ -90,6 +91,8 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
         pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
         pytest.param([*TWIN, *TEAM, *LEVELS], id="twin-levels", marks=pytest.mark.slow),
         pytest.param([*TWIN, *TD3], id="twin-td3", marks=pytest.mark.slow),
+        pytest.param([*TWIN, "algo=gcrl", *ONCE], id="twin-once-per-vehicle", marks=pytest.mark.slow),
+        pytest.param(["collector=parallel", *ONCE[:3]], id="parallel-once-per-vehicle", marks=pytest.mark.slow),
     ],
 )
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:

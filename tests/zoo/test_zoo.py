@@ -18,9 +18,8 @@ from izoo.algos.action import AdviseAction
 from izoo.algos.ppo_config import PPOConfig
 from izoo.algos.registry import make_algorithm
 from izoo.benchmarks.generalization_options import GeneralizationConfig, parse_entry
-from izoo.benchmarks.ladder_options import LadderConfig
 from izoo.benchmarks.plan import evaluation_env
-from izoo.benchmarks.twin import env_of
+from izoo.benchmarks.twin import LadderConfig, env_of
 from izoo.commands.entries import TRAIN
 from izoo.commands.zoo_policies import ZOO, _changed
 from izoo.conf.compose import compose_config
