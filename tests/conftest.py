@@ -38,6 +38,15 @@ def dataset() -> ContextList:
     return load_dataset(Path(root) / "salt-lake-city-60")
 
 
+@pytest.fixture(scope="session")
+def faults() -> Path:
+    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+    root = os.environ.get("IZOO_TEST_DATA")
+    if not root:
+        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the small faulty inputs")
+    return Path(root) / "faults"
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what the tests build out of the user's cache; processes that tests start inherit the setting.

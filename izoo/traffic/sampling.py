@@ -45,7 +45,7 @@ class Roads(Protocol):
     @property
     def sources(self) -> Sequence[dict[str, str]]: ...
     @property
-    def source_lane_count(self) -> Sequence[dict[str, int]]: ...
+    def source_lanes(self) -> Sequence[dict[str, tuple[int, ...]]]: ...
     @property
     def incoming_edges(self) -> tuple[tuple[str, ...], ...]: ...
     @property
@@ -61,7 +61,7 @@ class Traffic:
         approach: ``[N]`` int64, index into the road's approaches.
         exit: ``[N]`` int64, index into the road's exits.
         source: ``[N]`` int64, index into :data:`SOURCE_KINDS`.
-        depart_lane: ``[N]`` int64, lane of the source edge, 0 rightmost.
+        depart_lane: ``[N]`` int64, lane of the source edge by SUMO's index, 0 rightmost.
         is_cv: ``[N]`` bool: a controlled vehicle.
         source_type: ``[N]`` int64, MOVES source type.
         moves_class: ``[N]`` int64, index into :data:`izoo.emissions.classes.CLASSES`.
@@ -164,7 +164,11 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     source = (
         np.where(source_draw < STRAIGHT_SOURCE_SHARE, 0, 1) if all(present) else np.full(count, present.index(True))
     )
-    lanes = [min(road.source_lane_count[p].get(kind, 1), int(road.main_lane_count[p])) for kind in SOURCE_KINDS]
+    # A source may have more lanes than the approach, and some that are closed to cars.
+    lanes = [road.source_lanes[p].get(kind, (0,))[: int(road.main_lane_count[p])] for kind in SOURCE_KINDS]
+    widest = max(map(len, lanes))
+    lane_table = np.array([row + row[:1] * (widest - len(row)) for row in lanes])
+    lane_row = (lane_draw * np.array([len(row) for row in lanes])[source]).astype(np.int64)
     moves_class = sample_classes(stream(_FLEET), count)
     source_type = CLASS_SOURCE_TYPE[moves_class]
     drivers = sample_drivers(stream(_DRIVERS), source_type, context.drivers)
@@ -183,7 +187,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
         "approach": np.full(count, p),
         "exit": draw_index(exit_draw, shares),
         "source": source,
-        "depart_lane": (lane_draw * np.array(lanes)[source]).astype(np.int64),
+        "depart_lane": lane_table[source, lane_row],
         "is_cv": is_cv,
         "source_type": source_type,
         "moves_class": moves_class,
