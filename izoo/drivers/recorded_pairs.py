@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import re
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -117,7 +117,7 @@ def _from_sumo(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _read_fcd(file: IO[bytes]) -> pd.DataFrame:
+def _read_fcd(file: Any) -> pd.DataFrame:
     rows: dict[str, list[str]] = {name: [] for name in (*TRAJECTORY_COLUMNS, "length_m", "row")}
     time = ""
     for event, element in ElementTree.iterparse(file, events=("start", "end")):

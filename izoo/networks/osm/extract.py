@@ -7,7 +7,10 @@ The rules by which lanes, turns and limits are read and imputed stand in :mod:`i
 - turn pockets: lanes that a way next to the stop line has over the way behind it, if that begins within 150 m;
 - grade: from the elevation raster, over the whole approach; 0 and imputed without one;
 - demand: from the AADT table, else per lane by street class and imputed;
-- right turns on red: legal in North America.
+- right turns on red: legal in North America;
+- signal plans: from a file of them, else searched for and marked as imputed.
+
+Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.osm.streets`).
 """
 
 from __future__ import annotations
@@ -16,8 +19,10 @@ import hashlib
 import itertools
 import math
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from izoo.console import plain
 from izoo.contexts.movements import exits_by_turn
@@ -25,8 +30,11 @@ from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
+from izoo.networks.osm.driving_side import Side
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
+from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
+from izoo.networks.osm.plans import read_plans, with_plan
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
 from izoo.networks.osm.streets import Restriction, StreetMap, read_streets
@@ -45,6 +53,7 @@ class OsmReport:
         imputed: how often each kind of value was imputed.
         approaches: number of approaches in all.
         stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
+        mirrored: the region where traffic drives on the left, if the extract was mirrored.
     """
 
     target: Path
@@ -53,36 +62,56 @@ class OsmReport:
     stray_signals: int = 0
     skipped: dict[str, str] = field(default_factory=dict)
     imputed: dict[str, int] = field(default_factory=dict)
+    mirrored: str = ""
 
     def __str__(self) -> str:
         lines = [f"built {len(self.streets)} intersections with {self.approaches} approaches into {self.target}"]
+        if self.mirrored:
+            lines.append(
+                f"  traffic drives on the left there ({self.mirrored}): all intersections are mirrored, east and west, "
+                "left and right exchanged, so that it drives on the right; --drives-on right takes the map as it is"
+            )
         lines += [
             f"  {key}: " + ", ".join(f"{k} {v or '-'}" for k, v in legs.items()) for key, legs in self.streets.items()
         ]
         lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
         if self.stray_signals:
             lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
-        lines += [f"  imputed {kind}: {count} of {self.approaches} approaches" for kind, count in self.imputed.items()]
+        whole = {PLAN_IMPUTED: f"{len(self.streets)} intersections"}
+        lines += [
+            f"  imputed {kind}: {count} of {whole.get(kind, f'{self.approaches} approaches')}"
+            for kind, count in self.imputed.items()
+        ]
         return "\n".join(map(plain, lines))
 
 
 def build_from_osm(
-    file: Path | str, *, target: Path | str, elevation: Path | str | None = None, aadt: Path | str | None = None
+    file: Path | str,
+    *,
+    target: Path | str,
+    elevation: Path | str | None = None,
+    aadt: Path | str | None = None,
+    signals: Path | str | None = None,
+    drives_on: Side | None = None,
 ) -> OsmReport:
     """Find the signalised intersections of an extract and write them to ``target``, all or nothing.
 
     Args:
         file: the extract.
-        target: a new or empty folder, or an earlier build, which is replaced.
+        target: a new or empty folder, or an earlier build, which is replaced unless it was edited.
         elevation: a raster of heights in m.
         aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+        signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
+        drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
-        IzooError: a file is missing or malformed, or the extract has no usable signalised intersection.
+        IzooError: a file is missing or malformed, the extract has no usable signalised intersection, or the target has
+            been edited since it was built.
     """
     file, target = expanded(file), expanded(target).absolute()
     check_target(target)
-    streets = read_streets(file)
+    plans = {} if signals is None else read_plans(signals)
+    streets = read_streets(file, drives_on)
     builder = _Builder(
         streets,
         target.name,
@@ -96,11 +125,14 @@ def build_from_osm(
             f"{file} has no usable intersection with traffic signals ({len(streets.signals)} signal nodes there"
             f"{'; ' + reasons if reasons else ''}); export a larger extract, with complete ways."
         )
+    builder.give_plans(plans, str(signals))
     notes = {
         "source": file.name,
         "source_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "elevation": elevation is not None,
         "aadt": aadt is not None,
+        "signals": signals is not None,
+        "mirrored": streets.mirrored,
         "skipped": builder.skipped,
     }
     save_cmdp(target, builder.specs, builder.details, notes)
@@ -112,6 +144,7 @@ def build_from_osm(
         stray_signals=builder.stray_signals,
         skipped=builder.skipped,
         imputed=dict(sorted(imputed.items())),
+        mirrored=streets.mirrored,
     )
 
 
@@ -149,6 +182,19 @@ class _Builder:
                 "nodes": sorted(core.nodes),
             }
 
+    def give_plans(self, plans: Mapping[str, Any], file: str) -> None:
+        """Give intersections the plans of a ``file``; the others' are imputed."""
+        if astray := sorted(set(plans) - set(self.specs)):
+            raise IzooError(
+                f"{file} has a signal plan for {astray[0]!r}, which is no intersection of the extract; choose among "
+                f"{', '.join(self.specs)}."
+            )
+        for key, spec in self.specs.items():
+            try:
+                self.specs[key] = with_plan(spec, plans.get(key))
+            except IzooError as error:
+                raise IzooError(f"{file}, {key}: {error}") from error
+
     def _spec(self, core: Core, streets: list[Street]) -> IntersectionSpec:
         width = max(self.graph.distance(one, two) for one in core.nodes for two in core.nodes)
         if width > MAX_CORE_M:
@@ -179,8 +225,8 @@ class _Builder:
             name=f"{self.name}/{core.id}",
             source="osm",
             legs=tuple(legs),
-            right_on_red=_in_north_america(*self.streets.lonlat[core.id]),
-            imputed=tuple(guessed.names),
+            right_on_red=_in_north_america(*self.streets.lonlat[core.id]) and not self.streets.mirrored,
+            imputed=(*guessed.names, PLAN_IMPUTED),
         )
 
     def _banned(self, from_ways: set[int], to_ways: set[int]) -> frozenset[str]:

@@ -1,6 +1,9 @@
 """Reads the drivable streets of an OpenStreetMap extract (``.osm``, ``.osm.pbf``, compressed or not).
 
 Positions are metres east and north of the extract's centre; at the size of a city the projection is true to 0.1 %.
+
+Where traffic drives on the left the map is mirrored: east and west, left and right change places, in positions, lanes
+and restrictions, and all that is made of it drives on the right.
 """
 
 from __future__ import annotations
@@ -8,14 +11,16 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
 from izoo.files import expanded
+from izoo.networks.osm.driving_side import Side, left_hand_region
 
 SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2")
 EARTH_RADIUS_M = 6_371_000.0
@@ -24,6 +29,9 @@ DRIVABLE = frozenset(
 ) | {"unclassified", "residential", "living_street", "road"}
 """Values of ``highway`` that count as streets; service roads and driveways do not."""
 _CLOSED = ("no", "private", "agricultural", "forestry", "delivery")
+
+
+_SIDE_WORD = re.compile("left|right")
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,7 @@ class StreetMap:
         lonlat: per node, degrees.
         signals: signal nodes on drivable ways, with the direction (``forward``, ``backward`` or ``""``) they face.
         restrictions: turn restrictions between drivable ways.
+        mirrored: where traffic drives on the left, and the map is mirrored, the name of the region; otherwise ``""``.
     """
 
     ways: dict[int, Way]
@@ -67,10 +76,15 @@ class StreetMap:
     lonlat: dict[int, tuple[float, float]]
     signals: dict[int, str]
     restrictions: tuple[Restriction, ...]
+    mirrored: str = ""
 
 
-def read_streets(path: Path | str) -> StreetMap:
+def read_streets(path: Path | str, drives_on: Side | None = None) -> StreetMap:
     """Read an extract.
+
+    Args:
+        path: the extract.
+        drives_on: the side that traffic drives on; ``None``: that of the country where the extract lies.
 
     Raises:
         IzooError: osmium is not installed; the file is missing, of another format or malformed, or has no streets.
@@ -91,13 +105,42 @@ def read_streets(path: Path | str) -> StreetMap:
         raise IzooError(f"{path} holds no drivable streets; export an extract that contains streets with their nodes.")
     used = {node for way in kept.values() for node in way.nodes}
     lonlat = {node: place for node, place in lonlat.items() if node in used}
-    return StreetMap(
+    streets = StreetMap(
         ways=kept,
         position_m=_project(lonlat),
         lonlat=lonlat,
         signals={node: facing for node, facing in signals.items() if node in used},
         restrictions=tuple(found for found in restrictions if found.from_way in kept and found.to_way in kept),
     )
+    region = left_hand_region(*_centre(lonlat))
+    left = region is not None if drives_on is None else drives_on == "left"
+    return _mirrored(streets, region or "as given") if left else streets
+
+
+def _mirrored(streets: StreetMap, region: str) -> StreetMap:
+    return StreetMap(
+        ways={number: replace(way, tags=_mirrored_tags(way.tags)) for number, way in streets.ways.items()},
+        position_m={node: (-x, y) for node, (x, y) in streets.position_m.items()},
+        lonlat=streets.lonlat,
+        signals=streets.signals,
+        restrictions=tuple(replace(rule, kind=_exchanged(rule.kind)) for rule in streets.restrictions),
+        mirrored=region,
+    )
+
+
+def _mirrored_tags(tags: dict[str, str]) -> dict[str, str]:
+    """Tags of a way whose lanes, listed from the left, are listed from the other side, and turn to the other side."""
+    found = {}
+    for key, value in tags.items():
+        words = key.split(":")
+        by_lane = "|".join(reversed(value.split("|"))) if "lanes" in words else value
+        found[key] = _exchanged(by_lane) if words[0] == "turn" else by_lane
+    return found
+
+
+def _exchanged(text: str) -> str:
+    """Return a text in which left and right change places."""
+    return _SIDE_WORD.sub(lambda match: "right" if match[0] == "left" else "left", text)
 
 
 def _osmium() -> Any:
@@ -172,9 +215,12 @@ def _cut(way: Way, lonlat: dict[int, tuple[float, float]]) -> Iterator[Way]:
         yield Way(way.id, tuple(best), way.tags, way.oneway)
 
 
+def _centre(lonlat: dict[int, tuple[float, float]]) -> tuple[float, float]:
+    return sum(lon for lon, _ in lonlat.values()) / len(lonlat), sum(lat for _, lat in lonlat.values()) / len(lonlat)
+
+
 def _project(lonlat: dict[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
-    lon0 = sum(lon for lon, _ in lonlat.values()) / len(lonlat)
-    lat0 = sum(lat for _, lat in lonlat.values()) / len(lonlat)
+    lon0, lat0 = _centre(lonlat)
     metres = math.radians(1.0) * EARTH_RADIUS_M
     shrink = math.cos(math.radians(lat0))
     return {node: ((lon - lon0) * metres * shrink, (lat - lat0) * metres) for node, (lon, lat) in lonlat.items()}
