@@ -13,7 +13,7 @@ import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.driving_side import Side, left_hand_region
+from izoo.networks.osm.lane_access import CAR_KEYS, closed_direction, shuts_cars_out
 
 SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2")
 EARTH_RADIUS_M = 6_371_000.0
@@ -28,9 +29,9 @@ DRIVABLE = frozenset(
     f"{name}{suffix}" for name in ("motorway", "trunk", "primary", "secondary", "tertiary") for suffix in ("", "_link")
 ) | {"unclassified", "residential", "living_street", "road"}
 """Values of ``highway`` that count as streets; service roads and driveways do not."""
-_CLOSED = ("no", "private", "agricultural", "forestry", "delivery")
 
 
+_ONEWAY_KEYS = ("oneway:motorcar", "oneway:motor_vehicle", "oneway:vehicle")
 _SIDE_WORD = re.compile("left|right")
 
 
@@ -133,6 +134,7 @@ def _mirrored_tags(tags: dict[str, str]) -> dict[str, str]:
     found = {}
     for key, value in tags.items():
         words = key.split(":")
+        key = ":".join(_exchanged(word) if word in ("left", "right") else word for word in words)
         by_lane = "|".join(reversed(value.split("|"))) if "lanes" in words else value
         found[key] = _exchanged(by_lane) if words[0] == "turn" else by_lane
     return found
@@ -159,7 +161,8 @@ def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
         if item.is_way():
             if tags.get("highway") in DRIVABLE and _open_to_cars(tags):
                 nodes = tuple(node.ref for node in item.nodes)
-                ways.append(Way(item.id, nodes, {tag.k: tag.v for tag in tags}, _oneway(tags)))
+                own = {tag.k: tag.v for tag in tags}
+                ways.append(Way(item.id, nodes, own, _oneway(own)))
         elif tags.get("type") == "restriction" and tags.get("restriction"):
             role = {member.role: member.ref for member in item.members if member.type == "w"}
             if "from" in role and "to" in role:
@@ -185,21 +188,20 @@ def _read_nodes(osmium: Any, path: Path, wanted: set[int]) -> tuple[dict[int, tu
 def _open_to_cars(tags: Any) -> bool:
     if tags.get("area") == "yes":
         return False
-    for key in ("motorcar", "motor_vehicle", "vehicle", "access"):
-        value = tags.get(key)
-        if value is not None:
-            return value not in _CLOSED
-    return True
+    value = next((tags[key] for key in CAR_KEYS if tags.get(key) is not None), None)
+    return value is None or not shuts_cars_out(value)
 
 
-def _oneway(tags: Any) -> int:
-    value = tags.get("oneway")
+def _oneway(tags: Mapping[str, str]) -> int:
+    """The only direction that is open to cars, or 0."""
+    particular = (tags[key] for key in _ONEWAY_KEYS if key in tags)
+    value = next(particular, tags.get("oneway"))
     if value in ("yes", "true", "1"):
         return 1
     if value in ("-1", "reverse"):
         return -1
     implied = tags.get("junction") in ("roundabout", "circular") or tags.get("highway") in ("motorway", "motorway_link")
-    return 1 if implied and value is None else 0
+    return 1 if implied and value is None else -closed_direction(tags)
 
 
 def _cut(way: Way, lonlat: dict[int, tuple[float, float]]) -> Iterator[Way]:
