@@ -7,7 +7,7 @@ The rules by which lanes, turns and limits are read and imputed stand in :mod:`i
 - turn pockets: lanes that a way next to the stop line has over the way behind it, if that begins within 150 m;
 - grade: from the elevation raster, over the whole approach; 0 and imputed without one;
 - demand: from the AADT table, else per lane by street class and imputed;
-- right turns on red: legal in North America;
+- right turns on red: legal in North America, unless one of the approaches forbids them;
 - signal plans: from a file of them, else searched for and marked as imputed.
 
 Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.osm.streets`).
@@ -18,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +37,8 @@ from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
-from izoo.networks.osm.streets import Restriction, StreetMap, read_streets
+from izoo.networks.osm.streets import StreetMap, read_streets
+from izoo.networks.osm.turn_bans import TurnBans, bans_turns_on_red
 
 MAX_CORE_M = 120.0
 
@@ -154,9 +155,6 @@ class _Builder:
     def __init__(self, streets: StreetMap, name: str, elevation: Elevation | None, counts: TrafficCounts) -> None:
         self.streets, self.name, self.elevation, self.counts = streets, name, elevation, counts
         self.graph = StreetGraph(streets)
-        self.restrictions: dict[int, list[Restriction]] = defaultdict(list)
-        for restriction in streets.restrictions:
-            self.restrictions[restriction.from_way].append(restriction)
         self.specs: dict[str, IntersectionSpec] = {}
         self.details: dict[str, dict] = {}
         self.skipped: dict[str, str] = {}
@@ -209,13 +207,19 @@ class _Builder:
             Leg(name, street.bearing_deg, _ANY_APPROACH, *exit_)
             for name, street, exit_ in zip(LEG_NAMES, streets, exits, strict=False)
         ]
+        bans = TurnBans(self.graph, core)
+        by_name = {leg.name: street for leg, street in zip(bare, streets, strict=True)}
+        red_turns = _in_north_america(*self.streets.lonlat[core.id]) and not self.streets.mirrored
         legs = []
         for leg, street in zip(bare, streets, strict=True):
             available = frozenset(exits_by_turn(bare, leg.name)) if street.arriving else frozenset[str]()
             approach = None
             if available:
-                out_ways = {stub.pieces[0].way.id for other in streets if other is not street for stub in other.leaving}
-                banned = self._banned({stub.pieces[0].way.id for stub in street.arriving}, out_ways)
+                banned = frozenset(
+                    turn
+                    for turn, names in exits_by_turn(bare, leg.name).items()
+                    if all(bans.forbids(street, by_name[name]) for name in names)
+                )
                 approach = approach_of(self.graph, street, leg.name, available, banned, guessed)
                 approach = self._with_grade_and_demand(approach, street, leg, guessed)
             legs.append(
@@ -225,20 +229,9 @@ class _Builder:
             name=f"{self.name}/{core.id}",
             source="osm",
             legs=tuple(legs),
-            right_on_red=_in_north_america(*self.streets.lonlat[core.id]) and not self.streets.mirrored,
+            right_on_red=red_turns and not bans_turns_on_red(self.graph, streets),
             imputed=(*guessed.names, PLAN_IMPUTED),
         )
-
-    def _banned(self, from_ways: set[int], to_ways: set[int]) -> frozenset[str]:
-        """Turns that restrictions forbid from all of an approach into streets that leave the intersection."""
-        words = {"left_turn": "l", "right_turn": "r", "straight_on": "s"}
-        found: set[str] = set()
-        for restriction in (rule for way in from_ways for rule in self.restrictions.get(way, ())):
-            if restriction.to_way in to_ways:
-                rule, _, what = restriction.kind.partition("_")
-                if what in words and rule in ("no", "only"):
-                    found |= {words[what]} if rule == "no" else set("rsl") - {words[what]}
-        return frozenset(found)
 
     def _with_grade_and_demand(self, approach: Approach, street: Street, leg: Leg, guessed: Guessed) -> Approach:
         stub = max(street.arriving, key=lambda stub: stub.length_m)

@@ -31,6 +31,8 @@ DRIVABLE = frozenset(
 """Values of ``highway`` that count as streets; service roads and driveways do not."""
 
 
+_CARS = {"motorcar", "motor_vehicle", "vehicle"}
+_RESTRICTION_KEYS = ("restriction:motorcar", "restriction:motor_vehicle", "restriction:vehicle", "restriction")
 _ONEWAY_KEYS = ("oneway:motorcar", "oneway:motor_vehicle", "oneway:vehicle")
 _SIDE_WORD = re.compile("left|right")
 
@@ -52,11 +54,13 @@ class Way:
 
 @dataclass(frozen=True)
 class Restriction:
-    """A turn restriction such as ``no_left_turn`` from one way into another."""
+    """A turn restriction such as ``no_left_turn`` from one way into another, over nodes or over ways in between."""
 
     kind: str
     from_way: int
     to_way: int
+    via_nodes: frozenset[int] = frozenset()
+    via_ways: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,7 @@ def read_streets(path: Path | str, drives_on: Side | None = None) -> StreetMap:
         position_m=_project(lonlat),
         lonlat=lonlat,
         signals={node: facing for node, facing in signals.items() if node in used},
-        restrictions=tuple(found for found in restrictions if found.from_way in kept and found.to_way in kept),
+        restrictions=tuple(rule for rule in restrictions if {rule.from_way, rule.to_way, *rule.via_ways} <= set(kept)),
     )
     region = left_hand_region(*_centre(lonlat))
     left = region is not None if drives_on is None else drives_on == "left"
@@ -156,18 +160,29 @@ def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
     ways: list[Way] = []
     restrictions: list[Restriction] = []
     everything = osmium.FileProcessor(str(path), osmium.osm.WAY | osmium.osm.RELATION)
-    for item in everything.with_filter(osmium.filter.KeyFilter("highway", "restriction")):
+    for item in everything.with_filter(osmium.filter.KeyFilter("highway", *_RESTRICTION_KEYS)):
         tags = item.tags
         if item.is_way():
             if tags.get("highway") in DRIVABLE and _open_to_cars(tags):
                 nodes = tuple(node.ref for node in item.nodes)
                 own = {tag.k: tag.v for tag in tags}
                 ways.append(Way(item.id, nodes, own, _oneway(own)))
-        elif tags.get("type") == "restriction" and tags.get("restriction"):
-            role = {member.role: member.ref for member in item.members if member.type == "w"}
-            if "from" in role and "to" in role:
-                restrictions.append(Restriction(tags["restriction"], role["from"], role["to"]))
+        elif (tags.get("type") or "").startswith("restriction"):
+            kind = next((tags[key] for key in _RESTRICTION_KEYS if tags.get(key)), None)
+            if kind is not None and not _CARS & {word.strip() for word in (tags.get("except") or "").split(";")}:
+                members = [(member.role, member.type, member.ref) for member in item.members]
+                restrictions += _restrictions(kind, members)
     return ways, restrictions
+
+
+def _restrictions(kind: str, members: list[tuple[str, str, int]]) -> Iterator[Restriction]:
+    """One restriction per pair of ways: a relation may forbid to enter from several, or to leave into several."""
+
+    def of(role: str, kind: str) -> list[int]:
+        return [ref for name, type_, ref in members if (name, type_) == (role, kind)]
+
+    for start, end in itertools.product(of("from", "w"), of("to", "w")):
+        yield Restriction(kind, start, end, frozenset(of("via", "n")), tuple(of("via", "w")))
 
 
 def _read_nodes(osmium: Any, path: Path, wanted: set[int]) -> tuple[dict[int, tuple[float, float]], dict[int, str]]:
