@@ -35,6 +35,7 @@ from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
+from izoo.networks.osm.raw import REVERSIBLE
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
 from izoo.networks.osm.streets import StreetMap, read_streets
@@ -54,6 +55,8 @@ class OsmReport:
         imputed: how often each kind of value was imputed.
         approaches: number of approaches in all.
         stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
+        uncycled_signals: signal nodes that show no cycle, and make no intersection.
+        reversible: names, or ids of their ways, of streets whose direction changes with time; they count as two-way.
         mirrored: the region where traffic drives on the left, if the extract was mirrored.
     """
 
@@ -61,6 +64,8 @@ class OsmReport:
     streets: dict[str, dict[str, str]]
     approaches: int
     stray_signals: int = 0
+    uncycled_signals: int = 0
+    reversible: tuple[str, ...] = ()
     skipped: dict[str, str] = field(default_factory=dict)
     imputed: dict[str, int] = field(default_factory=dict)
     mirrored: str = ""
@@ -78,6 +83,12 @@ class OsmReport:
         lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
         if self.stray_signals:
             lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
+        if self.uncycled_signals:
+            lines.append(
+                f"  {self.uncycled_signals} signal nodes blink, meter a ramp or wait for emergencies: no cycle"
+            )
+        if self.reversible:
+            lines.append(f"  taken as two-way, whatever their direction by time: {', '.join(self.reversible)}")
         whole = {PLAN_IMPUTED: f"{len(self.streets)} intersections"}
         lines += [
             f"  imputed {kind}: {count} of {whole.get(kind, f'{self.approaches} approaches')}"
@@ -121,10 +132,12 @@ def build_from_osm(
     )
     builder.build()
     if not builder.specs:
+        others = f", and {streets.uncycled} that blink, meter a ramp or wait for emergencies"
         reasons = "; ".join(f"{key}: {reason}" for key, reason in list(builder.skipped.items())[:3])
         raise IzooError(
             f"{file} has no usable intersection with traffic signals ({len(streets.signals)} signal nodes there"
-            f"{'; ' + reasons if reasons else ''}); export a larger extract, with complete ways."
+            f"{others if streets.uncycled else ''}{'; ' + reasons if reasons else ''}); export a larger extract, with "
+            "complete ways."
         )
     builder.give_plans(plans, str(signals))
     notes = {
@@ -143,6 +156,12 @@ def build_from_osm(
         streets={key: detail["streets"] for key, detail in builder.details.items()},
         approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
         stray_signals=builder.stray_signals,
+        uncycled_signals=streets.uncycled,
+        reversible=tuple(
+            dict.fromkeys(
+                way.name or f"way {way.id}" for way in streets.ways.values() if way.tags.get("oneway") in REVERSIBLE
+            )
+        ),
         skipped=builder.skipped,
         imputed=dict(sorted(imputed.items())),
         mirrored=streets.mirrored,

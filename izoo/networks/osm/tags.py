@@ -8,7 +8,7 @@ Rules of imputation, applied in this order and marked by the callers:
   (:mod:`izoo.networks.osm.lane_access`).
 - turns: ``turn:lanes``; lanes without an entry go straight on, the rightmost of them turns right too and the leftmost
   left, where there is such an exit and no other lane has it. A centre lane or an odd lane is a left-turn lane.
-- speed limit: ``maxspeed`` of the direction; ``maxspeed``; the street class.
+- speed limit: ``maxspeed`` of the direction; ``maxspeed``; the number of a zone; the street class.
 """
 
 from __future__ import annotations
@@ -55,6 +55,9 @@ _TURN_WORDS = {
     "slight_right": "r",
     "sharp_right": "r",
 }
+_ZONE = re.compile(r"([A-Z]{2}):(?:zone:?)?(\d+)(?: ?mph)?")
+_MPH_COUNTRIES = ("GB", "US")
+WALKING_MPS = 7.0 * KMH
 _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*(mph|km/?h|kmh|kph|knots)?", re.IGNORECASE)
 _SPEED_UNITS = {"mph": MPH, "knots": 0.514444}
 
@@ -138,22 +141,29 @@ def _counted(way: Way, direction: int) -> int | None:
 def speed_limit(way: Way, direction: int) -> tuple[float, bool]:
     """Speed limit in m/s for one direction, and whether it was imputed."""
     suffix = "forward" if direction > 0 else "backward"
-    for value in (way.tags.get(f"maxspeed:{suffix}"), way.tags.get("maxspeed")):
-        found = parse_speed(value)
+    for key in (f"maxspeed:{suffix}", "maxspeed", "zone:maxspeed", "maxspeed:type"):
+        found = parse_speed(way.tags.get(key))
         if found is not None:
             return found, False
     return class_default(way).speed_limit_mps, True
 
 
 def parse_speed(value: str | None) -> float | None:
-    """``"30 mph"``, ``"50"`` or ``"50 km/h"`` in m/s; ``None`` for anything else, such as ``"none"`` or ``"US:urban"``.
+    """``"30 mph"``, ``"50"``, ``"50 km/h"``, ``"DE:zone30"`` or ``"walk"`` in m/s.
 
-    Of several values, as in ``"30 mph; 20 mph"``, the first counts.
+    ``None`` for anything else, such as ``"none"`` or ``"US:urban"``. Of several values, as in ``"30 mph; 20 mph"``, the
+    first counts.
     """
-    match = _SPEED.fullmatch((value or "").split(";")[0].strip())
-    if match is None:
+    text = (value or "").split(";")[0].strip()
+    if text == "walk":
+        return WALKING_MPS
+    match, zone = _SPEED.fullmatch(text), _ZONE.fullmatch(text)
+    if zone is not None:
+        speed = float(zone[2]) * (MPH if zone[1] in _MPH_COUNTRIES else KMH)
+    elif match is not None:
+        speed = float(match[1]) * _SPEED_UNITS.get((match[2] or "").lower(), KMH)
+    else:
         return None
-    speed = float(match[1]) * _SPEED_UNITS.get((match[2] or "").lower(), KMH)
     return speed if 1.0 <= speed <= 60.0 else None
 
 
