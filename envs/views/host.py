@@ -25,6 +25,7 @@ from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
+from izoo.envs.views.barren import EPISODES_LOOKED_AT, first_fertile
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
 
 if TYPE_CHECKING:
@@ -131,6 +132,16 @@ class Host:
         self._backend.begin({0: Play(context, episode_seed, episode)})
         self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
         self.over = False
+
+    def begin_another(self) -> None:
+        """Begin the next episode in which a CV can come, after one in which, by chance or not, none came.
+
+        Raises:
+            IzooError: none can come in a thousand episodes from here.
+        """
+        numbers = range(self._next_episode, self._next_episode + EPISODES_LOOKED_AT)
+        number = first_fertile(self.config, ((number, self.schedule(number)[0]) for number in numbers))
+        self.begin(options={"episode": number})
 
     def commands(self) -> Commands:
         """Return commands that leave every CV to SUMO, to be filled in."""

@@ -44,6 +44,7 @@ class RoadNet:
         outgoing_edge: per exit, its edge.
         sources: per approach, the existing source edges by kind: ``AB`` (from straight on), ``AA`` (turning in).
         source_lanes: per approach, the lanes of those edges, by SUMO's index.
+        source_length_m: per approach, the lengths of those edges.
         main_lane_count: ``[P]`` lanes where the approach begins.
         lane_count: ``[P]`` lanes at the stop line.
         lane_length_m: ``[P]`` from the beginning of the approach to the stop line.
@@ -80,6 +81,7 @@ class RoadNet:
     outgoing_edge: tuple[str, ...]
     sources: tuple[dict[str, str], ...]
     source_lanes: tuple[dict[str, tuple[int, ...]], ...]
+    source_length_m: tuple[dict[str, float], ...]
     main_lane_count: np.ndarray
     lane_count: np.ndarray
     lane_length_m: np.ndarray
@@ -195,6 +197,10 @@ class _Reader:
             sources=tuple(self._sources(leg) for leg in self.approaches),
             source_lanes=tuple(
                 {kind: tuple(map(lane_number, self.edges[edge])) for kind, edge in self._sources(leg).items()}
+                for leg in self.approaches
+            ),
+            source_length_m=tuple(
+                {kind: float(self.edges[edge][0].get("length")) for kind, edge in self._sources(leg).items()}
                 for leg in self.approaches
             ),
             main_lane_count=np.array([len(lanes) for lanes in first]),
