@@ -156,7 +156,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
             else:
                 self.host.begin_another()
             self._come_to_agents()
-        return self._observe(self.agents), {agent: {**self._info(agent), **self.host.plan()} for agent in self.agents}
+        return self._observe(self.agents), {agent: {**self._info(agent), **self.host.number()} for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, Any]
@@ -207,6 +207,13 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         vehicles = np.concatenate([frame["vehicle_floats"], frame["vehicle_ints"], frame["vehicle_flags"]], axis=1)
         parts = (vehicles, frame["signal_colour"], frame["signal_time_left_s"], frame["context_values"])
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
+
+    def plan(self) -> dict[str, Any]:
+        """Return what is being played: ``context`` (its name), ``episode`` and ``episode_seed``.
+
+        Agents' infos hold numbers alone, since libraries put them into arrays.
+        """
+        return self.host.plan()
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.host.Host.metrics`.
