@@ -213,11 +213,13 @@ def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
     try:
         first, second = env.reset(seed=4), other.reset(seed=4)
         assert str(first) == str(second)
+        seen = 0
         for _ in range(30):
             for host in (env.host, other.host):
                 host.step(host.commands())
-        assert np.array_equal(env.host.frame["observation"], other.host.frame["observation"])
-        assert env.host.mask.any()
+            assert np.array_equal(env.host.frame["observation"], other.host.frame["observation"])
+            seen += int(env.host.mask.sum())
+        assert seen > 20
         with pytest.raises(IzooError, match=r"whose episode has begun cannot be copied or pickled; do so before reset"):
             pickle.dumps(env)
     finally:
