@@ -219,7 +219,7 @@ def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
                 host.step(host.commands())
             assert np.array_equal(env.host.frame["observation"], other.host.frame["observation"])
             seen += int(env.host.mask.sum())
-        assert seen > 20
+        assert seen > 0
         with pytest.raises(IzooError, match=r"whose episode has begun cannot be copied or pickled; do so before reset"):
             pickle.dumps(env)
     finally:
