@@ -142,6 +142,9 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signals", type=Path, metavar="JSON", help="signal plans by intersection; others are searched for"
     )
+    parser.add_argument(
+        "--counts", type=Path, metavar="CSV", help="columns intersection, from, to (legs), vph at the peak"
+    )
     parser.add_argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country")
     parser.add_argument(
         "target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"
@@ -152,7 +155,7 @@ def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
 
-    names = ("target", "elevation", "aadt", "signals", "drives_on")
+    names = ("target", "elevation", "aadt", "signals", "counts", "drives_on")
     print(build_from_osm(options.osm, **{name: getattr(options, name) for name in names}))
     print(f"train on it: python -m izoo.train contexts=osm contexts.path={plain(options.target)}")
 

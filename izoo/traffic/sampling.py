@@ -14,7 +14,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.spec import LEG_NAMES
 from izoo.errors import IzooError
 from izoo.files import write_text
-from izoo.networks.turning import turning_shares
+from izoo.networks.turning import exit_shares
 from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals
 from izoo.traffic.drivers import sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, lengths_m, sample_classes
@@ -34,6 +34,8 @@ class Roads(Protocol):
 
     @property
     def approaches(self) -> tuple[str, ...]: ...
+    @property
+    def exits(self) -> tuple[str, ...]: ...
     @property
     def movement_turn(self) -> np.ndarray: ...
     @property
@@ -147,7 +149,8 @@ _EMPTY: dict[str, np.ndarray] = {
 def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration_s: float) -> dict[str, np.ndarray]:
     """Return the columns of one approach's vehicles, in the order of their arrival."""
     leg = road.approaches[p]
-    shares = turning_shares(road.movement_turn[p], road.movement_links[p])
+    approach = context.intersection.leg(leg).approach
+    shares = exit_shares(approach, road.exits, road.movement_turn[p], road.movement_links[p])
     present = [kind in road.sources[p] for kind in SOURCE_KINDS]
     if not shares.any() or not any(present):
         missing = "source edge" if shares.any() else "way through the junction"
@@ -169,7 +172,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     widest = max(map(len, lanes))
     lane_table = np.array([row + row[:1] * (widest - len(row)) for row in lanes])
     lane_row = (lane_draw * np.array([len(row) for row in lanes])[source]).astype(np.int64)
-    moves_class = sample_classes(stream(_FLEET), count)
+    moves_class = sample_classes(stream(_FLEET), count, context.fleet)
     source_type = CLASS_SOURCE_TYPE[moves_class]
     drivers = sample_drivers(stream(_DRIVERS), source_type, context.drivers)
     is_cv = stream(_ADOPTION).random(count) < context.adoption

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,17 @@ from typing import Any
 import pytest
 
 from izoo.commands.contexts import CONTEXTS
+from izoo.contexts.context import Context
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_specs
-from izoo.networks.net.build import build_net
+from izoo.networks.net.build import build_net, net_key
 from izoo.networks.osm.driving_side import left_hand_region
 from izoo.networks.osm.extract import build_from_osm
 from izoo.networks.road import read_road
+from izoo.networks.signals.delay import peak_movements
+from izoo.results.contexts_file import context_from_dict
+from izoo.traffic.sampling import sample_traffic
 from tests.networks.test_osm import Map, approach, crossing
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
@@ -132,6 +137,87 @@ def test_a_build_never_replaces_what_was_edited(tmp_path: Path, capsys: pytest.C
     file.unlink()
     build(tmp_path)
     assert load_specs(tmp_path / "town")[0].signal_plan is None
+
+
+COUNTS = "intersection,from,to,vph\n1,D,A,30\n1,D,B,300\n1,D,C,70\n1,A,C,40\n"
+
+
+def counts_file(tmp_path: Path, text: str = COUNTS) -> Path:
+    path = tmp_path / "counts.csv"
+    path.write_text(text)
+    return path
+
+
+def test_turning_counts_are_played(tmp_path: Path) -> None:
+    """As many vehicles come, and turn as often, as were counted; other approaches keep what they had."""
+    before = build(tmp_path)
+    spec = build(tmp_path, counts=counts_file(tmp_path))
+    west, north = approach(spec, "D"), approach(spec, "A")
+    assert west.aadt_per_lane * 0.084 * west.main_lane_count == pytest.approx(400.0)
+    assert dict(west.exit_counts) == {"A": 30.0, "B": 300.0, "C": 70.0} and dict(north.exit_counts) == {"C": 40.0}
+    assert approach(spec, "B") == approach(before, "B")
+    assert not {"AADT of D", "AADT of A"} & set(spec.imputed) and "AADT of B" in spec.imputed
+    road = read_road(build_net(spec))
+    traffic = sample_traffic(Context(spec), road, 1, 36_000.0)
+    of_west = traffic.exit[traffic.approach == road.approaches.index("D")]
+    shares = {road.exits[q]: float((of_west == q).mean()) for q in set(of_west.tolist())}
+    assert shares == pytest.approx({"A": 0.075, "B": 0.75, "C": 0.175}, abs=0.015)
+    assert len(of_west) == pytest.approx(4000, rel=0.05)
+    of_north = traffic.exit[traffic.approach == road.approaches.index("A")]
+    assert set(of_north.tolist()) == {road.exits.index("C")}
+    flows = {(movement.start, movement.end): movement.flow_vph for movement in peak_movements(spec)}
+    assert (flows["D", "B"], flows["D", "A"], flows["A", "D"]) == pytest.approx((300.0, 30.0, 0.0))
+
+
+def test_counts_may_be_edited_and_hash_as_nothing_where_there_are_none(tmp_path: Path) -> None:
+    build(tmp_path)
+    file = tmp_path / "town" / "1.json"
+    plain = Context(load_specs(tmp_path / "town")[0])
+    record = json.loads(file.read_text())
+    for leg in record["spec"]["legs"]:
+        del leg["approach"]["exit_counts"]  # as towns were written before
+    file.write_text(json.dumps(record))
+    old = Context(load_specs(tmp_path / "town")[0])
+    assert old.content_hash == plain.content_hash and net_key(old.intersection) == net_key(plain.intersection)
+    record["spec"]["legs"][0]["approach"]["exit_counts"] = [["C", 2], ["B", 1]]
+    file.write_text(json.dumps(record))
+    edited = Context(load_specs(tmp_path / "town")[0])
+    assert approach(edited.intersection, "A").exit_counts == (("C", 2.0), ("B", 1.0))
+    assert edited.content_hash != plain.content_hash
+    record["spec"]["legs"][0]["approach"]["exit_counts"] = [["A", 2]]
+    file.write_text(json.dumps(record))
+    with pytest.raises(IzooError, match=r"1\.json: no lane serves A to A; choose among A to B"):
+        load_specs(tmp_path / "town")
+    again = context_from_dict(json.loads(json.dumps(dataclasses.asdict(edited))))
+    assert again == edited and again.content_hash == edited.content_hash
+
+
+def test_a_build_shows_what_comes_per_hour(tmp_path: Path) -> None:
+    build(tmp_path)
+    counts = counts_file(tmp_path, COUNTS + "1,B,D,2500\n")
+    report = build_from_osm(tmp_path / "map.osm", target=tmp_path / "town", counts=counts)
+    assert "D Main Street (400 veh/h)" in str(report) and "A Side Street (40 veh/h)" in str(report)
+    assert "B Main Street (1800 veh/h, cut to 900 per lane)" in str(report)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1,D,D,5", "counts.csv, 1: no lane serves D to D; choose among A to B, A to C"),
+        ("9,D,A,5", "has turning counts for '9', which is no intersection of the extract; choose among 1"),
+        ("1,D,A,many", "line 2: 'many' is not a usable count"),
+        ("1,D,A,-1", "line 2: '-1' is not a usable count"),
+        ("1,D,A,5\n1,D,A,6", "line 3: 1 has two counts from D to A"),
+    ],
+)
+def test_counts_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(IzooError, match=message):
+        build(tmp_path, counts=counts_file(tmp_path, f"intersection,from,to,vph\n{text}\n"))
+    with pytest.raises(IzooError, match="needs a header with the columns intersection, from, to, vph"):
+        build(tmp_path, counts=counts_file(tmp_path, "street,count\n"))
+    with pytest.raises(IzooError, match="cannot read the counts"):
+        build(tmp_path, counts=tmp_path / "none.csv")
+    assert not (tmp_path / "town").exists()
 
 
 def one_sided(mirror: bool) -> Map:

@@ -6,7 +6,7 @@ The rules by which lanes, turns and limits are read and imputed stand in :mod:`i
   150 m at least and is marked as imputed;
 - turn pockets: lanes that a way next to the stop line has over the way behind it, if that begins within 150 m;
 - grade: from the elevation raster, over the whole approach; 0 and imputed without one;
-- demand: from the AADT table, else per lane by street class and imputed;
+- demand: from turning counts, from the AADT table, else per lane by street class and imputed;
 - right turns on red: legal in North America, unless one of the approaches forbids them;
 - signal plans: from a file of them, else searched for and marked as imputed.
 
@@ -19,12 +19,13 @@ import hashlib
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from izoo.console import plain
+from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
 from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
@@ -33,6 +34,7 @@ from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
 from izoo.networks.osm.driving_side import Side
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
+from izoo.networks.osm.movement_counts import peak_flows, read_movement_counts, with_counts
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
 from izoo.networks.osm.raw import REVERSIBLE
@@ -51,6 +53,7 @@ class OsmReport:
     Attributes:
         target: the folder that was written; :func:`izoo.networks.dataset.intersections.load_dataset` reads it.
         streets: per intersection, the name of each leg's street.
+        flows: per intersection and approach, vehicles per hour of the peak, and whether demand was more than is played.
         skipped: why other junctions with signals were left out, by id.
         imputed: how often each kind of value was imputed.
         approaches: number of approaches in all.
@@ -63,6 +66,7 @@ class OsmReport:
     target: Path
     streets: dict[str, dict[str, str]]
     approaches: int
+    flows: dict[str, dict[str, tuple[float, bool]]] = field(default_factory=dict)
     stray_signals: int = 0
     uncycled_signals: int = 0
     reversible: tuple[str, ...] = ()
@@ -78,7 +82,8 @@ class OsmReport:
                 "left and right exchanged, so that it drives on the right; --drives-on right takes the map as it is"
             )
         lines += [
-            f"  {key}: " + ", ".join(f"{k} {v or '-'}" for k, v in legs.items()) for key, legs in self.streets.items()
+            f"  {key}: " + ", ".join(f"{k} {v or '-'}{self._flow(key, k)}" for k, v in legs.items())
+            for key, legs in self.streets.items()
         ]
         lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
         if self.stray_signals:
@@ -96,6 +101,12 @@ class OsmReport:
         ]
         return "\n".join(map(plain, lines))
 
+    def _flow(self, key: str, leg: str) -> str:
+        if leg not in self.flows.get(key, {}):
+            return ""
+        vph, cut = self.flows[key][leg]
+        return f" ({vph:.0f} veh/h{f', cut to {FLOW_CAP_VPH_PER_LANE:.0f} per lane' if cut else ''})"
+
 
 def build_from_osm(
     file: Path | str,
@@ -104,6 +115,7 @@ def build_from_osm(
     elevation: Path | str | None = None,
     aadt: Path | str | None = None,
     signals: Path | str | None = None,
+    counts: Path | str | None = None,
     drives_on: Side | None = None,
 ) -> OsmReport:
     """Find the signalised intersections of an extract and write them to ``target``, all or nothing.
@@ -114,6 +126,7 @@ def build_from_osm(
         elevation: a raster of heights in m.
         aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
         signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
+        counts: a CSV table of turning counts; see :mod:`izoo.networks.osm.movement_counts`.
         drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
@@ -123,6 +136,7 @@ def build_from_osm(
     file, target = expanded(file), expanded(target).absolute()
     check_target(target)
     plans = {} if signals is None else read_plans(signals)
+    counted = {} if counts is None else read_movement_counts(counts)
     streets = read_streets(file, drives_on)
     builder = _Builder(
         streets,
@@ -139,13 +153,15 @@ def build_from_osm(
             f"{others if streets.uncycled else ''}{'; ' + reasons if reasons else ''}); export a larger extract, with "
             "complete ways."
         )
-    builder.give_plans(plans, str(signals))
+    builder.give("turning counts", counted, with_counts, str(counts))
+    builder.give("a signal plan", plans, with_plan, str(signals))
     notes = {
         "source": file.name,
         "source_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "elevation": elevation is not None,
         "aadt": aadt is not None,
         "signals": signals is not None,
+        "counts": counts is not None,
         "mirrored": streets.mirrored,
         "skipped": builder.skipped,
     }
@@ -155,6 +171,7 @@ def build_from_osm(
         target=target,
         streets={key: detail["streets"] for key, detail in builder.details.items()},
         approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
+        flows={key: peak_flows(spec) for key, spec in builder.specs.items()},
         stray_signals=builder.stray_signals,
         uncycled_signals=streets.uncycled,
         reversible=tuple(
@@ -199,16 +216,22 @@ class _Builder:
                 "nodes": sorted(core.nodes),
             }
 
-    def give_plans(self, plans: Mapping[str, Any], file: str) -> None:
-        """Give intersections the plans of a ``file``; the others' are imputed."""
-        if astray := sorted(set(plans) - set(self.specs)):
+    def give(
+        self,
+        what: str,
+        values: Mapping[str, Any],
+        given: Callable[[IntersectionSpec, Any], IntersectionSpec],
+        file: str,
+    ) -> None:
+        """Give intersections what a ``file`` says of them, by their keys."""
+        if astray := sorted(set(values) - set(self.specs)):
             raise IzooError(
-                f"{file} has a signal plan for {astray[0]!r}, which is no intersection of the extract; choose among "
+                f"{file} has {what} for {astray[0]!r}, which is no intersection of the extract; choose among "
                 f"{', '.join(self.specs)}."
             )
-        for key, spec in self.specs.items():
+        for key, value in values.items():
             try:
-                self.specs[key] = with_plan(spec, plans.get(key))
+                self.specs[key] = given(self.specs[key], value)
             except IzooError as error:
                 raise IzooError(f"{file}, {key}: {error}") from error
 

@@ -13,6 +13,7 @@ from typing import Any
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded, os_reason, replacing_folder
+from izoo.networks.osm.movement_counts import check_exit_counts
 from izoo.networks.osm.plans import with_plan
 
 CMDP_FILE = "cmdp.json"
@@ -90,6 +91,7 @@ def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
     except (KeyError, TypeError, AttributeError) as error:
         raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
     try:
+        check_exit_counts(spec)
         return with_plan(spec, plan), streets
     except IzooError as error:
         raise IzooError(f"{file}: {error}") from error
