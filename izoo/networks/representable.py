@@ -113,7 +113,7 @@ def _programs(root: Any) -> Iterator[tuple[str, str]]:
         phases = logic.findall("phase")
         for k, phase in enumerate(phases):
             follows = phase.get("next")
-            if follows is not None and follows.split() != [str((k + 1) % len(phases))]:
+            if follows and follows.split() != [str((k + 1) % len(phases))]:
                 yield (
                     f"{name} has a phase with next={follows!r}",
                     "phases are taken in their order; write them out in the order in which they are shown",
