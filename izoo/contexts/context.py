@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from izoo.contexts.population import DriverPopulation
-from izoo.contexts.spec import IntersectionSpec, hold_floats, known_before_counts
+from izoo.contexts.spec import IntersectionSpec, hold_floats
 from izoo.errors import IzooError, check_choice, check_range
 
 HOURS = ("peak", "off-peak")
@@ -123,5 +123,5 @@ class Context:
         for name in ("drivers", "fleet"):
             if fields[name] is None:
                 fields.pop(name)
-        known_before_counts(fields["intersection"]).pop("net_path")
+        fields["intersection"].pop("net_path")
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -39,8 +39,8 @@ class Approach:
         aadt_per_lane: annual average daily traffic per main lane, veh/day; 0 means no demand.
         right_pockets, left_pockets: how many of ``lanes``, from the right and from the left, exist only in the pocket.
         pocket_length_m: length of the part with the pocket lanes; 0 when there are none.
-        exit_counts: ``(leg, vehicles)`` of the exits that traffic takes, in any unit; without, shares by rule
-            (:func:`izoo.networks.turning.turning_shares`).
+
+    With ``exit_counts`` among its arguments, what is made is a :class:`CountedApproach`.
     """
 
     lanes: tuple[str, ...]
@@ -51,15 +51,13 @@ class Approach:
     right_pockets: int = 0
     left_pockets: int = 0
     pocket_length_m: float = 0.0
-    exit_counts: tuple[tuple[str, float], ...] = ()
+
+    def __new__(cls, *_: Any, **fields: Any) -> Approach:
+        """Make what the fields of an approach describe, counted or not, as they are read from a file."""
+        return object.__new__(CountedApproach if "exit_counts" in fields else cls)
 
     def __post_init__(self) -> None:
         hold_floats(self)
-        object.__setattr__(self, "exit_counts", tuple((str(leg), float(count)) for leg, count in self.exit_counts))
-        if self.exit_counts and not sum(count for _, count in self.exit_counts) > 0.0:
-            raise IzooError(f"exit counts are {dict(self.exit_counts)}; give a vehicle for one exit, or no counts.")
-        for _, count in self.exit_counts:
-            check_range("a count of vehicles to an exit", count, 0.0, 1e6)
         if not self.lanes or any(not turns or set(turns) - set(TURNS) for turns in self.lanes):
             raise IzooError(f"approach lanes are {self.lanes!r}; each lane needs one or more of the turns r, s, l.")
         if self.main_lane_count < 1:
@@ -80,12 +78,25 @@ class Approach:
         return len(self.lanes) - self.right_pockets - self.left_pockets
 
 
-def known_before_counts(fields: dict[str, Any]) -> dict[str, Any]:
-    """Take fields of a spec, as a dictionary, that say nothing out of it, so that it hashes as it always did."""
-    for leg in fields["legs"]:
-        if leg["approach"] is not None and not leg["approach"]["exit_counts"]:
-            leg["approach"].pop("exit_counts")
-    return fields
+@dataclass(frozen=True)
+class CountedApproach(Approach):
+    """An approach whose traffic takes exits as counted, and not by rule (:mod:`izoo.networks.turning`).
+
+    A class of its own, so that approaches without counts are, and hash as, what they always were.
+
+    Attributes:
+        exit_counts: ``(leg, vehicles)`` of the exits that traffic takes, in any unit.
+    """
+
+    exit_counts: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "exit_counts", tuple((str(leg), float(count)) for leg, count in self.exit_counts))
+        for _, count in self.exit_counts:
+            check_range("a count of vehicles to an exit", count, 0.0, 1e6)
+        if not sum(count for _, count in self.exit_counts) > 0.0:
+            raise IzooError(f"exit counts are {dict(self.exit_counts)}; give a vehicle for one exit, or no counts.")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 from izoo.commands.contexts import CONTEXTS
 from izoo.contexts.context import Context
-from izoo.contexts.spec import IntersectionSpec
+from izoo.contexts.spec import CountedApproach, IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.net.build import build_net, net_key
@@ -154,7 +155,8 @@ def test_turning_counts_are_played(tmp_path: Path) -> None:
     spec = build(tmp_path, counts=counts_file(tmp_path))
     west, north = approach(spec, "D"), approach(spec, "A")
     assert west.aadt_per_lane * 0.084 * west.main_lane_count == pytest.approx(400.0)
-    assert dict(west.exit_counts) == {"A": 30.0, "B": 300.0, "C": 70.0} and dict(north.exit_counts) == {"C": 40.0}
+    assert isinstance(west, CountedApproach) and dict(west.exit_counts) == {"A": 30.0, "B": 300.0, "C": 70.0}
+    assert isinstance(north, CountedApproach) and dict(north.exit_counts) == {"C": 40.0}
     assert approach(spec, "B") == approach(before, "B")
     assert not {"AADT of D", "AADT of A"} & set(spec.imputed) and "AADT of B" in spec.imputed
     road = read_road(build_net(spec))
@@ -169,27 +171,31 @@ def test_turning_counts_are_played(tmp_path: Path) -> None:
     assert (flows["D", "B"], flows["D", "A"], flows["A", "D"]) == pytest.approx((300.0, 30.0, 0.0))
 
 
-def test_counts_may_be_edited_and_hash_as_nothing_where_there_are_none(tmp_path: Path) -> None:
-    build(tmp_path)
+def test_counts_may_be_edited(tmp_path: Path) -> None:
+    plain = Context(build(tmp_path))
     file = tmp_path / "town" / "1.json"
-    plain = Context(load_specs(tmp_path / "town")[0])
     record = json.loads(file.read_text())
-    for leg in record["spec"]["legs"]:
-        del leg["approach"]["exit_counts"]  # as towns were written before
-    file.write_text(json.dumps(record))
-    old = Context(load_specs(tmp_path / "town")[0])
-    assert old.content_hash == plain.content_hash and net_key(old.intersection) == net_key(plain.intersection)
-    record["spec"]["legs"][0]["approach"]["exit_counts"] = [["C", 2], ["B", 1]]
-    file.write_text(json.dumps(record))
-    edited = Context(load_specs(tmp_path / "town")[0])
-    assert approach(edited.intersection, "A").exit_counts == (("C", 2.0), ("B", 1.0))
-    assert edited.content_hash != plain.content_hash
+    assert "exit_counts" not in record["spec"]["legs"][0]["approach"], "without counts nothing is as it was not"
     record["spec"]["legs"][0]["approach"]["exit_counts"] = [["A", 2]]
     file.write_text(json.dumps(record))
     with pytest.raises(IzooError, match=r"1\.json: no lane serves A to A; choose among A to B"):
         load_specs(tmp_path / "town")
-    again = context_from_dict(json.loads(json.dumps(dataclasses.asdict(edited))))
-    assert again == edited and again.content_hash == edited.content_hash
+    record["spec"]["legs"][0]["approach"]["exit_counts"] = [["C", 2], ["B", 1]]
+    file.write_text(json.dumps(record))
+    edited = Context(load_specs(tmp_path / "town")[0])
+    side = approach(edited.intersection, "A")
+    assert isinstance(side, CountedApproach) and side.exit_counts == (("C", 2.0), ("B", 1.0))
+    assert edited.content_hash != plain.content_hash
+    assert net_key(edited.intersection) != net_key(plain.intersection), "another plan is best"
+    for again in (
+        context_from_dict(json.loads(json.dumps(dataclasses.asdict(edited)))),
+        pickle.loads(pickle.dumps(edited)),
+    ):
+        assert again == edited and again.content_hash == edited.content_hash
+    record["spec"]["legs"][0]["approach"]["exit_counts"] = [["C", 0]]
+    file.write_text(json.dumps(record))
+    with pytest.raises(IzooError, match=r"exit counts are .*; give a vehicle for one exit, or no counts"):
+        load_specs(tmp_path / "town")
 
 
 def test_a_build_shows_what_comes_per_hour(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from izoo.contexts.spec import IntersectionSpec, Leg, known_before_counts
+from izoo.contexts.spec import IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.networks.net import net_cache as cache
 from izoo.networks.net.connections import Link
@@ -84,7 +84,7 @@ def net_key(spec: IntersectionSpec) -> str:
     fields = dataclasses.asdict(spec)
     for name in ("name", "city", "imputed", "net_path", "net_sha256"):
         fields.pop(name)
-    known_before_counts(fields)["source"] = spec.source == "procedural"
+    fields["source"] = spec.source == "procedural"
     if spec.signal_plan is not None:
         for leg in fields["legs"]:
             if leg["approach"] is not None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
-from izoo.contexts.spec import IntersectionSpec, Leg
+from izoo.contexts.spec import Approach, CountedApproach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.net.connections import signal_links
@@ -65,9 +65,9 @@ def check_exit_counts(spec: IntersectionSpec) -> None:
     Raises:
         IzooError: there is one; it names the movement and those that are served.
     """
-    counted = [(leg.name, end) for leg in spec.legs if leg.approach for end, _ in leg.approach.exit_counts]
+    counted = [(leg.name, leg.approach) for leg in spec.legs if isinstance(leg.approach, CountedApproach)]
     if counted:
-        _check_served(spec, counted)
+        _check_served(spec, [(leg, end) for leg, approach in counted for end, _ in approach.exit_counts])
 
 
 def peak_flows(spec: IntersectionSpec) -> dict[str, tuple[float, bool]]:
@@ -94,12 +94,9 @@ def _counted(leg: Leg, counts: Counts) -> Leg:
     if leg.approach is None or not own:
         return leg
     total = sum(own.values())
-    approach = dataclasses.replace(
-        leg.approach,
-        aadt_per_lane=total / leg.approach.main_lane_count / HOUR_FACTOR["peak"],
-        exit_counts=tuple(own.items()) if total > 0.0 else (),
-    )
-    return dataclasses.replace(leg, approach=approach)
+    fields = {**vars(leg.approach), "aadt_per_lane": total / leg.approach.main_lane_count / HOUR_FACTOR["peak"]}
+    counted = {"exit_counts": tuple(own.items())} if total > 0.0 else {}
+    return dataclasses.replace(leg, approach=Approach(**{**fields, **counted}))
 
 
 def _vph(text: str, place: str) -> float:
