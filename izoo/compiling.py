@@ -25,7 +25,8 @@ from numba import extending
 from numba.core import cgutils, types
 from numba.np.arrayobj import make_array, populate_array
 
-from izoo.files import cache_root
+from izoo.errors import IzooError
+from izoo.files import CACHE_ENV, cache_root, os_reason
 
 SOURCES = {
     "izoo": ("compiling.py",),
@@ -67,11 +68,30 @@ def folder() -> Path:
         here.mkdir(parents=True, exist_ok=True)
         (here / _MARK).touch()
     except OSError:
-        return cache_root() / here.name
+        return _in_cache(here)
     for old in beside.glob("compiled-*"):
         if old != here and _last_begun_s(old) < time.time() - _KEPT_S:
             shutil.rmtree(old, ignore_errors=True)
     return here
+
+
+def _in_cache(beside: Path) -> Path:
+    """Return the folder in the user's cache that stands in for one ``beside`` the sources.
+
+    Raises:
+        IzooError: neither can be written to.
+    """
+    instead = cache_root() / beside.name
+    try:
+        instead.mkdir(parents=True, exist_ok=True)
+        (instead / _MARK).touch()
+    except (OSError, RuntimeError) as error:
+        reason = os_reason(error) if isinstance(error, OSError) else str(error)
+        raise IzooError(
+            f"compiled code can be kept neither in {beside.parent} nor in {instead} ({reason}); set {CACHE_ENV} to a "
+            "folder that can be written to."
+        ) from error
+    return instead
 
 
 def _last_begun_s(compiled_folder: Path) -> float:
@@ -158,7 +178,12 @@ def compiling_once(kernel: Any) -> Iterator[None]:
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
+
+    Raises:
+        IzooError: numba is told not to compile.
     """
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        raise IzooError("NUMBA_DISABLE_JIT is set, and environments are compiled code; unset it.")
     where, name = Path(kernel.stats.cache_path), kernel.py_func.__qualname__
     version = "".join(map(str, sys.version_info[:2]))
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from izoo import compiling
+from izoo.errors import IzooError
 
 
 @pytest.fixture
@@ -42,6 +43,30 @@ def test_what_was_compiled_from_other_sources_is_not_found(sources: Path) -> Non
     assert first.is_dir() and first.parent.name == "__pycache__"
     assert renewed(sources, "x = 1") == first
     assert renewed(sources, "x = 2") != first
+
+
+def test_where_nothing_can_be_written_the_remedy_is_named(
+    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A read-only installation, and nobody's home: root, too, cannot make a folder inside a file."""
+    (tmp_path / "__pycache__").write_text("")
+    monkeypatch.setenv("IZOO_CACHE_DIR", str(sources / "inside"))
+    with pytest.raises(
+        IzooError, match=r"can be kept neither in .* nor in .*; set IZOO_CACHE_DIR to a folder that can"
+    ):
+        compiling.folder()
+    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
+    assert compiling.folder().parent == tmp_path / "cache" and compiling.folder().is_dir()
+
+
+def test_an_environment_is_compiled_or_says_so() -> None:
+    program = (
+        "from izoo.contexts.procedural import procedural_context as c; from izoo.envs import EcoDrivingEnv as E;"
+        "E(c()).reset()"
+    )
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert "IzooError: NUMBA_DISABLE_JIT is set, and environments are compiled code; unset it." in run.stderr
 
 
 def test_compiled_code_goes_once_nobody_has_used_it_for_a_day(sources: Path) -> None:
