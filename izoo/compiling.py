@@ -26,6 +26,7 @@ from numba import extending
 from numba.core import caching, cgutils, types
 from numba.np.arrayobj import make_array, populate_array
 
+from izoo.errors import IzooError
 from izoo.files import cache_root
 
 SOURCES = {
@@ -238,7 +239,12 @@ def compiling_once(kernel: Any) -> Iterator[None]:
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
+
+    Raises:
+        IzooError: numba is told not to compile.
     """
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        raise IzooError("NUMBA_DISABLE_JIT is set, and environments are compiled code; unset it.")
     where, name = Path(kernel.stats.cache_path), kernel.py_func.__qualname__
     version = "".join(map(str, sys.version_info[:2]))
 

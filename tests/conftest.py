@@ -35,6 +35,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
+def faults() -> Path:
+    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+    root = os.environ.get("IZOO_TEST_DATA")
+    if not root:
+        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the small faulty inputs")
+    return Path(root) / "faults"
+
+
+@pytest.fixture(scope="session")
 def dataset() -> ContextList:
     """One context per approach of the published dataset's sample, with the default adoption of 1/3."""
     root = os.environ.get("IZOO_TEST_DATA")

@@ -51,6 +51,16 @@ def test_what_was_compiled_from_other_sources_is_not_found(sources: Path) -> Non
     assert renewed(sources, "x = 2") != first
 
 
+def test_an_environment_is_compiled_or_says_so() -> None:
+    program = (
+        "from izoo.contexts.procedural import procedural_context as c; from izoo.envs import EcoDrivingEnv as E;"
+        "E(c()).reset()"
+    )
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert "IzooError: NUMBA_DISABLE_JIT is set, and environments are compiled code; unset it." in run.stderr
+
+
 def test_compiled_code_goes_once_nobody_has_used_it_for_a_day(sources: Path) -> None:
     """Not before: a process of the older sources may still load from there what it calls for the first time."""
     first = renewed(sources, "x = 1")

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import torch
 
+from tests.envs.worlds import crossing, short
+
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
 TESTED = {
     *("ppo_by_hand", "stock_torchrl", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city"),
-    *("offline_data", "adoption"),
+    *("offline_data", "adoption", "rllib_ppo"),
 }
 
 
@@ -71,6 +73,33 @@ def test_stable_baselines() -> None:
     assert model.num_timesteps == 128
     observation = np.zeros(model.observation_space.shape or (), np.float32)
     assert model.predict(observation)[0].shape == (1,)
+
+
+@pytest.mark.slow
+def test_rllib() -> None:
+    """Its PPO trains on agents that come and go, and each episode ends with the simulation."""
+    pytest.importorskip("pettingzoo")
+    pytest.importorskip("ray.rllib.algorithms.ppo", reason="needs ray[rllib]", exc_type=ImportError)
+    import ray
+
+    from izoo.docs.examples import rllib_ppo
+
+    settings = {"contexts": crossing(), "config": short(), "simulator": "twin", "max_vehicles": 200}
+    env = rllib_ppo.EcoDriving(settings)
+    observations, _ = env.reset(seed=0)
+    known, over, steps = set(env.agents), False, 0
+    while not over:
+        assert set(observations) >= set(env.agents) and set(env.agents) <= set(env.observation_spaces)
+        actions = {agent: np.zeros(1, np.float32) for agent in env.agents}
+        observations, _, _, truncated, _ = env.step(actions)
+        known, over, steps = known | set(observations), truncated["__all__"], steps + 1
+    assert env.par_env.host.over and len(known) > 10 and steps > 50
+    env.close()
+    try:
+        returns = rllib_ppo.main(iterations=2, steps_per_iteration=300, horizon_s=80.0, num_env_runners=0)
+    finally:
+        ray.shutdown()
+    assert len(returns) == 2 and np.isfinite(returns).all()
 
 
 def test_own_contexts() -> None:

@@ -117,9 +117,11 @@ class SumoSession:
         """Begin an episode.
 
         Raises:
-            IzooError: SUMO cannot load the files, or another environment of this process holds libsumo.
+            IzooError: SUMO cannot load the files or be told their paths, or another environment of this process holds
+                libsumo.
         """
         global _owner
+        _check_spelling(arguments)
         api = import_traci() if self._gui else import_libsumo()
         if _owner is not None and _owner is not self:
             raise IzooError(
@@ -273,6 +275,18 @@ class SumoSession:
             self._running = False
         if _owner is self:
             _owner = None
+
+
+def _check_spelling(arguments: Sequence[str]) -> None:
+    """Refuse paths with bytes that this process's locale cannot spell: SUMO takes text."""
+    for argument in arguments:
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            raise IzooError(
+                f"the locale of this process cannot spell the path {argument!a}; set IZOO_CACHE_DIR and TMPDIR to "
+                "folders with plain names, or use a locale of UTF-8 (LC_ALL=C.UTF-8)."
+            ) from None
 
 
 def _explain(arguments: Sequence[str]) -> str:

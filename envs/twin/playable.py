@@ -1,4 +1,7 @@
-"""What SUMO honours in a net and the twin does not play: such nets are refused when they are read."""
+"""What SUMO honours in a net and the twin does not play: such nets are refused when they are read.
+
+What neither can show stands in :mod:`izoo.networks.representable`, and is refused before.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,11 @@ from izoo.contexts.context import Context
 from izoo.envs.twin.margins import VISIBILITY_M
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_nets
+from izoo.networks.representable import CAR, check_representable, is_no, open_to_cars
 from izoo.networks.road import parse_net
 
 SIGNAL_LETTERS = "GgyYrs"
-_ALL, _OWN = "all", "passenger"
-"""The words by which a lane names everybody, and the class of every vehicle of izoo's traffic."""
 _WALKED = ("crossing", "walkingarea")
-_NO = ("0", "false", "f", "no", "off", "-")
-"""Words that SUMO reads as false."""
 _LANES_REMARK = "on the twin everybody may use every lane, and change to each beside it"
 
 
@@ -29,7 +29,9 @@ def check_contexts(contexts: Iterable[Context]) -> None:
     by_net = {context.intersection: context for context in contexts}
     for path, context in zip(build_nets(list(by_net)), by_net.values(), strict=True):
         try:
-            check_playable(parse_net(path.read_bytes(), path), str(path))
+            root = parse_net(path.read_bytes(), path)
+            check_representable(root, str(path))
+            check_playable(root, str(path))
         except IzooError as error:
             raise IzooError(f"context {context.name}: {error}") from error
 
@@ -65,11 +67,12 @@ def _lanes(root: Any) -> Iterator[tuple[str, str]]:
                 yield f"edge {edge.get('id')} has a stopOffset", "on the twin vehicles stop at the end of the lane"
             if element.tag != "lane" or edge.get("function") in _WALKED:
                 continue
-            for name in ("changeLeft", "changeRight", "allow"):
-                if not {_ALL, _OWN} & set(element.get(name, _ALL).split()):
+            for name in ("changeLeft", "changeRight"):
+                if not {"all", CAR} & set(element.get(name, "all").split()):
                     yield f"lane {element.get('id')} has {name}={element.get(name)!r}", _LANES_REMARK
-            if {_ALL, _OWN} & set(element.get("disallow", "").split()):
-                yield f"lane {element.get('id')} has disallow={element.get('disallow')!r}", _LANES_REMARK
+            if not open_to_cars(element):
+                name = "allow" if element.get("allow") else "disallow"
+                yield f"lane {element.get('id')} has {name}={element.get(name)!r}", _LANES_REMARK
 
 
 def _connections(root: Any) -> Iterator[tuple[str, str]]:
@@ -78,5 +81,5 @@ def _connections(root: Any) -> Iterator[tuple[str, str]]:
         visibility = connection.get("visibility")
         if visibility is not None and float(visibility) != VISIBILITY_M:
             yield f"{name} has visibility={visibility!r}", f"on the twin drivers see others from {VISIBILITY_M:g} m on"
-        if connection.get("keepClear", "1").lower() in _NO:
+        if is_no(connection.get("keepClear", "1")):
             yield f"{name} has keepClear={connection.get('keepClear')!r}", "on the twin drivers keep junctions clear"

@@ -56,6 +56,7 @@ from izoo.envs.twin.playable import check_playable
 from izoo.envs.twin.routes import find_routes
 from izoo.errors import IzooError
 from izoo.networks.clock import to_ms
+from izoo.networks.representable import offset_s
 from izoo.networks.road import RoadNet, lane_shape, parse_net
 from izoo.traffic.sampling import DEPART_SPEED_MPS, Traffic
 
@@ -289,7 +290,7 @@ class _Reader:
                 begin_ms += to_ms(float(phase.get("duration")))
             programs[row, PROGRAM_PHASES] = len(phases) - programs[row, PROGRAM_FIRST_PHASE]
             programs[row, PROGRAM_CYCLE_MS] = begin_ms
-            programs[row, PROGRAM_OFFSET_MS] = to_ms(float(logic.get("offset", 0.0)))
+            programs[row, PROGRAM_OFFSET_MS] = to_ms(offset_s(logic))
         return programs, np.array(phases, np.int64).reshape(-1, 2), np.frombuffer(bytes(letters), np.uint8)
 
 

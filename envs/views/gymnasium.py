@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     Policy = Callable[[TensorDictBase], TensorDictBase]
 
 Observation = TypeVar("Observation")
-EPISODES_TRIED = 3
+TOLD_AFTER = 20
+"""Simulations in a row without an ego after which a warning says so."""
 
 
 class _View(gym.Env[Observation, Any]):
@@ -187,40 +188,42 @@ class EcoDrivingEgo(_View[np.ndarray]):
         self._slot, self._vehicle = -1, -1
         self._kept: TensorDictBase | None = None
 
-    def _begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Begin a simulation, of whose past ``others`` know nothing."""
-        self.host.begin(seed, options)
-        self._kept = None
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Drive on until a CV enters; it is the ego.
+        """Drive on until a CV enters, in the next simulation if none does; it is the ego.
 
         Raises:
-            IzooError: none entered in several simulations.
+            IzooError: none can ever enter.
         """
         super().reset(seed=seed)
         host = self.host
         self._slot = -1
         if seed is not None or options or host.over:
-            self._begin(seed, options)
-        for attempt in range(EPISODES_TRIED):
-            if attempt:
-                self._begin()
-            while not host.over:
-                before = host.numbers
-                host.step(self._commands())
-                entered = host.numbers
-                entered = np.where(np.isin(entered, before), -1, entered)
-                if (entered >= 0).any() and not host.over:
-                    self._vehicle = int(entered[entered >= 0].min())
-                    self._slot = int(np.flatnonzero(entered == self._vehicle)[0])
-                    return self._observation(), {"vehicle": self._vehicle, **host.plan(), **host.info()}
-        raise IzooError(
-            f"no controlled vehicle entered in {EPISODES_TRIED} simulations; choose contexts with more demand or a "
-            "higher adoption, or a longer horizon_s."
-        )
+            host.begin(seed, options)
+            self._kept = None  # of a simulation's past, ``others`` know nothing
+        empty = 0
+        while not self._drive_to_ego():
+            empty += 1
+            if empty % TOLD_AFTER == 0:
+                gym.logger.warn(f"no controlled vehicle entered in {empty} simulations in a row; looking further.")
+            host.begin_another()
+            self._kept = None
+        return self._observation(), {"vehicle": self._vehicle, **host.plan(), **host.info()}
+
+    def _drive_to_ego(self) -> bool:
+        """Drive on until a CV enters, which becomes the ego; false where the simulation ends before."""
+        host = self.host
+        while not host.over:
+            before = host.numbers
+            host.step(self._commands())
+            entered = host.numbers
+            entered = np.where(np.isin(entered, before), -1, entered)
+            if (entered >= 0).any() and not host.over:
+                self._vehicle = int(entered[entered >= 0].min())
+                self._slot = int(np.flatnonzero(entered == self._vehicle)[0])
+                return True
+        return False
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate a step in which the ego has the action ``[D]``, or does what the dictionary says."""

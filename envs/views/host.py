@@ -25,6 +25,7 @@ from izoo.envs.picture import draw
 from izoo.envs.sumo.session import has_screen
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.actions import Commands
+from izoo.envs.views.barren import EPISODES_LOOKED_AT, first_fertile
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
 
 if TYPE_CHECKING:
@@ -101,6 +102,21 @@ class Host:
         self._backend = backend
         self._finalizer = weakref.finalize(self, backend.close)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What makes another host like this one, which is yet to begin: a simulation that runs goes nowhere.
+
+        Raises:
+            IzooError: an episode has begun.
+        """
+        if self.context is not None:
+            raise IzooError("a view whose episode has begun cannot be copied or pickled; do so before reset().")
+        held = ("_backend", "_finalizer", "frame")
+        return {name: value for name, value in vars(self).items() if name not in held}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._make_backend()
+
     def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Begin an episode: the first one of a new base ``seed``, the one that ``options`` name, or the next one.
 
@@ -131,6 +147,16 @@ class Host:
         self._backend.begin({0: Play(context, episode_seed, episode)})
         self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
         self.over = False
+
+    def begin_another(self) -> None:
+        """Begin the next episode in which a CV can come, after one in which, by chance or not, none came.
+
+        Raises:
+            IzooError: none can come in a thousand episodes from here.
+        """
+        numbers = range(self._next_episode, self._next_episode + EPISODES_LOOKED_AT)
+        number = first_fertile(self.config, ((number, self.schedule(number)[0]) for number in numbers))
+        self.begin(options={"episode": number})
 
     def commands(self) -> Commands:
         """Return commands that leave every CV to SUMO, to be filled in."""
@@ -201,10 +227,14 @@ class Host:
             "episode": {name: float(episode[column]) for column, name in enumerate(EPISODE_METRICS)},
         }
 
+    def number(self) -> dict[str, int]:
+        """Return the episode's number and seed."""
+        return {"episode": self.episode, "episode_seed": self.episode_seed}
+
     def plan(self) -> dict[str, Any]:
         """Return what is being played: the context's name, and the episode's number and seed."""
         name = "" if self.context is None else self.context.name
-        return {"context": name, "episode": self.episode, "episode_seed": self.episode_seed}
+        return {"context": name, **self.number()}
 
     def info(self) -> dict[str, Any]:
         """Return the time, and at the episode's end the metrics."""

@@ -17,6 +17,7 @@ from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.actions import Commands, action_space, read_action
+from izoo.envs.views.barren import first_fertile
 from izoo.envs.views.host import OPTIONS, Host, render_modes
 from izoo.errors import IzooError, check_whole, unknown_choice
 
@@ -101,6 +102,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         self.possible_agents = [f"cv_{number}" for number in range(max_vehicles)]
         self.agents: list[str] = []
         self._slot: dict[str, int] = {}
+        self._nameless = False
         self._observation_space = spaces.Box(-np.inf, np.inf, (len(self.observation_names),), np.float32)
         self._action_space = action_space(self.config, None)
         p = self.config.num_approaches
@@ -127,17 +129,34 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
     ) -> tuple[AgentDict, dict[str, dict[str, Any]]]:
         """Begin an episode and drive on until there is a CV; without a seed, the next one.
 
+        An episode in which, by chance, no CV comes is over before it begins for agents, and the next one is begun:
+        ``episode`` and ``episode_seed`` of an agent's info say which it is. Of a ``context`` that the options name, the
+        next ``episode_seed`` is played.
+
         Options are those of :data:`izoo.envs.views.host.OPTIONS`. Others are ignored with a warning, because
         PettingZoo's own test passes one.
+
+        Raises:
+            IzooError: no CV can ever come, or none of those that came is a possible agent.
         """
         known = {name: value for name, value in (options or {}).items() if name in OPTIONS}
         for name in (options or {}).keys() - known.keys():
             warnings.warn(f"{unknown_choice('reset option', name, OPTIONS)} It is ignored.", stacklevel=2)
         self.host.begin(seed, known)
-        self._slot = {}
-        self._find_agents()
-        self._pass_time()
-        return self._observe(self.agents), {agent: {**self._info(agent), **self.host.plan()} for agent in self.agents}
+        self._come_to_agents()
+        while not self.agents:
+            if self._nameless:
+                raise IzooError(
+                    f"all CVs of the episode have numbers beyond the {len(self.possible_agents)} possible agents; "
+                    "raise max_vehicles."
+                )
+            if "context" in known:
+                first_fertile(self.config, [(0, known["context"])])
+                self.host.begin(options={**known, "episode_seed": self.host.episode_seed + 1})
+            else:
+                self.host.begin_another()
+            self._come_to_agents()
+        return self._observe(self.agents), {agent: {**self._info(agent), **self.host.number()} for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, Any]
@@ -189,6 +208,13 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         parts = (vehicles, frame["signal_colour"], frame["signal_time_left_s"], frame["context_values"])
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
+    def plan(self) -> dict[str, Any]:
+        """Return what is being played: ``context`` (its name), ``episode`` and ``episode_seed``.
+
+        Agents' infos hold numbers alone, since libraries put them into arrays.
+        """
+        return self.host.plan()
+
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.host.Host.metrics`.
 
@@ -231,12 +257,19 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         named = {int(number): slot for slot, number in enumerate(numbers.tolist()) if number >= 0}
         if any(number >= len(self.possible_agents) for number in named):
             named = {number: slot for number, slot in named.items() if number < len(self.possible_agents)}
+            self._nameless = True
             warnings.warn(
                 f"CVs beyond the {len(self.possible_agents)} possible agents are left to SUMO; raise max_vehicles.",
                 stacklevel=3,
             )
         self._slot = {f"cv_{number}": named[number] for number in sorted(named)}
         self.agents = list(self._slot)
+
+    def _come_to_agents(self) -> None:
+        """From the beginning of an episode, find the first agents, if there will be any."""
+        self._slot, self._nameless = {}, False
+        self._find_agents()
+        self._pass_time()
 
     def _pass_time(self) -> None:
         """Simulate while there is nobody to act."""

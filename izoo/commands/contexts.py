@@ -16,6 +16,7 @@ from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.errors import IzooError
+from izoo.networks.osm.driving_side import SIDES
 
 
 def describe_context(context: Context) -> str:
@@ -139,7 +140,16 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--osm", type=Path, required=True, metavar="FILE", help="an extract, .osm or .osm.pbf")
     parser.add_argument("--elevation", type=Path, metavar="TIF", help="heights in m; without it streets are level")
     parser.add_argument("--aadt", type=Path, metavar="CSV", help="columns aadt (veh/day) and way (id) or name")
-    parser.add_argument("target", type=Path, help="a new folder, or an earlier build, which is replaced")
+    parser.add_argument(
+        "--signals", type=Path, metavar="JSON", help="signal plans by intersection; others are searched for"
+    )
+    parser.add_argument(
+        "--counts", type=Path, metavar="CSV", help="columns intersection, from, to (legs), vph at the peak"
+    )
+    parser.add_argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country")
+    parser.add_argument(
+        "target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"
+    )
 
 
 @unheard()
@@ -147,7 +157,8 @@ def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
 
-    print(build_from_osm(options.osm, target=options.target, elevation=options.elevation, aadt=options.aadt))
+    names = ("target", "elevation", "aadt", "signals", "counts", "drives_on")
+    print(build_from_osm(options.osm, **{name: getattr(options, name) for name in names}))
     print(f"train on it: python -m izoo.train contexts=osm contexts.path={plain(options.target)}")
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from izoo.conf.built_in import Engine, Hour, Season, Split
 from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
 from izoo.contexts.cities.weather import weather
-from izoo.contexts.context import Context
+from izoo.contexts.context import Context, checked_fleet
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
 from izoo.errors import IzooError, check_range, check_types
@@ -33,6 +33,8 @@ class DatasetContexts:
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["dataset"] = "dataset"
@@ -46,10 +48,12 @@ class DatasetContexts:
     engine: Engine = "combustion"
     cv_vehicle: Literal["paper", "human"] = "paper"
     drivers: str | None = None
+    fleet: list[float] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
         _check_adoption(self.adoption)
+        _check_fleet(self.fleet)
         if self.weather == "published" and self.season != "summer":
             raise IzooError(
                 f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
@@ -84,6 +88,8 @@ class OsmContexts:
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["osm"] = "osm"
@@ -97,10 +103,12 @@ class OsmContexts:
     engine: Engine = "combustion"
     cv_vehicle: Literal["paper", "human"] = "paper"
     drivers: str | None = None
+    fleet: list[float] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
         _check_adoption(self.adoption)
+        _check_fleet(self.fleet)
         check_range("contexts.temperature_c", self.temperature_c, -60.0, 60.0, "degrees C")
         check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")
         _make_absolute(self)
@@ -127,6 +135,14 @@ def _check_adoption(adoption: float | list[float]) -> None:
         check_range("contexts.adoption", share, 0.0, 1.0)
 
 
+def _check_fleet(fleet: list[float] | None) -> None:
+    try:
+        if fleet is not None:
+            checked_fleet(fleet)
+    except IzooError as error:
+        raise IzooError(f"contexts.fleet: {error}") from None
+
+
 def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
     if path is None:
         raise IzooError(f"contexts={name} needs a folder: contexts.path=DIR.")
@@ -148,6 +164,7 @@ def _load(config: DatasetContexts | OsmContexts, path: str | None, fields: dict[
         hour=config.hour,
         engine=config.engine,
         cv_vehicle=config.cv_vehicle,
+        fleet=config.fleet,
         **fields,
     )
     if len(shares) > 1:

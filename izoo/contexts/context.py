@@ -6,12 +6,13 @@ import dataclasses
 import functools
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import IntersectionSpec, hold_floats
-from izoo.errors import check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range
 
 HOURS = ("peak", "off-peak")
 HOUR_FACTOR = {"peak": 0.084, "off-peak": 0.055}
@@ -20,6 +21,22 @@ FLOW_CAP_VPH_PER_LANE = 900.0
 SEASONS = ("winter", "spring", "summer", "fall")
 ENGINES = ("combustion", "electric")
 CV_VEHICLES = ("paper", "human")
+FLEET = ("passenger cars", "passenger trucks", "light commercial trucks", "transit buses")
+"""Vehicle types in the order in which their shares are given."""
+
+
+def checked_fleet(shares: Sequence[float]) -> tuple[float, ...]:
+    """Return the shares of the fleet's types.
+
+    Raises:
+        IzooError: they are not four, or do not sum to 1.
+    """
+    fleet = tuple(float(share) for share in shares)
+    if len(fleet) != len(FLEET) or min(fleet) < 0.0 or abs(sum(fleet) - 1.0) > 1e-6:
+        raise IzooError(
+            f"the fleet is {list(fleet)}; give the shares of {', '.join(FLEET)}, from 0 to 1, with a sum of 1."
+        )
+    return fleet
 
 
 @dataclass(frozen=True)
@@ -37,6 +54,8 @@ class Context:
         cv_vehicle: ``paper``: every CV has the published CV parameters when nobody commands it; ``human``: the
             driver and length that it would have had as a human-driven vehicle.
         drivers: the population that human drivers are drawn from; ``None``: the built-in one.
+        fleet: shares of the four types of :data:`FLEET`, which sum to 1; ``None``: those of MOVES for 2019. Model years
+            and fuels of each type are those of MOVES.
         context_id: the catalogue's integer id, or ``None`` for contexts outside the catalogue.
     """
 
@@ -50,6 +69,7 @@ class Context:
     humidity_pct: float = 46.0
     cv_vehicle: str = "paper"
     drivers: DriverPopulation | None = None
+    fleet: tuple[float, ...] | None = None
     context_id: int | None = None
 
     def __post_init__(self) -> None:
@@ -62,6 +82,8 @@ class Context:
             check_choice("season", self.season, SEASONS)
         check_choice("engine", self.engine, ENGINES)
         check_choice("cv_vehicle", self.cv_vehicle, CV_VEHICLES)
+        if self.fleet is not None:
+            object.__setattr__(self, "fleet", checked_fleet(self.fleet))
         check_range("temperature", self.temperature_c, -60.0, 60.0, "degrees C")
         check_range("humidity", self.humidity_pct, 0.0, 100.0, "%")
 
@@ -93,11 +115,13 @@ class Context:
     def content_hash(self) -> str:
         """SHA-256 over every field but ``context_id`` and the place of the net file.
 
-        The built-in drivers are left out, so that contexts keep the hash they had before drivers could be chosen.
+        The built-in drivers and fleet are left out, so that contexts keep the hash they had before these could be
+        chosen.
         """
         fields = dataclasses.asdict(self)
         fields.pop("context_id")
-        if self.drivers is None:
-            fields.pop("drivers")
+        for name in ("drivers", "fleet"):
+            if fields[name] is None:
+                fields.pop(name)
         fields["intersection"].pop("net_path")
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -20,7 +20,10 @@ TIME_ROUNDING_S = 0.001 + 1e-9
 """By how much they may be off in any case: between two times that are given to a millisecond."""
 SLOPE_RANGE = (0.67, 1.5)
 """Of changes of the gap over what the speeds say; metres over feet is 0.3, and m/s over km/h 3.6."""
-CLEAR_CHANGE_M, ENOUGH_ROWS = 0.25, 30
+WINDOW_S = 1.5
+"""Gaps and speeds are compared over this time."""
+CLEAR_CLOSING_MPS, CLEAR_SPEED_MPS, ENOUGH_S = 0.5, 3.0, 15.0
+"""Where leader and follower differ by more, or a vehicle is faster, changes tell units; so much of that is needed."""
 LONGEST_STEP_S = 1.0
 
 
@@ -111,25 +114,63 @@ def time_step(pairs: pd.DataFrame, problem: Problem) -> float:
     return step
 
 
-def check_units(pairs: pd.DataFrame, consecutive: pd.Series, step_s: float, path: Path) -> None:
+def check_units(pairs: pd.DataFrame, consecutive: pd.Series, step_s: float, path: Path) -> str | None:
     """Raise :class:`IzooError` where gaps change at another rate than the two speeds say: a wrong unit somewhere.
+
+    Compared over windows of 1.5 s, whatever the step: within a step of a tenth of a second gaps change by less than
+    they are recorded to.
 
     Args:
         pairs: sorted by driver and time.
         consecutive: ``[rows]`` bool: the next row is the same driver's next step.
         step_s: length of a step.
         path: for the message.
+
+    Returns:
+        What the user should know where gaps change too little to tell: that nothing was checked.
     """
-    after = pairs[["gap_m", "speed_mps", "leader_speed_mps"]].shift(-1)
-    closing = (pairs["leader_speed_mps"] + after["leader_speed_mps"] - pairs["speed_mps"] - after["speed_mps"]) / 2.0
-    expected = closing * step_s
-    clear = consecutive & (expected.abs() > CLEAR_CHANGE_M)
-    if clear.sum() < ENOUGH_ROWS:
-        return
-    slope = float(np.median((after["gap_m"] - pairs["gap_m"])[clear] / expected[clear]))
+    steps = max(1, round(WINDOW_S / step_s))
+    closing_mps = pairs["leader_speed_mps"] - pairs["speed_mps"]
+    gone = (closing_mps + closing_mps.shift(-1)) / 2.0 * step_s
+    expected = sum((gone.shift(-k) for k in range(1, steps)), gone)
+    whole = sum((consecutive.shift(-k, fill_value=False).astype(int) for k in range(1, steps)), consecutive.astype(int))
+    clear = (whole == steps) & (expected.abs() > CLEAR_CLOSING_MPS * steps * step_s)
+    clear_s = float(clear.sum()) * step_s
+    if clear_s < ENOUGH_S:
+        return (
+            f"the units of {path} were not checked: leaders and followers differ by more than {CLEAR_CLOSING_MPS:g} "
+            f"m/s over {clear_s:.0f} s only, and {ENOUGH_S:g} s are needed. Make sure of m and m/s, and of whose speed "
+            "is whose"
+        )
+    slope = float(np.median((pairs["gap_m"].shift(-steps) - pairs["gap_m"])[clear] / expected[clear]))
     if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
         raise IzooError(
             f"{path}, columns gap_m, speed_mps and leader_speed_mps: gaps change {slope:.2g} times as fast as the "
             "speeds say; one of them is not in m or m/s (feet times 0.3048, km/h divided by 3.6), or the leader's and "
             "the follower's speed are exchanged."
+        )
+    return None
+
+
+def check_positions(table: pd.DataFrame, path: Path) -> None:
+    """Raise :class:`IzooError` where vehicles advance at another rate than their own speeds say.
+
+    Args:
+        table: trajectories of all vehicles, in any order.
+        path: for the message.
+    """
+    rows = table.sort_values(["vehicle", "time_s"], kind="stable")
+    after = rows[["vehicle", "lane", "time_s", "position_m", "speed_mps"]].shift(-1)
+    elapsed_s = after["time_s"] - rows["time_s"]
+    speed_mps = (rows["speed_mps"] + after["speed_mps"]) / 2.0
+    same = (rows["vehicle"] == after["vehicle"]) & (rows["lane"] == after["lane"])
+    clear = same & (elapsed_s > 0.0) & (elapsed_s <= LONGEST_STEP_S) & (speed_mps > CLEAR_SPEED_MPS)
+    if float(elapsed_s[clear].sum()) < ENOUGH_S:
+        return
+    slope = float(np.median(((after["position_m"] - rows["position_m"]) / (speed_mps * elapsed_s))[clear]))
+    if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
+        raise IzooError(
+            f"{path}, columns position_m and speed_mps: vehicles advance {slope:.2g} times as fast as their speeds "
+            "say; one of them is not in m or m/s (feet times 0.3048, km/h divided by 3.6), or positions count against "
+            "the direction of travel."
         )

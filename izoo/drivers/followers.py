@@ -92,10 +92,12 @@ def read_following(paths: Sequence[Path], config: ReadConfig) -> tuple[dict[str,
     Raises:
         IzooError: a file cannot be used, the files differ in their step, or no class has enough drivers.
     """
-    tables, notes = [], []
+    tables: list[pd.DataFrame] = []
+    notes: list[str] = []
     steps: dict[float, Path] = {}
     for number, path in enumerate(paths):
-        pairs, step_s = _steps_of(path, config)
+        pairs, step_s, note = _steps_of(path, config)
+        notes += [note] if note else []
         steps.setdefault(round(step_s, 4), path)
         if len(paths) > 1:
             pairs["driver"] = f"{number + 1}:" + pairs["driver"]
@@ -126,13 +128,13 @@ def read_following(paths: Sequence[Path], config: ReadConfig) -> tuple[dict[str,
     return found, notes
 
 
-def _steps_of(path: Path, config: ReadConfig) -> tuple[pd.DataFrame, float]:
-    """Return one file's steps, one row each, and their length."""
+def _steps_of(path: Path, config: ReadConfig) -> tuple[pd.DataFrame, float, str | None]:
+    """Return one file's steps, one row each, their length, and what the user should know."""
     pairs = read_pairs(path, config.default_length_m, config.heavy_from_m)
     pairs = pairs.sort_values(["driver", "time_s"], kind="stable").reset_index(drop=True)
     step_s = time_step(pairs, Problem(path))
     _check_classes(pairs, Problem(path))
-    check_units(pairs, _consecutive(pairs, step_s), step_s, path)
+    note = check_units(pairs, _consecutive(pairs, step_s), step_s, path)
     wanted = config.step_s or SIMULATOR_STEP_S
     every = round(wanted / step_s)
     fits = every >= 1 and abs(every * step_s - wanted) < 0.02 * step_s
@@ -150,7 +152,7 @@ def _steps_of(path: Path, config: ReadConfig) -> tuple[pd.DataFrame, float]:
     pairs["continues"] = same.shift(1, fill_value=False)
     stand = (pairs["speed_mps"] < BOTH_STAND_MPS) & (pairs["leader_speed_mps"] < BOTH_STAND_MPS)
     pairs["continues"] &= ~stand.shift(1, fill_value=False)
-    return pairs[follows & ~stand].reset_index(drop=True), step_s
+    return pairs[follows & ~stand].reset_index(drop=True), step_s, note
 
 
 def _consecutive(pairs: pd.DataFrame, step_s: float) -> pd.Series:

@@ -6,27 +6,33 @@ what :func:`izoo.envs.views.trajectories.write_trajectories` writes; and SUMO's 
 
 from __future__ import annotations
 
+import gzip
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
-from izoo.drivers.checks import Problem, check_numbers
+from izoo.drivers.checks import Problem, check_numbers, check_positions
 from izoo.errors import IzooError
 
 PAIR_COLUMNS = ("driver", "time_s", "gap_m", "speed_mps", "leader_speed_mps")
 TRAJECTORY_COLUMNS = ("vehicle", "time_s", "lane", "position_m", "speed_mps")
 IZOO_NAMES = {"vehicle_number": "vehicle", "region_lane": "lane", "lane_position_m": "position_m"}
 FCD_NAMES = {
-    "timestep_time": "time_s",
-    "vehicle_id": "vehicle",
-    "vehicle_lane": "lane",
-    "vehicle_pos": "position_m",
-    "vehicle_speed": "speed_mps",
-    "vehicle_length": "length_m",
+    "time": "time_s",
+    "id": "vehicle",
+    "lane": "lane",
+    "pos": "position_m",
+    "speed": "speed_mps",
+    "length": "length_m",
 }
+_FCD_PREFIX = re.compile(r"(timestep_)?((vehicle|person)_)?")
+"""SUMO writes headers with the names of elements or without, those of its first row: which may be a person's."""
+_WALKING = "DEFAULT_PEDTYPE"
 CLASSES = ("light", "heavy")
 GREEN = {"green", "g", "0", "0.0", "", "nan"}
 """What the column ``signal`` may hold where drivers need not obey it; nothing means that no signal is ahead."""
@@ -38,7 +44,7 @@ def read_pairs(path: Path, default_length_m: float | None, heavy_from_m: float) 
     """Return the leader-follower pairs of a file.
 
     Args:
-        path: CSV (comma or semicolon, also ``.csv.gz``) or SUMO's XML.
+        path: CSV (comma or semicolon, also ``.csv.gz``) or SUMO's XML (also ``.xml.gz``).
         default_length_m: of vehicles whose file says no length; ``None``: such a file is refused.
         heavy_from_m: vehicles of this length or more are heavy.
 
@@ -61,6 +67,7 @@ def read_pairs(path: Path, default_length_m: float | None, heavy_from_m: float) 
         if "length_m" not in table:
             table["length_m"] = _lengths(default_length_m, path)
         check_numbers(table, problem)
+        check_positions(table, path)
         pairs = _with_leaders(table, problem)
     pairs["heavy"] = _heavy(pairs, heavy_from_m, problem)
     pairs["driver"] = pairs["driver"].astype(str)
@@ -79,8 +86,9 @@ def _read(path: Path) -> pd.DataFrame:
         what = "a folder" if path.is_dir() else "no file"
         raise IzooError(f"{path} is {what}; give a CSV of trajectories or SUMO's floating car data.")
     try:
-        if path.suffix == ".xml":
-            return _read_fcd(path)
+        if path.name.endswith((".xml", ".xml.gz")):
+            with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+                return _read_fcd(file)
         # SUMO's own converter of XML to CSV separates by semicolons.
         header = pd.read_csv(path, nrows=0, sep="\0", engine="python").columns[0]
         separator = ";" if header.count(";") > header.count(",") else ","
@@ -90,18 +98,29 @@ def _read(path: Path) -> pd.DataFrame:
     if set(IZOO_NAMES) <= set(table):
         # There, ``lane`` counts the lanes of an edge, and edges have the same ones.
         table = table.drop(columns="lane", errors="ignore").rename(columns=IZOO_NAMES)
-    table = table.rename(columns={old: new for old, new in FCD_NAMES.items() if new not in table})
     # A header is line 1.
     table["row"] = [f"row {number}" for number in range(2, len(table) + 2)]
-    if separator == ";" and "vehicle" in table:
-        table = table[table["vehicle"].notna()]  # steps without any vehicle
+    return _from_sumo(table) if separator == ";" else table
+
+
+def _from_sumo(table: pd.DataFrame) -> pd.DataFrame:
+    """Return floating car data under izoo's names, without persons and steps that have no vehicle."""
+    if any(name.endswith("vehicle_id") for name in table):
+        table = table.drop(columns=[name for name in table if "person_" in name])
+    plain = {name: _FCD_PREFIX.sub("", name, count=1) for name in table}
+    table = table.rename(columns={name: FCD_NAMES[kept] for name, kept in plain.items() if kept in FCD_NAMES})
+    kinds = [name for name, kept in plain.items() if kept == "type"]
+    if kinds and {"vehicle", "lane"} <= set(table):
+        table = table[table["vehicle"].notna() & table["lane"].notna() & (table[kinds[0]] != _WALKING)]
+    elif "vehicle" in table:
+        table = table[table["vehicle"].notna()]
     return table
 
 
-def _read_fcd(path: Path) -> pd.DataFrame:
+def _read_fcd(file: Any) -> pd.DataFrame:
     rows: dict[str, list[str]] = {name: [] for name in (*TRAJECTORY_COLUMNS, "length_m", "row")}
     time = ""
-    for event, element in ElementTree.iterparse(path, events=("start", "end")):
+    for event, element in ElementTree.iterparse(file, events=("start", "end")):
         if event == "start" and element.tag == "timestep":
             time = element.get("time", "")
         elif event == "end" and element.tag == "vehicle":

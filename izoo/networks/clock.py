@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from izoo.errors import IzooError
+from izoo.networks.representable import main_program, offset_s
 
 GREEN, YELLOW, RED = 0, 1, 2
 NEVER_S = 300.0
 """The longest time reported: for a change or a green that never comes (a movement without green, or always green)."""
-_COLOUR = {"G": GREEN, "g": GREEN, "O": GREEN, "o": GREEN, "y": YELLOW, "Y": YELLOW}
+_COLOUR = {"G": GREEN, "g": GREEN, "y": YELLOW, "Y": YELLOW}
 
 
 def to_ms(time_s: float) -> int:
@@ -63,11 +64,12 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
         root: the ``<net>`` element.
         links: link indices of each movement ``(p, q)`` at the signal.
         path: name of the file, for messages.
+
+    Raises:
+        IzooError: the program cannot be represented (:mod:`izoo.networks.representable`) or is not complete.
     """
-    logics = [logic for logic in root.findall("tlLogic") if logic.get("id") == "TL"]
-    if not logics or not logics[-1].findall("phase"):
-        raise IzooError(f"{path} has no signal program TL; only intersections with a fixed-time signal can be used.")
-    phases = logics[-1].findall("phase")
+    program = main_program(root, path)
+    phases = program.findall("phase")
     given = [float(phase.get("duration")) for phase in phases]
     if not all(0.0 < duration_s < math.inf and to_ms(duration_s) for duration_s in given):
         raise IzooError(f"{path}: the signal program TL has a phase without a positive duration; repair the net.")
@@ -84,7 +86,7 @@ def read_clock(root: Any, links: dict[tuple[int, int], list[int]], path: str) ->
             colour[p, q, k] = min(_COLOUR.get(state[link], RED) for link in indices)
             permissive[p, q, k] = {state[link] for link in indices} & {"g", "G"} == {"g"}
             legal[p, q, k] = any(state[link] == "s" for link in indices)
-    return make_clock(duration, colour, permissive, legal, to_ms(float(logics[-1].get("offset", 0.0))) / 1000.0)
+    return make_clock(duration, colour, permissive, legal, to_ms(offset_s(program)) / 1000.0)
 
 
 def make_clock(

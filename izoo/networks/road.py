@@ -1,5 +1,6 @@
 """Reads a SUMO net of one intersection into arrays: lanes of the controlled region, movements, and the signal clock.
 
+Lanes that are closed to cars (sidewalks, cycle lanes, bus lanes) are left out, and counted nowhere.
 Vehicles are located by an integer lane. ``P`` counts approaches (legs with incoming lanes), ``Q`` exits (legs with
 outgoing lanes), ``L`` lanes of the controlled region, ``K`` phases of the main signal. Conventions of the nets are
 those of the published dataset (junction ``TL``, edges ``A2TL``, ``A2TL_intern``, ``TL2A``, sources ``AB2A`` and
@@ -23,6 +24,7 @@ from defusedxml.common import DefusedXmlException
 
 from izoo.errors import IzooError
 from izoo.networks.clock import SignalClock, read_clock
+from izoo.networks.representable import check_representable, lane_number, open_connections, open_lanes
 from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 APPROACHING, INSIDE, LEAVING = 0, 1, 2
@@ -41,7 +43,8 @@ class RoadNet:
         incoming_edges: per approach, its edges from outside to the stop line.
         outgoing_edge: per exit, its edge.
         sources: per approach, the existing source edges by kind: ``AB`` (from straight on), ``AA`` (turning in).
-        source_lane_count: per approach, lanes of those edges.
+        source_lanes: per approach, the lanes of those edges, by SUMO's index.
+        source_length_m: per approach, the lengths of those edges.
         main_lane_count: ``[P]`` lanes where the approach begins.
         lane_count: ``[P]`` lanes at the stop line.
         lane_length_m: ``[P]`` from the beginning of the approach to the stop line.
@@ -53,8 +56,8 @@ class RoadNet:
         lane_ids: ``L`` SUMO lane ids.
         lane_location: ``[L]`` 0 approaching, 1 inside the junction, 2 leaving.
         lane_edge: ``[L]`` number of the edge; lanes of one edge are neighbours.
-        lane_index: ``[L]`` 0 is the rightmost lane of its edge.
-        lane_siblings: ``[L]`` lanes on the same edge.
+        lane_index: ``[L]`` 0 is the rightmost lane of its edge that is open to cars.
+        lane_siblings: ``[L]`` such lanes on the same edge.
         lane_length: ``[L]`` m.
         lane_limit_mps: ``[L]``.
         lane_approach, lane_exit: ``[L]`` -1 where the lane does not tell.
@@ -77,7 +80,8 @@ class RoadNet:
     incoming_edges: tuple[tuple[str, ...], ...]
     outgoing_edge: tuple[str, ...]
     sources: tuple[dict[str, str], ...]
-    source_lane_count: tuple[dict[str, int], ...]
+    source_lanes: tuple[dict[str, tuple[int, ...]], ...]
+    source_length_m: tuple[dict[str, float], ...]
     main_lane_count: np.ndarray
     lane_count: np.ndarray
     lane_length_m: np.ndarray
@@ -111,7 +115,8 @@ def read_road(path: str | Path) -> RoadNet:
     """Read a net file; the last few dozen are kept in memory, keyed by path and modification time.
 
     Raises:
-        IzooError: the file is missing, is not a SUMO net, or has no signal ``TL`` with incoming and outgoing legs.
+        IzooError: the file is missing, is not a SUMO net, has no signal ``TL`` with incoming and outgoing legs, or has
+            what cannot be represented (:mod:`izoo.networks.representable`).
     """
     path = Path(path)
     try:
@@ -125,6 +130,7 @@ def read_road(path: str | Path) -> RoadNet:
 def _read_road(path: str, _stamp: int) -> RoadNet:
     data = Path(path).read_bytes()
     root = parse_net(data, path)
+    check_representable(root, path)
     try:
         return _Reader(root, path, hashlib.sha256(data).hexdigest()).read()
     except IzooError:
@@ -149,9 +155,9 @@ class _Reader:
 
     def __init__(self, root: Any, path: str, sha256: str) -> None:
         self.root, self.path, self.sha256 = root, path, sha256
-        self.edges = {edge.get("id"): edge.findall("lane") for edge in root.findall("edge")}
+        self.edges = open_lanes(root)
         self.connections: dict[tuple[str, int], list[Any]] = defaultdict(list)
-        for connection in root.findall("connection"):
+        for connection in open_connections(root):
             self.connections[connection.get("from"), int(connection.get("fromLane"))].append(connection)
         self.approaches = tuple(sorted(name[0] for name in self.edges if re.fullmatch(r"[A-Z]2TL", name)))
         self.exits = tuple(sorted(name[3] for name in self.edges if re.fullmatch(r"TL2[A-Z]", name)))
@@ -189,8 +195,13 @@ class _Reader:
             incoming_edges=self.incoming,
             outgoing_edge=tuple(f"TL2{leg}" for leg in self.exits),
             sources=tuple(self._sources(leg) for leg in self.approaches),
-            source_lane_count=tuple(
-                {kind: len(self.edges[edge]) for kind, edge in self._sources(leg).items()} for leg in self.approaches
+            source_lanes=tuple(
+                {kind: tuple(map(lane_number, self.edges[edge])) for kind, edge in self._sources(leg).items()}
+                for leg in self.approaches
+            ),
+            source_length_m=tuple(
+                {kind: float(self.edges[edge][0].get("length")) for kind, edge in self._sources(leg).items()}
+                for leg in self.approaches
             ),
             main_lane_count=np.array([len(lanes) for lanes in first]),
             lane_count=np.array([len(lanes) for lanes in last]),
@@ -233,6 +244,7 @@ class _Reader:
                 {
                     "edge": number,
                     "index": index,
+                    "place": lane_number(lane),
                     "siblings": len(lanes),
                     "location": location,
                     "approach": approach,
@@ -252,7 +264,7 @@ class _Reader:
 
     def _stop_line_connections(self, p: int) -> list[Any]:
         edge = self.incoming[p][-1]
-        found = [c for lane in range(len(self.edges[edge])) for c in self.connections[edge, lane]]
+        found = [c for lane in self.edges[edge] for c in self.connections[edge, lane_number(lane)]]
         return [c for c in found if _REGION_EDGE.fullmatch(c.get("to")) and c.get("to")[3:] in self.exits]
 
     def _movement_links(self) -> dict[tuple[int, int], list[int]]:
@@ -315,16 +327,16 @@ class _Reader:
             if len(edges) == 1:
                 continue
             main, pocket = edges
-            for index in range(len(self.edges[main])):
-                before = self.lanes[f"{main}_{index}"]
+            for lane in self.edges[main]:
+                before, index = self.lanes[lane.get("id")], lane_number(lane)
                 onward = [c for c in self.connections[main, index] if c.get("to") == pocket]
                 for c in sorted(onward, key=lambda c: abs(int(c.get("toLane")) - index)):
                     chain = self._chain(c)
-                    for lane in chain:
-                        if lane not in self.lanes:
-                            self._add_edge(lane.rsplit("_", 1)[0], APPROACHING, p, -1)
+                    for via in chain:
+                        if via not in self.lanes:
+                            self._add_edge(via.rsplit("_", 1)[0], APPROACHING, p, -1)
                     after = self.lanes[f"{pocket}_{c.get('toLane')}"]
-                    path = [before, *(self.lanes[lane] for lane in chain), after]
+                    path = [before, *(self.lanes[via] for via in chain), after]
                     for one, two in itertools.pairwise(path):
                         self.rows[two]["prev"].setdefault(p, one)
                         for q in self.rows[after]["next"]:
@@ -332,7 +344,7 @@ class _Reader:
 
     def _approach_offsets(self) -> None:
         for p, edges in enumerate(self.incoming):
-            stop_lanes = [self.lanes[f"{edges[-1]}_{i}"] for i in range(len(self.edges[edges[-1]]))]
+            stop_lanes = [self.lanes[lane.get("id")] for lane in self.edges[edges[-1]]]
             frontier = stop_lanes
             for lane in frontier:
                 self.rows[lane]["offset"] = -self.rows[lane]["length"]
@@ -356,9 +368,10 @@ class _Reader:
         return next_lane, prev_lane
 
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        place = {(row["edge"], row["index"]): number for number, row in enumerate(self.rows)}
-        right = [place.get((row["edge"], row["index"] - 1), -1) for row in self.rows]
-        left = [place.get((row["edge"], row["index"] + 1), -1) for row in self.rows]
+        # Nobody changes across a lane that is closed to cars.
+        place = {(row["edge"], row["place"]): number for number, row in enumerate(self.rows)}
+        right = [place.get((row["edge"], row["place"] - 1), -1) for row in self.rows]
+        left = [place.get((row["edge"], row["place"] + 1), -1) for row in self.rows]
         return np.array(right, np.int32), np.array(left, np.int32)
 
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+
+from izoo.contexts.spec import Approach, CountedApproach
 
 RIGHT, STRAIGHT, LEFT = 0, 1, 2
 TURN_SHARE = 0.1
+
+
+def exit_shares(
+    approach: Approach | None, exits: Sequence[str], movement_turn: np.ndarray, movement_links: np.ndarray
+) -> np.ndarray:
+    """Return the share of an approach's traffic that takes each exit, ``[Q]`` float64: as counted, or else by rule.
+
+    Args:
+        approach: the approach, which may have counts; they are read as 0 where there is no movement.
+        exits: ``Q`` legs.
+        movement_turn, movement_links: as for :func:`turning_shares`.
+    """
+    if not isinstance(approach, CountedApproach):
+        return turning_shares(movement_turn, movement_links)
+    counts = dict(approach.exit_counts)
+    flow = np.where(np.asarray(movement_turn) >= 0, [counts.get(leg, 0.0) for leg in exits], 0.0)
+    return flow / max(float(flow.sum()), 1e-9)
 
 
 def turning_shares(movement_turn: np.ndarray, movement_links: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.networks.road import RoadNet
-from izoo.networks.turning import turning_shares
+from izoo.networks.turning import exit_shares
 
 SATURATION_FLOW_VPH_PER_LANE = 1800.0
 """Vehicles per hour of green and lane: one every two seconds (HCM: 1,900 under ideal conditions)."""
@@ -26,7 +26,7 @@ def volume_over_capacity(context: Context, road: RoadNet, approach: int) -> floa
     if volume == 0.0:
         return 0.0
     links = road.movement_links[approach]
-    shares = turning_shares(road.movement_turn[approach], links)
+    shares = exit_shares(context.intersection.leg(name).approach, road.exits, road.movement_turn[approach], links)
     green_share = road.clock.green_s[approach] / road.clock.cycle_s
     free_on_red = road.clock.legal_on_red[approach].any(axis=-1)
     lanes_needed, busiest = 0.0, 0.0

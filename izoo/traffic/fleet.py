@@ -26,15 +26,19 @@ CLASS_SOURCE_TYPE = np.array([source_type for _, source_type, _ in CLASSES])
 """``[99]`` source type of each MOVES class."""
 
 
-@functools.lru_cache(maxsize=1)
-def class_shares() -> np.ndarray:
+@functools.lru_cache(maxsize=64)
+def class_shares(fleet: tuple[float, ...] | None = None) -> np.ndarray:
     """Return the share of the fleet in each MOVES class, ``[99]`` float64, summing to 1; motorcycles have none.
 
     Source type by population among the four, times age (model year) by the age distribution of the type, times
     gasoline or diesel by their shares of the type's model year, renormalised.
+
+    Args:
+        fleet: shares of :data:`FLEET_TYPES` to take instead of their population.
     """
     shares = np.zeros(len(CLASSES))
-    type_share, age_share, fuel_share = _type_shares(), _age_shares(), _fuel_shares()
+    type_share = _type_shares() if fleet is None else dict(zip(FLEET_TYPES, fleet, strict=True))
+    age_share, fuel_share = _age_shares(), _fuel_shares()
     for source_type in FLEET_TYPES:
         for age in range(OLDEST_AGE + 1):
             year = CALENDAR_YEAR - age
@@ -46,9 +50,9 @@ def class_shares() -> np.ndarray:
     return shares
 
 
-def sample_classes(generator: np.random.Generator, count: int) -> np.ndarray:
+def sample_classes(generator: np.random.Generator, count: int, fleet: tuple[float, ...] | None = None) -> np.ndarray:
     """Draw MOVES classes, ``[count]`` int64; a longer draw from the same state begins with the shorter one."""
-    cumulative = np.cumsum(class_shares())
+    cumulative = np.cumsum(class_shares(fleet))
     cumulative /= cumulative[-1]
     return np.searchsorted(cumulative, generator.random(count), side="right")
 

@@ -14,7 +14,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.spec import LEG_NAMES
 from izoo.errors import IzooError
 from izoo.files import write_text
-from izoo.networks.turning import turning_shares
+from izoo.networks.turning import exit_shares
 from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals
 from izoo.traffic.drivers import sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, lengths_m, sample_classes
@@ -35,6 +35,8 @@ class Roads(Protocol):
     @property
     def approaches(self) -> tuple[str, ...]: ...
     @property
+    def exits(self) -> tuple[str, ...]: ...
+    @property
     def movement_turn(self) -> np.ndarray: ...
     @property
     def movement_links(self) -> np.ndarray: ...
@@ -45,7 +47,7 @@ class Roads(Protocol):
     @property
     def sources(self) -> Sequence[dict[str, str]]: ...
     @property
-    def source_lane_count(self) -> Sequence[dict[str, int]]: ...
+    def source_lanes(self) -> Sequence[dict[str, tuple[int, ...]]]: ...
     @property
     def incoming_edges(self) -> tuple[tuple[str, ...], ...]: ...
     @property
@@ -61,7 +63,7 @@ class Traffic:
         approach: ``[N]`` int64, index into the road's approaches.
         exit: ``[N]`` int64, index into the road's exits.
         source: ``[N]`` int64, index into :data:`SOURCE_KINDS`.
-        depart_lane: ``[N]`` int64, lane of the source edge, 0 rightmost.
+        depart_lane: ``[N]`` int64, lane of the source edge by SUMO's index, 0 rightmost.
         is_cv: ``[N]`` bool: a controlled vehicle.
         source_type: ``[N]`` int64, MOVES source type.
         moves_class: ``[N]`` int64, index into :data:`izoo.emissions.classes.CLASSES`.
@@ -147,7 +149,8 @@ _EMPTY: dict[str, np.ndarray] = {
 def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration_s: float) -> dict[str, np.ndarray]:
     """Return the columns of one approach's vehicles, in the order of their arrival."""
     leg = road.approaches[p]
-    shares = turning_shares(road.movement_turn[p], road.movement_links[p])
+    approach = context.intersection.leg(leg).approach
+    shares = exit_shares(approach, road.exits, road.movement_turn[p], road.movement_links[p])
     present = [kind in road.sources[p] for kind in SOURCE_KINDS]
     if not shares.any() or not any(present):
         missing = "source edge" if shares.any() else "way through the junction"
@@ -164,8 +167,12 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     source = (
         np.where(source_draw < STRAIGHT_SOURCE_SHARE, 0, 1) if all(present) else np.full(count, present.index(True))
     )
-    lanes = [min(road.source_lane_count[p].get(kind, 1), int(road.main_lane_count[p])) for kind in SOURCE_KINDS]
-    moves_class = sample_classes(stream(_FLEET), count)
+    # A source may have more lanes than the approach, and some that are closed to cars.
+    lanes = [road.source_lanes[p].get(kind, (0,))[: int(road.main_lane_count[p])] for kind in SOURCE_KINDS]
+    widest = max(map(len, lanes))
+    lane_table = np.array([row + row[:1] * (widest - len(row)) for row in lanes])
+    lane_row = (lane_draw * np.array([len(row) for row in lanes])[source]).astype(np.int64)
+    moves_class = sample_classes(stream(_FLEET), count, context.fleet)
     source_type = CLASS_SOURCE_TYPE[moves_class]
     drivers = sample_drivers(stream(_DRIVERS), source_type, context.drivers)
     is_cv = stream(_ADOPTION).random(count) < context.adoption
@@ -183,7 +190,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
         "approach": np.full(count, p),
         "exit": draw_index(exit_draw, shares),
         "source": source,
-        "depart_lane": (lane_draw * np.array(lanes)[source]).astype(np.int64),
+        "depart_lane": lane_table[source, lane_row],
         "is_cv": is_cv,
         "source_type": source_type,
         "moves_class": moves_class,

@@ -239,3 +239,10 @@ def test_a_mixture_that_cannot_be_made_is_refused(words, said):
     with pytest.raises(IzooError) as refused:
         chosen("contexts=mixed", *words).check()
     assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("fleet", [[], [0.7, 0.2, 0.1], [0.7, 0.2, 0.1, 0.1], [2.0, -1.0, 0.0, 0.0]])
+@pytest.mark.parametrize("config", [OsmContexts, DatasetContexts])
+def test_fleets_that_are_none(config: type, fleet: list[float]) -> None:
+    with pytest.raises(IzooError, match=r"contexts\.fleet: the fleet is .*, from 0 to 1, with a sum of 1"):
+        config(path="town", fleet=fleet)

@@ -92,6 +92,68 @@ def test_times_may_be_rounded_to_milliseconds(rate_per_s: float, tmp_path: Path)
         read_following([written(table, tmp_path)], ReadConfig())
 
 
+def finer(table: pd.DataFrame, rate_per_s: float) -> pd.DataFrame:
+    """Pairs at a finer step, whose speeds run straight from one row to the next."""
+    rows = []
+    for driver, own in table.groupby("driver"):
+        time_s = np.arange(0.0, own["time_s"].max(), 1.0 / rate_per_s)
+        speed, leader = (np.interp(time_s, own["time_s"], own[name]) for name in ("speed_mps", "leader_speed_mps"))
+        gone = np.cumsum((leader - speed)[:-1] + (leader - speed)[1:]) / 2.0 / rate_per_s
+        gap = 20.0 + np.concatenate([[0.0], gone])
+        columns = {"gap_m": gap - min(gap.min() - 1.0, 0.0), "speed_mps": speed, "leader_speed_mps": leader}
+        rows.append(pd.DataFrame({"driver": driver, "length_m": 5.0, "time_s": time_s.round(3), **columns}))
+    return pd.concat(rows, ignore_index=True)
+
+
+SWAPPED = {"speed_mps": "leader_speed_mps", "leader_speed_mps": "speed_mps"}
+
+
+@pytest.mark.parametrize("rate_per_s", [1.0, 2.0, 10.0, 25.0, 30.0])
+def test_units_are_checked_at_every_step(pairs: pd.DataFrame, rate_per_s: float, tmp_path: Path) -> None:
+    """Within a tenth of a second gaps change by little, over a second and a half by as much as the speeds say."""
+    right = finer(pairs, rate_per_s)
+    _, notes = read_following([written(right, tmp_path)], ReadConfig())
+    assert not [note for note in notes if "unit" in note]
+    for change, message in (
+        (right.assign(gap_m=right["gap_m"] / 0.3048), "gaps change 3.3 times as fast.*feet"),
+        (right.assign(**{name: right[name] * 2.237 for name in SWAPPED}), "gaps change 0.45 times as fast"),
+        (right.rename(columns=SWAPPED), "gaps change -1 times as fast.*exchanged"),
+    ):
+        with pytest.raises(IzooError, match=message):
+            read_following([written(change, tmp_path)], ReadConfig())
+
+
+@pytest.mark.parametrize("name", ["gapfeet10", "pairs_exchanged"])
+def test_files_at_10_hz_in_wrong_units(faults: Path, name: str) -> None:
+    with pytest.raises(IzooError, match="times as fast as the speeds say"):
+        read_following([faults / "trajectories" / f"{name}.csv.gz"], ReadConfig())
+
+
+def test_it_is_said_where_units_cannot_be_checked(pairs: pd.DataFrame, tmp_path: Path) -> None:
+    steady = pairs.assign(speed_mps=12.0, leader_speed_mps=12.1)
+    _, notes = read_following([written(steady, tmp_path)], ReadConfig())
+    assert (
+        "units of" in notes[0]
+        and "were not checked: leaders and followers differ by more than 0.5 m/s over 0 s" in (notes[0])
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position_m": 1 / 0.3048, "length_m": 1 / 0.3048}, "vehicles advance 3.3 times as fast as their speeds say"),
+        ({"speed_mps": 3.6}, "vehicles advance 0.28 times as fast .*km/h divided by 3.6"),
+        ({"position_m": -1.0}, "vehicles advance -1 times as fast .*against the direction of travel"),
+    ],
+)
+def test_positions_and_speeds_in_different_units(change: dict[str, float], message: str, tmp_path: Path) -> None:
+    """Also of vehicles whose gaps hardly change."""
+    table = convoy()
+    table = table.assign(**{name: table[name] * factor for name, factor in change.items()})
+    with pytest.raises(IzooError, match=message):
+        read_following([written(table, tmp_path)], ReadConfig())
+
+
 def test_trajectories_of_all_vehicles_become_pairs(tmp_path: Path) -> None:
     table = convoy()
     classes, _ = read_following([written(table, tmp_path)], ReadConfig())
@@ -115,13 +177,13 @@ def test_a_red_light_is_not_a_leader(tmp_path: Path) -> None:
         read_pairs(written(table, tmp_path), None, 6.5)
 
 
-@pytest.mark.parametrize("form", ["xml", "semicolons", "gzip", "izoo"])
+@pytest.mark.parametrize("form", ["xml", "xml.gz", "semicolons", "plain", "persons", "gzip", "izoo"])
 def test_every_form_gives_the_same_pairs(form: str, tmp_path: Path) -> None:
     table = convoy()
     expected = read_pairs(written(table, tmp_path), None, 6.5)
     path = tmp_path / "other.csv"
-    if form == "xml":
-        path = tmp_path / "fcd.xml"
+    if form.startswith("xml"):
+        path = tmp_path / f"fcd.{form}"
         steps = []
         for time, rows in table.groupby("time_s"):
             vehicles = "".join(
@@ -130,7 +192,9 @@ def test_every_form_gives_the_same_pairs(form: str, tmp_path: Path) -> None:
                 for r in rows.itertuples()
             )
             steps.append(f'<timestep time="{time}">{vehicles}</timestep>')
-        path.write_text(f"<fcd-export>{''.join(steps)}<timestep time='99'/></fcd-export>")
+        person = "<person id='p' x='1' y='2' speed='1' pos='3' edge='A'/>"
+        text = f"<fcd-export>{''.join(steps)}<timestep time='99'>{person}</timestep></fcd-export>".encode()
+        path.write_bytes(gzip.compress(text) if form == "xml.gz" else text)
     elif form == "semicolons":
         names = {
             "vehicle": "vehicle_id",
@@ -142,6 +206,15 @@ def test_every_form_gives_the_same_pairs(form: str, tmp_path: Path) -> None:
         other.to_csv(path, index=False, sep=";")
         with path.open("a") as file:
             file.write(";25.0;;;;\n")  # a step in which nobody is there
+    elif form in ("plain", "persons"):  # as SUMO itself writes CSV; a person may come first and name the columns
+        prefix = "" if form == "plain" else "person_"
+        names = {"vehicle": "id", "lane": "lane", "position_m": "pos", "speed_mps": "speed", "length_m": "length"}
+        other = table.assign(type="car").rename(columns={"time_s": "time", **names})
+        walking = {"time": 0.0, "id": "p", "lane": None, "pos": 1.0, "speed": 1.0, "length": 0.2, "type": "x"}
+        riding = {"time": 0.0, "id": "q", "lane": "A_0", "pos": 900.0, "speed": 1.0, "type": "DEFAULT_PEDTYPE"}
+        other = pd.concat([pd.DataFrame([walking, riding]), other]).add_prefix(prefix)
+        time = "time" if form == "plain" else "timestep_time"
+        other.rename(columns={f"{prefix}time": time}).to_csv(path, index=False, sep=";")
     elif form == "gzip":
         path = tmp_path / "pairs.csv.gz"
         path.write_bytes(gzip.compress((tmp_path / "pairs.csv").read_bytes()))

@@ -16,6 +16,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 import izoo.envs
+from izoo.contexts.context import Context
+from izoo.contexts.source import RoundRobinSchedule
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
 
@@ -167,6 +169,44 @@ def test_ego_needs_controlled_vehicles() -> None:
     try:
         with pytest.raises(IzooError, match=r"no controlled vehicle entered.*higher adoption"):
             env.reset(seed=0)
+    finally:
+        env.close()
+
+
+def test_ego_waits_through_empty_simulations() -> None:
+    """That none came in several simulations is chance, and no reason to end a training."""
+    rare = crossing(inflow_vph_per_lane=30.0, adoption=0.02)
+    env = make(EGO, contexts=rare, config=short(horizon_s=30.0), simulator="twin")
+    try:
+        with pytest.warns(UserWarning, match="no controlled vehicle entered in 20 simulations in a row"):
+            _, info = env.reset(seed=1)
+        assert info["episode"] >= 20
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("context", "horizon_s", "reason"),
+    [
+        (crossing(adoption=0.0), 20.0, "the adoption of .* is 0"),
+        (crossing(inflow_vph_per_lane=0.0), 20.0, ".* has no demand"),
+        (crossing(lane_length_m=500.0), 10.0, r"the way to .* takes \d+ s, and 10 s are simulated"),
+    ],
+)
+def test_it_is_said_why_no_controlled_vehicle_can_come(context: Context, horizon_s: float, reason: str) -> None:
+    env = make(EGO, contexts=context, config=short(horizon_s=horizon_s), simulator="twin")
+    try:
+        with pytest.raises(IzooError, match=f"no controlled vehicle entered, and none can: {reason}"):
+            env.reset(seed=0)
+    finally:
+        env.close()
+
+
+def test_contexts_without_controlled_vehicles_are_passed_over() -> None:
+    contexts = [crossing(adoption=0.0), crossing(adoption=0.0), crossing(adoption=0.0), crossing(adoption=0.9)]
+    env = make(EGO, contexts=RoundRobinSchedule(contexts, 0), config=short(), simulator="twin")
+    try:
+        assert [env.reset()[1]["episode"] % 4 for _ in range(3)] == [3, 3, 3]
     finally:
         env.close()
 

@@ -235,6 +235,14 @@ env.reset()
     assert done.returncode == 0 and "numbers have a decimal comma" in done.stdout, done.stderr
 
 
+def test_a_path_that_the_locale_cannot_spell_is_named(tmp_path: Path) -> None:
+    from izoo.envs.sumo.session import SumoSession, sumo_arguments
+
+    path = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.net.xml")
+    with pytest.raises(IzooError, match=r"cannot spell the path '.*/caf.udce9.net.xml'; set IZOO_CACHE_DIR and TMPDIR"):
+        SumoSession().load(sumo_arguments(path, tmp_path / "a.rou.xml", 0, 0.5))
+
+
 def test_a_second_thread_is_refused() -> None:
     """It would read the answers that the first one waits for."""
     env = SumoParallelEnv(2, crossing(), config=short())

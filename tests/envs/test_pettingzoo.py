@@ -14,6 +14,7 @@ from tests.envs.worlds import crossing, short
 
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test
+from pettingzoo.utils.conversions import parallel_to_aec
 
 from izoo.envs.mdp.frame import CONTEXT_VALUES
 from izoo.envs.views.pettingzoo import VEHICLE_COLUMNS, EcoDrivingParallel, parallel_env
@@ -85,6 +86,37 @@ def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
     assert len(left) >= 3 and len(seen) > len(frames[0][0]) + 5
     *_, truncated, _ = frames[-1][1]
     assert sum(truncated.values()) >= 3 and not any(any(frame[3].values()) for _, frame in frames[:-1])
+
+
+def test_a_reset_gives_agents() -> None:
+    """Also after episodes in which, by chance, none comes; PettingZoo's own conversion divides by their number."""
+    rare = crossing(inflow_vph_per_lane=100.0, adoption=0.05)
+    env = parallel_env(rare, short(horizon_s=40.0), simulator="twin")
+    skipped = 0
+    try:
+        for seed in range(6):
+            _, infos = env.reset(seed=seed)
+            assert env.agents and set(infos) == set(env.agents)
+            skipped += infos[env.agents[0]]["episode"]
+            _, infos = env.reset(options={"context": rare, "episode_seed": 10 * seed})
+            assert infos[env.agents[0]]["episode"] == -1 and infos[env.agents[0]]["episode_seed"] >= 10 * seed
+        assert skipped > 0
+        turns = parallel_to_aec(env)
+        turns.reset(seed=0)
+        assert turns.agent_selection in turns.agents
+        with pytest.raises(IzooError, match=r"none can: the adoption of .* is 0"):
+            env.reset(options={"context": rare.replace(adoption=0.0)})
+    finally:
+        env.close()
+    env = parallel_env(crossing(), short(warmup_s=50.0, horizon_s=80.0), simulator="twin", max_vehicles=1)
+    try:
+        with (
+            pytest.warns(UserWarning),
+            pytest.raises(IzooError, match="beyond the 1 possible agents; raise max_vehicl"),
+        ):
+            env.reset(seed=0)
+    finally:
+        env.close()
 
 
 def test_agents_is_empty_only_at_the_end() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from typing import Any
 
 import gymnasium
@@ -17,6 +18,7 @@ from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.state import LANE_POSITION, NUMBER, REGION_LANE, SPEED
 from izoo.envs.views.host import Host
+from izoo.errors import IzooError
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 
 SEED = 9
@@ -193,5 +195,46 @@ def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any], simulator: s
                 ended, compared = terminated or truncated, compared + 1
             observation, info = env.reset()
         assert compared > 60
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("make", ["joint", "ego", "agents"])
+def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
+    """As libraries do to start their workers; what comes out plays what the original does."""
+    views = izoo.envs.views
+    made: Any = {
+        "joint": views.gymnasium.EcoDrivingJoint,
+        "ego": views.gymnasium.EcoDrivingEgo,
+        "agents": views.pettingzoo.parallel_env,
+    }[make]
+    env = made(crossing(), CONFIG, simulator=simulator)
+    other = pickle.loads(pickle.dumps(env))
+    try:
+        first, second = env.reset(seed=4), other.reset(seed=4)
+        assert str(first) == str(second)
+        seen = 0
+        for _ in range(30):
+            for host in (env.host, other.host):
+                host.step(host.commands())
+            assert np.array_equal(env.host.frame["observation"], other.host.frame["observation"])
+            seen += int(env.host.mask.sum())
+        assert seen > 0
+        with pytest.raises(IzooError, match=r"whose episode has begun cannot be copied or pickled; do so before reset"):
+            pickle.dumps(env)
+    finally:
+        env.close()
+        other.close()
+
+
+def test_infos_of_agents_hold_numbers_alone() -> None:
+    """Libraries put them into arrays."""
+    env = izoo.envs.views.pettingzoo.parallel_env(crossing(), CONFIG, simulator="twin")
+    try:
+        _, infos = env.reset(seed=1)
+        after = env.step(dict.fromkeys(env.agents))[-1]
+        for info in (*infos.values(), *after.values()):
+            assert all(isinstance(value, (int, float, np.ndarray)) for value in info.values())
+        assert env.plan() == {"context": crossing().name, "episode": 0, "episode_seed": env.host.episode_seed}
     finally:
         env.close()

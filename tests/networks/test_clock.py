@@ -134,7 +134,7 @@ def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> int:
     try:
         links = signal_links(road)
         switches = 0
-        letters = {"G": GREEN, "g": GREEN, "y": YELLOW, "r": RED, "s": RED}
+        letters = {"G": GREEN, "g": GREEN, "y": YELLOW, "Y": YELLOW, "r": RED, "u": RED, "s": RED}
         while session.time_s < duration_s:
             before = session.time_s
             session.advance()

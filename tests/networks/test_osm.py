@@ -224,6 +224,9 @@ def test_speed_limits(text: str | None, expected: float | None) -> None:
     assert found is None if expected is None else found == pytest.approx(expected, abs=1e-3)
 
 
+_LTR, _BIKE = "left|through|through;right", "no|no|designated|no"
+
+
 def way(oneway: int = 0, highway: str = "primary", **tags: str) -> Way:
     return Way(1, (1, 2), {"highway": highway, **{key.replace("__", ":"): v for key, v in tags.items()}}, oneway)
 
@@ -251,6 +254,36 @@ def way(oneway: int = 0, highway: str = "primary", **tags: str) -> Way:
         (way(lanes="7", lanes__both_ways="1"), True, Lanes(("", "", "", "l"))),
         (way(lanes="7", lanes__backward="3"), True, Lanes(("",) * 4)),
         (way(lanes="1"), True, Lanes(("",), guessed=True)),
+        (way(1, lanes="8", turn__lanes="left|||||||right"), True, Lanes(("r", "", "", "", "", ""))),
+        # The lanes of the other direction are those that its turns tell.
+        (way(lanes="4", turn__lanes__backward="left|through|through;right"), True, Lanes(("",))),
+        (way(lanes="5", turn__lanes__backward="left|through|through;right"), False, Lanes(("", ""))),
+        # Bus lanes are counted by ``lanes``, cycle lanes are not; both may be listed among turns.
+        (way(1, lanes="3", turn__lanes=_LTR, vehicle__lanes="yes|yes|no"), True, Lanes(("s", "l"))),
+        (way(1, lanes="3", turn__lanes=_LTR, bus__lanes="||designated"), True, Lanes(("s", "l"))),
+        (way(1, lanes="3", turn__lanes=_LTR, psv__lanes="designated|yes|yes"), True, Lanes(("rs", "s"))),
+        (way(1, lanes="3", turn__lanes="left|through", psv__lanes="yes|yes|designated"), True, Lanes(("s", "l"))),
+        (way(1, lanes="2", turn__lanes="left|through", psv__lanes="yes|yes|designated"), True, Lanes(("s", "l"))),
+        (way(1, lanes="3", access__lanes="yes|yes|bus"), True, Lanes(("", ""))),
+        (way(1, lanes="3", motor_vehicle__lanes="yes|yes|destination"), True, Lanes(("", "", ""))),
+        (
+            way(1, lanes="3", bus__lanes="designated|yes|yes", motor_vehicle__lanes="yes|yes|yes"),
+            True,
+            Lanes(("",) * 3),
+        ),
+        (way(1, lanes="3", turn__lanes="left|through|none|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
+        (way(1, lanes="4", turn__lanes="left|through|none|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
+        (way(1, lanes="3", turn__lanes="left|through|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
+        (way(1, lanes="3", bicycle__lanes=_BIKE), True, Lanes(("", "", ""))),
+        (way(1, bicycle__lanes=_BIKE), True, Lanes(("", "", ""))),
+        (way(1, lanes="3", bus__lanes="yes|yes|yes|designated", bicycle__lanes=_BIKE), True, Lanes(("", ""))),
+        (way(1, lanes="3", bus__lanes="yes|yes|designated", bicycle__lanes=_BIKE), True, Lanes(("", ""))),
+        (way(lanes="4", lanes__psv__forward="1", lanes__forward="2"), True, Lanes(("",))),
+        (way(lanes="4", lanes__bus__forward="1", lanes__backward="2"), True, Lanes(("",))),
+        (way(lanes="6", busway="lane"), True, Lanes(("", ""))),
+        (way(1, lanes="3", lanes__bus="1", turn__lanes=_LTR), True, Lanes(("s", "l"))),
+        (way(1, lanes="3", lanes__bus="1", turn__lanes="left|through"), True, Lanes(("s", "l"))),
+        (way(lanes="5", bus__lanes__forward="yes|yes|designated", lanes__backward="2"), True, Lanes(("", ""))),
     ],
 )
 def test_lanes_of_a_direction(street: Way, arriving: bool, expected: Lanes) -> None:
@@ -273,6 +306,46 @@ def test_lanes_of_a_direction(street: Way, arriving: bool, expected: Lanes) -> N
 )
 def test_turns_fit_the_exits(lanes: tuple[str, ...], available: str, banned: str, expected: tuple[str, ...]) -> None:
     assert assign_turns(Lanes(lanes), frozenset(available), frozenset(banned))[0] == expected
+
+
+def test_a_direction_without_lanes_for_cars_is_closed(tmp_path: Path) -> None:
+    plan = crossing()
+    plan.ways = []
+    plan.way(10, [5, 1], lanes="3", bus__lanes__backward="designated", lanes__backward="1", name="Main Street")
+    plan.way(12, [1, 3], lanes="2", oneway="no", oneway__motor_vehicle="yes", name="Main Street")
+    plan.way(11, [2, 1, 4], "residential", name="Side Street")
+    spec, _ = build(plan, tmp_path)
+    assert spec.leg("D").exit_lanes == 0 and approach(spec, "D").lane_count == 2
+    assert spec.leg("B").approach is None and spec.leg("B").exit_lanes == 2
+
+
+@pytest.mark.parametrize("value", ["bus", "psv", "emergency", "bus;taxi", "no", "private"])
+def test_streets_without_cars_are_left_out(tmp_path: Path, value: str) -> None:
+    plan = crossing()
+    plan.ways = []
+    plan.way(10, [5, 1, 3], lanes="4", name="Main Street")
+    plan.way(11, [2, 1], "residential", name="Side Street", motor_vehicle=value, access="yes")
+    plan.way(12, [1, 4], "residential", name="Side Street", access="destination;bus")
+    spec, _ = build(plan, tmp_path)
+    assert spec.leg_names == ("A", "B", "C") and [round(leg.bearing_deg) for leg in spec.legs] == [90, 180, 270]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("bus_lane", ("s", "l")),
+        ("bike_in_turn_lanes", ("r", "s", "l")),
+        ("lanes_fwd_turn_only", ("rs", "s", "l")),
+    ],
+)
+def test_lanes_closed_to_cars_in_small_extracts(
+    faults: Path, tmp_path: Path, name: str, expected: tuple[str, ...]
+) -> None:
+    build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
+    (spec,) = load_specs(tmp_path / "town")
+    assert approach(spec, "D").lanes == expected
+    assert spec.leg("D").exit_lanes == (2 if name == "lanes_fwd_turn_only" else 0)
+    assert "lanes of D" not in spec.imputed
 
 
 def test_limits_of_one_direction_win() -> None:

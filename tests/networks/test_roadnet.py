@@ -34,7 +34,7 @@ def test_legs_and_movements(road: RoadNet) -> None:
     assert road.incoming_edges == (("A2TL", "A2TL_intern"), ("B2TL",))
     assert road.outgoing_edge == ("TL2A", "TL2B", "TL2C")
     assert road.sources == ({"AB": "AB2A", "AA": "AA2A"}, {"AB": "BB2B"})
-    assert road.source_lane_count == ({"AB": 2, "AA": 1}, {"AB": 1})
+    assert road.source_lanes == ({"AB": (0, 1), "AA": (0,)}, {"AB": (0,)})
     assert road.movement_turn.tolist() == [[-1, LEFT, STRAIGHT], [RIGHT, -1, LEFT]]
     assert road.movement_links.tolist() == [[0, 1, 2], [1, 0, 1]]
 

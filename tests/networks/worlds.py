@@ -76,7 +76,7 @@ def drive_everywhere(net: Path, road: RoadNet, folder: Path, *options: str) -> D
     for p in range(len(road.approaches)):
         for kind, source in road.sources[p].items():
             for q in range(len(road.exits)):
-                for lane in range(road.source_lane_count[p][kind] if road.movement_turn[p, q] >= 0 else 0):
+                for lane in road.source_lanes[p][kind] if road.movement_turn[p, q] >= 0 else ():
                     edges = " ".join([source, *road.incoming_edges[p], road.outgoing_edge[q]])
                     start = f'id="{sent}" depart="{2 * sent}" departLane="{lane}"'
                     lines.append(f'<vehicle {start}><route edges="{edges}"/></vehicle>')

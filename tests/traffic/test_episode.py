@@ -164,7 +164,7 @@ def test_streams_belong_to_the_leg_not_to_its_place():
 
 def test_a_missing_source_hands_its_traffic_to_the_other():
     road = Roads(
-        sources=({"AA": "AA2A"}, {"AB": "BB2B"}, *ROAD.sources[2:]), source_lane_count=({"AA": 1}, {"AB": 2}) * 2
+        sources=({"AA": "AA2A"}, {"AB": "BB2B"}, *ROAD.sources[2:]), source_lanes=({"AA": (0,)}, {"AB": (0, 1)}) * 2
     )
     traffic = sample_traffic(make_context(), road, 0, 900.0)
     assert (traffic.source[traffic.approach == 0] == 1).all() and (

@@ -6,8 +6,11 @@ import pytest
 
 from izoo.emissions.classes import CLASSES
 from izoo.emissions.tables import moves_file
+from izoo.errors import IzooError
 from izoo.traffic.drivers import built_in_population, mean_and_factor, sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, class_shares, lengths_m, sample_classes
+from izoo.traffic.sampling import sample_traffic
+from tests.traffic.worlds import Roads, make_context
 
 YEAR, SOURCE, FUEL = np.array(CLASSES).T
 TYPES = [21, 31, 32, 42]
@@ -76,3 +79,27 @@ def test_a_drivers_draw_depends_on_its_place_and_type_alone():
     many = sample_drivers(np.random.default_rng(5), np.array([42, 32, 31, 21, 21]))
     np.testing.assert_array_equal(few.tau_s[1:], many.tau_s[1:3])
     assert few.tau_s[0] != many.tau_s[0]
+
+
+def test_a_fleet_of_ones_own() -> None:
+    """Types by the given shares; model years and fuels within a type as ever."""
+    own = (0.5, 0.0, 0.3, 0.2)
+    shares, default = class_shares(own), class_shares()
+    for source_type, share in zip((21, 31, 32, 42), own, strict=True):
+        of_type = source_type == SOURCE
+        assert shares[of_type].sum() == pytest.approx(share)
+        if share:
+            np.testing.assert_allclose(shares[of_type] / share, default[of_type] / default[of_type].sum())
+    drawn = CLASS_SOURCE_TYPE[sample_classes(np.random.default_rng(0), 20_000, own)]
+    assert not (drawn == 31).any() and (drawn == 42).mean() == pytest.approx(0.2, abs=0.01)
+    context = make_context()
+    road = Roads()
+    assert (sample_traffic(context.replace(fleet=(0.0, 0.0, 0.0, 1.0)), road, 0, 600.0).source_type == 42).all()
+    assert context.replace(fleet=None).content_hash == context.content_hash
+    assert context.replace(fleet=[1, 0, 0, 0]).content_hash != context.content_hash
+
+
+@pytest.mark.parametrize("fleet", [(1.0,), (0.5, 0.5, 0.5, 0.5), (1.2, -0.2, 0.0, 0.0)])
+def test_shares_that_are_no_fleet(fleet: tuple[float, ...]) -> None:
+    with pytest.raises(IzooError, match=r"the fleet is .*; give the shares of passenger cars, .* with a sum of 1"):
+        make_context(fleet=fleet)

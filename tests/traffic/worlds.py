@@ -25,7 +25,7 @@ class Roads:
     main_lane_count: np.ndarray = field(default_factory=lambda: np.full(4, 2))
     speed_limit_mps: np.ndarray = field(default_factory=lambda: np.array([15.0, 15.0, 3.5, 15.0]))
     sources: tuple[dict[str, str], ...] = tuple({"AB": f"{leg}B2{leg}", "AA": f"{leg}A2{leg}"} for leg in LEGS)
-    source_lane_count: tuple[dict[str, int], ...] = tuple({"AB": 2, "AA": 2} for _ in LEGS)
+    source_lanes: tuple[dict[str, tuple[int, ...]], ...] = tuple({"AB": (0, 1), "AA": (0, 1)} for _ in LEGS)
     incoming_edges: tuple[tuple[str, ...], ...] = tuple((f"{leg}2TL", f"{leg}2TL_intern") for leg in LEGS)
     outgoing_edge: tuple[str, ...] = tuple(f"TL2{leg}" for leg in LEGS)
 

@@ -140,7 +140,7 @@ def read_inflows(path: Path, legs: tuple[str, ...], incoming: frozenset[str]) ->
         incoming: legs with incoming lanes; the lines of other legs are ignored.
     """
     try:
-        lines = read_bytes(path).decode(errors="replace").splitlines()
+        lines = read_bytes(path).decode("utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise IzooError(f"cannot read {path}: {error.strerror}; {_DOWNLOAD_HINT}.") from error
     filled = [line for line in lines if line.strip()]

@@ -14,10 +14,18 @@ import numpy as np
 from izoo.contexts.spec import LEG_NAMES, TURNS, Approach, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.files import read_bytes
+from izoo.networks.representable import (
+    check_representable,
+    lane_number,
+    main_program,
+    offset_s,
+    open_connections,
+    open_lanes,
+)
 from izoo.networks.road import parse_net
 
 TURN_OF_DIRECTION = {"r": "r", "R": "r", "s": "s", "l": "l", "L": "l", "t": "l"}
-_COLOURS = {"G": "G", "g": "g", "O": "g", "o": "g", "y": "y", "Y": "y", "u": "y", "s": "s"}
+_COLOURS = {"G": "G", "g": "g", "y": "y", "Y": "y", "s": "s"}
 _RIGHT_ON_RED = "traffic_light_right_on_red"
 Inflows = Callable[[tuple[str, ...], frozenset[str]], dict[str, float]]
 """Given all legs and the incoming ones, returns the AADT per lane of the incoming ones, veh/day."""
@@ -41,7 +49,9 @@ def spec_from_net(path: Path, *, name: str, city: str | None, inflows: Inflows) 
     except OSError as error:
         raise IzooError(f"cannot read the net {path}: {error.strerror}; fetch the file again.") from error
     try:
-        reader = _NetSpecReader(parse_net(data, path), path)
+        root = parse_net(data, path)
+        check_representable(root, str(path))
+        reader = _NetSpecReader(root, path)
         aadt = inflows(reader.legs, reader.incoming)
         legs = tuple(reader.leg(letter, aadt.get(letter, 0.0)) for letter in reader.legs)
         return IntersectionSpec(
@@ -69,12 +79,12 @@ class _NetSpecReader:
     def __init__(self, root: Any, path: Path) -> None:
         self.root, self.path = root, path
         self.imputed: list[str] = []
-        self.edges = {edge.get("id"): edge.findall("lane") for edge in root.findall("edge")}
+        self.edges = open_lanes(root)
         self.junctions = {junction.get("id"): junction for junction in root.findall("junction")}
         if "TL" not in self.junctions:
             raise IzooError(f"{path} has no junction TL; only nets in the published dataset's convention can be used.")
         self.connections: dict[str, list[Any]] = {}
-        for connection in root.findall("connection"):
+        for connection in open_connections(root):
             self.connections.setdefault(connection.get("from"), []).append(connection)
         incoming = {edge[0] for edge in self.edges if re.fullmatch(f"[{LEG_NAMES}]2TL", edge)}
         self.outgoing = frozenset(edge[3] for edge in self.edges if re.fullmatch(f"TL2[{LEG_NAMES}]", edge))
@@ -106,7 +116,7 @@ class _NetSpecReader:
         main = self.edges[main_edge]
         stop_edge = pocket_edge if pocket_edge in self.edges else main_edge
         stop = self.edges[stop_edge]
-        lanes = self._turns(letter, stop_edge, len(stop))
+        lanes = self._turns(letter, stop_edge)
         right, left = self._pockets(main_edge, lanes, len(main)) if stop_edge != main_edge else (0, 0)
         length = float(main[0].get("length"))
         if stop_edge != main_edge:
@@ -122,12 +132,13 @@ class _NetSpecReader:
             pocket_length_m=float(stop[0].get("length")) if right + left else 0.0,
         )
 
-    def _turns(self, letter: str, edge: str, lane_count: int) -> tuple[str, ...]:
+    def _turns(self, letter: str, edge: str) -> tuple[str, ...]:
         """Turns per lane, right to left; a lane that leads nowhere takes those of its nearest neighbour."""
-        found: list[set[str]] = [set() for _ in range(lane_count)]
+        found: list[set[str]] = [set() for _ in self.edges[edge]]
+        row = {lane_number(lane): number for number, lane in enumerate(self.edges[edge])}
         for connection in self.connections.get(edge, []):
             if connection.get("to")[3:] in self.outgoing and connection.get("to").startswith("TL2"):
-                found[int(connection.get("fromLane"))].add(TURN_OF_DIRECTION.get(connection.get("dir"), "s"))
+                found[row[int(connection.get("fromLane"))]].add(TURN_OF_DIRECTION.get(connection.get("dir"), "s"))
         leading = [lane for lane, turns in enumerate(found) if turns]
         if not leading:
             raise IzooError(f"{self.path}: no lane of {edge} leads across the junction TL; repair the net.")
@@ -150,7 +161,9 @@ class _NetSpecReader:
             straight = [lane for lane, turns in enumerate(lanes) if "s" in turns]
             right = straight[0] if straight else extra // 2
         else:
-            targets = {int(c.get("toLane")) for c in self.connections.get(main_edge, []) if c.get("fromLane") == "0"}
+            rightmost = lane_number(self.edges[main_edge][0])
+            onward = self.connections.get(main_edge, [])
+            targets = {int(c.get("toLane")) for c in onward if int(c.get("fromLane")) == rightmost}
             right = min(max(len(targets) - 1, 0), extra)
         return right, extra - right
 
@@ -177,10 +190,8 @@ class _NetSpecReader:
 
     def signal_plan(self) -> SignalPlan:
         """The plan of ``TL`` by movement; of the links of one movement the greenest counts, of programs the last."""
-        programs = [logic for logic in self.root.findall("tlLogic") if logic.get("id") == "TL"]
-        phases = programs[-1].findall("phase") if programs else []
-        if not phases:
-            raise IzooError(f"{self.path} has no signal program (tlLogic) TL with phases; fetch the file again.")
+        program = main_program(self.root, str(self.path))
+        phases = program.findall("phase")
         links: dict[tuple[str, str], list[int]] = {}
         for letter in sorted(self.incoming):
             edge = f"{letter}2TL_intern" if f"{letter}2TL_intern" in self.edges else f"{letter}2TL"
@@ -190,9 +201,7 @@ class _NetSpecReader:
         shortest = min(len(phase.get("state")) for phase in phases)
         if any(index >= shortest for indices in links.values() for index in indices):
             raise IzooError(f"{self.path}: the signal program TL has fewer states than links; fetch the file again.")
-        return SignalPlan(
-            phases=tuple(_phase(phase, links) for phase in phases), offset_s=float(programs[-1].get("offset") or 0.0)
-        )
+        return SignalPlan(phases=tuple(_phase(phase, links) for phase in phases), offset_s=offset_s(program))
 
 
 def _phase(phase: Any, links: dict[tuple[str, str], list[int]]) -> SignalPhase:

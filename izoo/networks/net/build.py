@@ -89,6 +89,7 @@ def net_key(spec: IntersectionSpec) -> str:
         for leg in fields["legs"]:
             if leg["approach"] is not None:
                 leg["approach"].pop("aadt_per_lane")
+                leg["approach"].pop("exit_counts", None)
     content = json.dumps([BUILDER_VERSION, _sumo_version(), fields], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:40]
 

@@ -12,7 +12,8 @@ from izoo.networks.osm.streets import Way
 from izoo.networks.osm.tags import MAX_LANES, Lanes, assign_turns, class_default, lanes_towards, speed_limit
 
 STOP_ZONE_M = 30.0
-"""Of the ways within this distance of the core, the one with most lanes tells what is at the stop line."""
+"""Of the ways within this distance of the core, the one with most lanes tells what is at the stop line; of several
+with as many, one with tagged turns."""
 POCKET_WITHIN_M = 150.0
 MIN_POCKET_M, MIN_MAIN_M = 20.0, 30.0
 MIN_LENGTH_M = 15.0
@@ -123,7 +124,9 @@ def _profile(stub: Stub) -> list[tuple[float, Lanes]]:
 def _side(stub: Stub) -> _Side:
     """Lanes at the stop line of a carriageway, and its pockets."""
     profile = _profile(stub)
-    lanes = max((lanes for begin, lanes in profile if begin < STOP_ZONE_M), key=lambda lanes: len(lanes.turns))
+    near = [lanes for begin, lanes in profile if begin < STOP_ZONE_M]
+    # Turns are often tagged on a way that ends a little before the junction.
+    lanes = max(near, key=lambda lanes: (len(lanes.turns), not lanes.guessed, any(lanes.turns)))
     for begin, upstream in profile:
         fewer = len(upstream.turns) < len(lanes.turns) and not upstream.guessed and not lanes.guessed
         if 0.0 < begin <= POCKET_WITHIN_M and fewer:

@@ -6,8 +6,11 @@ The rules by which lanes, turns and limits are read and imputed stand in :mod:`i
   150 m at least and is marked as imputed;
 - turn pockets: lanes that a way next to the stop line has over the way behind it, if that begins within 150 m;
 - grade: from the elevation raster, over the whole approach; 0 and imputed without one;
-- demand: from the AADT table, else per lane by street class and imputed;
-- right turns on red: legal in North America.
+- demand: from turning counts, from the AADT table, else per lane by street class and imputed;
+- right turns on red: legal in North America, unless one of the approaches forbids them;
+- signal plans: from a file of them, else searched for and marked as imputed.
+
+Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.osm.streets`).
 """
 
 from __future__ import annotations
@@ -15,74 +18,62 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections import Counter, defaultdict
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from izoo.console import plain
 from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded
+from izoo.networks.osm.build_report import OsmReport
 from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
+from izoo.networks.osm.driving_side import Side
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
+from izoo.networks.osm.movement_counts import peak_flows, read_movement_counts, with_counts
+from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
+from izoo.networks.osm.plans import read_plans, with_plan
+from izoo.networks.osm.raw import REVERSIBLE
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
-from izoo.networks.osm.streets import Restriction, StreetMap, read_streets
+from izoo.networks.osm.streets import StreetMap, read_streets
+from izoo.networks.osm.turn_bans import TurnBans, bans_turns_on_red
 
 MAX_CORE_M = 120.0
 
 
-@dataclass(frozen=True)
-class OsmReport:
-    """What a build found.
-
-    Attributes:
-        target: the folder that was written; :func:`izoo.networks.dataset.intersections.load_dataset` reads it.
-        streets: per intersection, the name of each leg's street.
-        skipped: why other junctions with signals were left out, by id.
-        imputed: how often each kind of value was imputed.
-        approaches: number of approaches in all.
-        stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
-    """
-
-    target: Path
-    streets: dict[str, dict[str, str]]
-    approaches: int
-    stray_signals: int = 0
-    skipped: dict[str, str] = field(default_factory=dict)
-    imputed: dict[str, int] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        lines = [f"built {len(self.streets)} intersections with {self.approaches} approaches into {self.target}"]
-        lines += [
-            f"  {key}: " + ", ".join(f"{k} {v or '-'}" for k, v in legs.items()) for key, legs in self.streets.items()
-        ]
-        lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
-        if self.stray_signals:
-            lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
-        lines += [f"  imputed {kind}: {count} of {self.approaches} approaches" for kind, count in self.imputed.items()]
-        return "\n".join(map(plain, lines))
-
-
 def build_from_osm(
-    file: Path | str, *, target: Path | str, elevation: Path | str | None = None, aadt: Path | str | None = None
+    file: Path | str,
+    *,
+    target: Path | str,
+    elevation: Path | str | None = None,
+    aadt: Path | str | None = None,
+    signals: Path | str | None = None,
+    counts: Path | str | None = None,
+    drives_on: Side | None = None,
 ) -> OsmReport:
     """Find the signalised intersections of an extract and write them to ``target``, all or nothing.
 
     Args:
         file: the extract.
-        target: a new or empty folder, or an earlier build, which is replaced.
+        target: a new or empty folder, or an earlier build, which is replaced unless it was edited.
         elevation: a raster of heights in m.
         aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+        signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
+        counts: a CSV table of turning counts; see :mod:`izoo.networks.osm.movement_counts`.
+        drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
-        IzooError: a file is missing or malformed, or the extract has no usable signalised intersection.
+        IzooError: a file is missing or malformed, the extract has no usable signalised intersection, or the target has
+            been edited since it was built.
     """
     file, target = expanded(file), expanded(target).absolute()
     check_target(target)
-    streets = read_streets(file)
+    plans = {} if signals is None else read_plans(signals)
+    counted = {} if counts is None else read_movement_counts(counts)
+    streets = read_streets(file, drives_on)
     builder = _Builder(
         streets,
         target.name,
@@ -91,16 +82,23 @@ def build_from_osm(
     )
     builder.build()
     if not builder.specs:
+        others = f", and {streets.uncycled} that blink, meter a ramp or wait for emergencies"
         reasons = "; ".join(f"{key}: {reason}" for key, reason in list(builder.skipped.items())[:3])
         raise IzooError(
             f"{file} has no usable intersection with traffic signals ({len(streets.signals)} signal nodes there"
-            f"{'; ' + reasons if reasons else ''}); export a larger extract, with complete ways."
+            f"{others if streets.uncycled else ''}{'; ' + reasons if reasons else ''}); export a larger extract, with "
+            "complete ways."
         )
+    builder.give("turning counts", counted, with_counts, str(counts))
+    builder.give("a signal plan", plans, with_plan, str(signals))
     notes = {
         "source": file.name,
         "source_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "elevation": elevation is not None,
         "aadt": aadt is not None,
+        "signals": signals is not None,
+        "counts": counts is not None,
+        "mirrored": streets.mirrored,
         "skipped": builder.skipped,
     }
     save_cmdp(target, builder.specs, builder.details, notes)
@@ -109,9 +107,17 @@ def build_from_osm(
         target=target,
         streets={key: detail["streets"] for key, detail in builder.details.items()},
         approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
+        flows={key: peak_flows(spec) for key, spec in builder.specs.items()},
         stray_signals=builder.stray_signals,
+        uncycled_signals=streets.uncycled,
+        reversible=tuple(
+            dict.fromkeys(
+                way.name or f"way {way.id}" for way in streets.ways.values() if way.tags.get("oneway") in REVERSIBLE
+            )
+        ),
         skipped=builder.skipped,
         imputed=dict(sorted(imputed.items())),
+        mirrored=streets.mirrored,
     )
 
 
@@ -121,9 +127,6 @@ class _Builder:
     def __init__(self, streets: StreetMap, name: str, elevation: Elevation | None, counts: TrafficCounts) -> None:
         self.streets, self.name, self.elevation, self.counts = streets, name, elevation, counts
         self.graph = StreetGraph(streets)
-        self.restrictions: dict[int, list[Restriction]] = defaultdict(list)
-        for restriction in streets.restrictions:
-            self.restrictions[restriction.from_way].append(restriction)
         self.specs: dict[str, IntersectionSpec] = {}
         self.details: dict[str, dict] = {}
         self.skipped: dict[str, str] = {}
@@ -149,6 +152,25 @@ class _Builder:
                 "nodes": sorted(core.nodes),
             }
 
+    def give(
+        self,
+        what: str,
+        values: Mapping[str, Any],
+        given: Callable[[IntersectionSpec, Any], IntersectionSpec],
+        file: str,
+    ) -> None:
+        """Give intersections what a ``file`` says of them, by their keys."""
+        if astray := sorted(set(values) - set(self.specs)):
+            raise IzooError(
+                f"{file} has {what} for {astray[0]!r}, which is no intersection of the extract; choose among "
+                f"{', '.join(self.specs)}."
+            )
+        for key, value in values.items():
+            try:
+                self.specs[key] = given(self.specs[key], value)
+            except IzooError as error:
+                raise IzooError(f"{file}, {key}: {error}") from error
+
     def _spec(self, core: Core, streets: list[Street]) -> IntersectionSpec:
         width = max(self.graph.distance(one, two) for one in core.nodes for two in core.nodes)
         if width > MAX_CORE_M:
@@ -163,13 +185,19 @@ class _Builder:
             Leg(name, street.bearing_deg, _ANY_APPROACH, *exit_)
             for name, street, exit_ in zip(LEG_NAMES, streets, exits, strict=False)
         ]
+        bans = TurnBans(self.graph, core)
+        by_name = {leg.name: street for leg, street in zip(bare, streets, strict=True)}
+        red_turns = _in_north_america(*self.streets.lonlat[core.id]) and not self.streets.mirrored
         legs = []
         for leg, street in zip(bare, streets, strict=True):
             available = frozenset(exits_by_turn(bare, leg.name)) if street.arriving else frozenset[str]()
             approach = None
             if available:
-                out_ways = {stub.pieces[0].way.id for other in streets if other is not street for stub in other.leaving}
-                banned = self._banned({stub.pieces[0].way.id for stub in street.arriving}, out_ways)
+                banned = frozenset(
+                    turn
+                    for turn, names in exits_by_turn(bare, leg.name).items()
+                    if all(bans.forbids(street, by_name[name]) for name in names)
+                )
                 approach = approach_of(self.graph, street, leg.name, available, banned, guessed)
                 approach = self._with_grade_and_demand(approach, street, leg, guessed)
             legs.append(
@@ -179,20 +207,9 @@ class _Builder:
             name=f"{self.name}/{core.id}",
             source="osm",
             legs=tuple(legs),
-            right_on_red=_in_north_america(*self.streets.lonlat[core.id]),
-            imputed=tuple(guessed.names),
+            right_on_red=red_turns and not bans_turns_on_red(self.graph, streets),
+            imputed=(*guessed.names, PLAN_IMPUTED),
         )
-
-    def _banned(self, from_ways: set[int], to_ways: set[int]) -> frozenset[str]:
-        """Turns that restrictions forbid from all of an approach into streets that leave the intersection."""
-        words = {"left_turn": "l", "right_turn": "r", "straight_on": "s"}
-        found: set[str] = set()
-        for restriction in (rule for way in from_ways for rule in self.restrictions.get(way, ())):
-            if restriction.to_way in to_ways:
-                rule, _, what = restriction.kind.partition("_")
-                if what in words and rule in ("no", "only"):
-                    found |= {words[what]} if rule == "no" else set("rsl") - {words[what]}
-        return frozenset(found)
 
     def _with_grade_and_demand(self, approach: Approach, street: Street, leg: Leg, guessed: Guessed) -> Approach:
         stub = max(street.arriving, key=lambda stub: stub.length_m)

@@ -73,10 +73,12 @@ class StreetGraph:
 def find_cores(graph: StreetGraph) -> list[Core]:
     """Return the signalised intersections in the order of their ids."""
     signals_at: dict[int, set[int]] = defaultdict(set)
+    arms: dict[int, tuple[int, int]] = {}
     for signal, facing in graph.streets.signals.items():
-        junction = _junction_of_signal(graph, signal, facing)
-        if junction is not None:
-            signals_at[junction].add(signal)
+        found = None if signal in graph.streets.pedestrian else _junction_of_signal(graph, signal, facing)
+        if found is not None:
+            signals_at[found[0]].add(signal)
+            arms[signal] = found
     parent = {junction: junction for junction in signals_at}
 
     def root(node: int) -> int:
@@ -97,14 +99,19 @@ def find_cores(graph: StreetGraph) -> list[Core]:
     cores, signalised = [], set(signals_at)
     for group in groups.values():
         signals = frozenset(signal for junction in group for signal in signals_at[junction])
+        if signals <= graph.streets.crossings - group and len({arms[signal] for signal in signals}) < 2:
+            continue  # a crossing for pedestrians beside a street without a signal
         cores.append(Core(frozenset(_fill(group, signalised, short_links)), signals))
     return sorted(cores, key=lambda core: core.id)
 
 
-def _junction_of_signal(graph: StreetGraph, signal: int, facing: str) -> int | None:
-    """The junction that a signal node controls: itself, or the next one that traffic meets behind it."""
+def _junction_of_signal(graph: StreetGraph, signal: int, facing: str) -> tuple[int, int] | None:
+    """The junction that a signal node controls, and the node before it.
+
+    The junction is the node itself, or the next one that traffic meets behind it.
+    """
     if signal in graph.junctions:
-        return signal
+        return signal, signal
     if len({other for other, _, _ in graph.links[signal]}) < 2:
         return None  # The extract ends here: the junction of this signal is outside.
     reached = []
@@ -115,8 +122,16 @@ def _junction_of_signal(graph: StreetGraph, signal: int, facing: str) -> int | N
             continue
         found = graph.walk_to_junction(signal, first, STOP_LINE_FACING_M if facing in _FACING else STOP_LINE_M)
         if found is not None:
-            reached.append(found)
-    return min(reached, key=lambda found: found[1])[0] if reached else None
+            reached.append((found[1], found[0], _last_before(graph, signal, first)))
+    return min(reached, key=lambda found: found[0])[1:] if reached else None
+
+
+def _last_before(graph: StreetGraph, start: int, first: int) -> int:
+    """The node before the junction that a street leads to from ``start`` over its neighbour ``first``."""
+    before, node = start, first
+    while node not in graph.junctions:
+        before, node = node, next(other for other, _, _ in graph.links[node] if other != before)
+    return before
 
 
 def _dual(graph: StreetGraph, one: int, two: int) -> bool:

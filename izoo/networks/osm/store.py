@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -12,6 +13,8 @@ from typing import Any
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded, os_reason, replacing_folder
+from izoo.networks.osm.movement_counts import check_exit_counts
+from izoo.networks.osm.plans import with_plan
 
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
@@ -20,7 +23,7 @@ _KEY = re.compile(r"-?\d+")
 
 
 def check_target(target: Path) -> None:
-    """Refuse a target that holds anything but an earlier build."""
+    """Refuse a target that holds anything but an earlier build, or one that has been edited since."""
     if not target.exists():
         return
     if not target.is_dir() or target.is_symlink():
@@ -31,6 +34,13 @@ def check_target(target: Path) -> None:
     known = {CMDP_FILE, *(f"{key}.json" for key in _index(target))} if CMDP_FILE in files else set()
     if foreign := sorted(files - known):
         raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
+    written = _read(target / CMDP_FILE).get("sha256", {}) if CMDP_FILE in files else {}
+    edited = [f"{key}.json" for key, digest in written.items() if _digest(target / f"{key}.json") not in (digest, None)]
+    if edited:
+        raise IzooError(
+            f"{target / edited[0]} has been edited since it was built, and a build would replace it; choose another "
+            "target, or move that file away and give its values through --signals and --aadt."
+        )
 
 
 def save_cmdp(
@@ -49,7 +59,9 @@ def save_cmdp(
             for key, spec in specs.items():
                 record = {"format": FORMAT, "attribution": ATTRIBUTION, "spec": asdict(spec), **details[key]}
                 (staging / f"{key}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+            digests = {key: _digest(staging / f"{key}.json") for key in specs}
             index = {"format": FORMAT, "attribution": ATTRIBUTION, **notes, "intersections": list(specs)}
+            index["sha256"] = digests
             (staging / CMDP_FILE).write_text(json.dumps(index, indent=1), encoding="utf-8")
     except OSError as error:
         raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
@@ -73,13 +85,20 @@ def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
     """
     record = _read(file)
     try:
-        return spec_from_dict(record["spec"]), {str(leg): str(name) for leg, name in record["streets"].items()}
+        spec = spec_from_dict(record["spec"])
+        streets = {str(leg): str(name) for leg, name in record["streets"].items()}
+        plan = record["spec"]["signal_plan"]
     except (KeyError, TypeError, AttributeError) as error:
         raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
+    try:
+        check_exit_counts(spec)
+        return with_plan(spec, plan), streets
+    except IzooError as error:
+        raise IzooError(f"{file}: {error}") from error
 
 
 def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
-    """Rebuild a spec without a signal plan from ``dataclasses.asdict``."""
+    """Rebuild a spec from ``dataclasses.asdict``, but for its signal plan."""
     legs = []
     for leg in fields["legs"]:
         approach = leg["approach"]
@@ -94,6 +113,11 @@ def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
             "imputed": tuple(fields["imputed"]),
         }
     )
+
+
+def _digest(file: Path) -> str | None:
+    """SHA-256 of a file; ``None`` where there is none."""
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None
 
 
 def _index(folder: Path) -> list[str]:

@@ -1,53 +1,28 @@
-"""Reads the drivable streets of an OpenStreetMap extract (``.osm``, ``.osm.pbf``, compressed or not).
+"""The drivable streets of an OpenStreetMap extract (``.osm``, ``.osm.pbf``, compressed or not), in metres.
 
 Positions are metres east and north of the extract's centre; at the size of a city the projection is true to 0.1 %.
+
+Where traffic drives on the left the map is mirrored: east and west, left and right change places, in positions, lanes
+and restrictions, and all that is made of it drives on the right.
 """
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from izoo.errors import IzooError
 from izoo.files import expanded
+from izoo.networks.osm.driving_side import Side, left_hand_region
+from izoo.networks.osm.raw import CROSSING, PEDESTRIAN, SUFFIXES, UNCYCLED, Restriction, Way, read_raw
 
-SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2")
 EARTH_RADIUS_M = 6_371_000.0
-DRIVABLE = frozenset(
-    f"{name}{suffix}" for name in ("motorway", "trunk", "primary", "secondary", "tertiary") for suffix in ("", "_link")
-) | {"unclassified", "residential", "living_street", "road"}
-"""Values of ``highway`` that count as streets; service roads and driveways do not."""
-_CLOSED = ("no", "private", "agricultural", "forestry", "delivery")
-
-
-@dataclass(frozen=True)
-class Way:
-    """A drivable way: its node ids in drawing order, and its tags. ``oneway`` is 1, -1 (against the order) or 0."""
-
-    id: int
-    nodes: tuple[int, ...]
-    tags: dict[str, str]
-    oneway: int
-
-    @property
-    def name(self) -> str:
-        """Street name, or its reference number, or an empty string."""
-        return self.tags.get("name") or self.tags.get("ref") or ""
-
-
-@dataclass(frozen=True)
-class Restriction:
-    """A turn restriction such as ``no_left_turn`` from one way into another."""
-
-    kind: str
-    from_way: int
-    to_way: int
+_SIDE_WORD = re.compile("left|right")
 
 
 @dataclass(frozen=True)
@@ -59,7 +34,12 @@ class StreetMap:
         position_m: per node, metres east and north of the centre.
         lonlat: per node, degrees.
         signals: signal nodes on drivable ways, with the direction (``forward``, ``backward`` or ``""``) they face.
+        crossings: those of them that are tagged as crossings too, which stop lines are as well.
+        pedestrian: those of them that are for pedestrians alone.
+        uncycled: how many other signal nodes there are that show no cycle: they blink, meter a ramp, or wait for an
+            emergency.
         restrictions: turn restrictions between drivable ways.
+        mirrored: where traffic drives on the left, and the map is mirrored, the name of the region; otherwise ``""``.
     """
 
     ways: dict[int, Way]
@@ -67,10 +47,18 @@ class StreetMap:
     lonlat: dict[int, tuple[float, float]]
     signals: dict[int, str]
     restrictions: tuple[Restriction, ...]
+    crossings: frozenset[int] = frozenset()
+    pedestrian: frozenset[int] = frozenset()
+    uncycled: int = 0
+    mirrored: str = ""
 
 
-def read_streets(path: Path | str) -> StreetMap:
+def read_streets(path: Path | str, drives_on: Side | None = None) -> StreetMap:
     """Read an extract.
+
+    Args:
+        path: the extract.
+        drives_on: the side that traffic drives on; ``None``: that of the country where the extract lies.
 
     Raises:
         IzooError: osmium is not installed; the file is missing, of another format or malformed, or has no streets.
@@ -80,83 +68,55 @@ def read_streets(path: Path | str) -> StreetMap:
         raise IzooError(f"{path} does not exist; give the path of an OpenStreetMap extract ({', '.join(SUFFIXES)}).")
     if not path.name.endswith(SUFFIXES):
         raise IzooError(f"{path} is not an OpenStreetMap extract by its name; it must end in {', '.join(SUFFIXES)}.")
-    osmium = _osmium()
-    try:
-        ways, restrictions = _read_ways(osmium, path)
-        lonlat, signals = _read_nodes(osmium, path, {node for way in ways for node in way.nodes})
-    except (osmium.InvalidLocationError, RuntimeError, ValueError, OSError) as error:
-        raise IzooError(f"{path} cannot be read as OpenStreetMap data ({error}); export the extract again.") from error
-    kept = {way.id: way for whole in ways for way in _cut(whole, lonlat)}
+    raw = read_raw(path)
+    kept = {way.id: way for whole in raw.ways for way in _cut(whole, raw.lonlat)}
     if not kept:
         raise IzooError(f"{path} holds no drivable streets; export an extract that contains streets with their nodes.")
     used = {node for way in kept.values() for node in way.nodes}
-    lonlat = {node: place for node, place in lonlat.items() if node in used}
-    return StreetMap(
+    lonlat = {node: place for node, place in raw.lonlat.items() if node in used}
+    lights = {node: light for node, light in raw.lights.items() if node in used}
+    signals = {node: light for node, light in lights.items() if light.kind != UNCYCLED}
+    streets = StreetMap(
         ways=kept,
         position_m=_project(lonlat),
         lonlat=lonlat,
-        signals={node: facing for node, facing in signals.items() if node in used},
-        restrictions=tuple(found for found in restrictions if found.from_way in kept and found.to_way in kept),
+        signals={node: light.facing for node, light in signals.items()},
+        restrictions=tuple(
+            rule for rule in raw.restrictions if {rule.from_way, rule.to_way, *rule.via_ways} <= set(kept)
+        ),
+        crossings=frozenset(node for node, light in signals.items() if light.kind == CROSSING),
+        pedestrian=frozenset(node for node, light in signals.items() if light.kind == PEDESTRIAN),
+        uncycled=len(lights) - len(signals),
+    )
+    region = left_hand_region(*_centre(lonlat))
+    left = region is not None if drives_on is None else drives_on == "left"
+    return _mirrored(streets, region or "as given") if left else streets
+
+
+def _mirrored(streets: StreetMap, region: str) -> StreetMap:
+    return replace(
+        streets,
+        ways={number: replace(way, tags=_mirrored_tags(way.tags)) for number, way in streets.ways.items()},
+        position_m={node: (-x, y) for node, (x, y) in streets.position_m.items()},
+        restrictions=tuple(replace(rule, kind=_exchanged(rule.kind)) for rule in streets.restrictions),
+        mirrored=region,
     )
 
 
-def _osmium() -> Any:
-    try:
-        return importlib.import_module("osmium")
-    except ImportError as error:
-        raise IzooError("OpenStreetMap needs the package osmium; install it with: pip install 'izoo[osm]'") from error
+def _mirrored_tags(tags: dict[str, str]) -> dict[str, str]:
+    """Tags of a way whose lanes, listed from the left, are listed from the other side, and turn to the other side."""
+    found = {}
+    for key, value in tags.items():
+        words = key.split(":")
+        key = ":".join(_exchanged(word) if word in ("left", "right") else word for word in words)
+        by_lane = "|".join(reversed(value.split("|"))) if "lanes" in words else value
+        found[key] = _exchanged(by_lane) if words[0] == "turn" else by_lane
+    return found
 
 
-def _read_ways(osmium: Any, path: Path) -> tuple[list[Way], list[Restriction]]:
-    ways: list[Way] = []
-    restrictions: list[Restriction] = []
-    everything = osmium.FileProcessor(str(path), osmium.osm.WAY | osmium.osm.RELATION)
-    for item in everything.with_filter(osmium.filter.KeyFilter("highway", "restriction")):
-        tags = item.tags
-        if item.is_way():
-            if tags.get("highway") in DRIVABLE and _open_to_cars(tags):
-                nodes = tuple(node.ref for node in item.nodes)
-                ways.append(Way(item.id, nodes, {tag.k: tag.v for tag in tags}, _oneway(tags)))
-        elif tags.get("type") == "restriction" and tags.get("restriction"):
-            role = {member.role: member.ref for member in item.members if member.type == "w"}
-            if "from" in role and "to" in role:
-                restrictions.append(Restriction(tags["restriction"], role["from"], role["to"]))
-    return ways, restrictions
-
-
-def _read_nodes(osmium: Any, path: Path, wanted: set[int]) -> tuple[dict[int, tuple[float, float]], dict[int, str]]:
-    lonlat: dict[int, tuple[float, float]] = {}
-    signals: dict[int, str] = {}
-    nodes = osmium.FileProcessor(str(path), osmium.osm.NODE)
-    if min(wanted, default=0) > 0:  # The filter does not take the negative ids of unpublished nodes.
-        nodes = nodes.with_filter(osmium.filter.IdFilter(wanted))
-    for node in nodes:
-        if node.id not in wanted or not node.location.valid():
-            continue
-        lonlat[node.id] = (node.location.lon, node.location.lat)
-        if node.tags.get("highway") == "traffic_signals":
-            signals[node.id] = node.tags.get("traffic_signals:direction") or node.tags.get("direction") or ""
-    return lonlat, signals
-
-
-def _open_to_cars(tags: Any) -> bool:
-    if tags.get("area") == "yes":
-        return False
-    for key in ("motorcar", "motor_vehicle", "vehicle", "access"):
-        value = tags.get(key)
-        if value is not None:
-            return value not in _CLOSED
-    return True
-
-
-def _oneway(tags: Any) -> int:
-    value = tags.get("oneway")
-    if value in ("yes", "true", "1"):
-        return 1
-    if value in ("-1", "reverse"):
-        return -1
-    implied = tags.get("junction") in ("roundabout", "circular") or tags.get("highway") in ("motorway", "motorway_link")
-    return 1 if implied and value is None else 0
+def _exchanged(text: str) -> str:
+    """Return a text in which left and right change places."""
+    return _SIDE_WORD.sub(lambda match: "right" if match[0] == "left" else "left", text)
 
 
 def _cut(way: Way, lonlat: dict[int, tuple[float, float]]) -> Iterator[Way]:
@@ -172,9 +132,12 @@ def _cut(way: Way, lonlat: dict[int, tuple[float, float]]) -> Iterator[Way]:
         yield Way(way.id, tuple(best), way.tags, way.oneway)
 
 
+def _centre(lonlat: dict[int, tuple[float, float]]) -> tuple[float, float]:
+    return sum(lon for lon, _ in lonlat.values()) / len(lonlat), sum(lat for _, lat in lonlat.values()) / len(lonlat)
+
+
 def _project(lonlat: dict[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
-    lon0 = sum(lon for lon, _ in lonlat.values()) / len(lonlat)
-    lat0 = sum(lat for _, lat in lonlat.values()) / len(lonlat)
+    lon0, lat0 = _centre(lonlat)
     metres = math.radians(1.0) * EARTH_RADIUS_M
     shrink = math.cos(math.radians(lat0))
     return {node: ((lon - lon0) * metres * shrink, (lat - lat0) * metres) for node, (lon, lat) in lonlat.items()}

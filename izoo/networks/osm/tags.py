@@ -2,11 +2,13 @@
 
 Rules of imputation, applied in this order and marked by the callers:
 
-- lanes of a direction: ``lanes:forward``/``lanes:backward``; the entries of ``turn:lanes``; ``lanes`` less the other
-  direction and the centre lane; half of ``lanes``, where an odd lane serves the traffic that arrives; the street class.
+- lanes of a direction: ``lanes:forward``/``lanes:backward``; the entries of ``turn:lanes``, or of tags that say whose
+  each lane is; ``lanes`` less the other direction and the centre lane; half of ``lanes``, where an odd lane serves the
+  traffic that arrives; the street class. Lanes that are closed to cars are left out
+  (:mod:`izoo.networks.osm.lane_access`).
 - turns: ``turn:lanes``; lanes without an entry go straight on, the rightmost of them turns right too and the leftmost
   left, where there is such an exit and no other lane has it. A centre lane or an odd lane is a left-turn lane.
-- speed limit: ``maxspeed`` of the direction; ``maxspeed``; the street class.
+- speed limit: ``maxspeed`` of the direction; ``maxspeed``; the number of a zone; the street class.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from izoo.networks.osm.lane_access import OPEN, directional, lane_marks
 from izoo.networks.osm.streets import Way
 
 MAX_LANES = 6
@@ -52,6 +55,9 @@ _TURN_WORDS = {
     "slight_right": "r",
     "sharp_right": "r",
 }
+_ZONE = re.compile(r"([A-Z]{2}):(?:zone:?)?(\d+)(?: ?mph)?")
+_MPH_COUNTRIES = ("GB", "US")
+WALKING_MPS = 7.0 * KMH
 _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*(mph|km/?h|kmh|kph|knots)?", re.IGNORECASE)
 _SPEED_UNITS = {"mph": MPH, "knots": 0.514444}
 
@@ -85,45 +91,79 @@ def lanes_towards(way: Way, direction: int, *, arriving: bool) -> Lanes:
         direction: 1 or -1.
         arriving: whether that traffic is on its way to the intersection.
     """
-    turns = _turn_entries(way, direction)
+    marks = lane_marks(way.tags, way.oneway, direction)
+    entries = _turn_entries(way, direction)
     centre = _centre_lane(way) and arriving
-    explicit = _count(_directional(way, "lanes", direction))
-    if turns is not None and (explicit is None or explicit == len(turns)):
+    explicit = _explicit(way, direction)
+    turns = None if entries is None else marks.without_closed(entries, explicit)
+    if turns is not None:
         return _with_centre(turns, False, centre)
     if explicit is not None:
-        return _with_centre(("",) * explicit, False, centre)
-    total = _count(way.tags.get("lanes"), 2 * MAX_LANES + 2)
+        return _with_centre(("",) * max(explicit - marks.buses, 1), explicit <= marks.buses, centre)
+    if marks.lanes is not None and OPEN in marks.lanes:
+        return _with_centre(("",) * marks.lanes.count(OPEN), False, centre)
+    total = _count(way.tags.get("lanes"))
     if total is None:
         return _with_centre(("",) * class_default(way).lanes, True, centre)
     rest = total - _centre_lane(way)
-    other = _count(_directional(way, "lanes", -direction))
+    other = _counted(way, -direction)
     if other is not None:
-        return _with_centre(("",) * max(rest - other, 1), rest - other < 1, centre)
+        own = rest - other - marks.buses
+        return _with_centre(("",) * max(own, 1), own < 1, centre)
+    rest -= marks.buses + lane_marks(way.tags, way.oneway, -direction).buses
     if rest % 2 == 1 and rest > 1:
         half = (rest + 1) // 2 if arriving else rest // 2
         return Lanes(("",) * min(half, MAX_LANES), guessed=True, left_lane=arriving)
     return _with_centre(("",) * max(rest // 2, 1), rest < 2, centre)
 
 
+def _explicit(way: Way, direction: int) -> int | None:
+    """The lanes of a direction that a tag counts."""
+    found = _count(directional(way.tags, way.oneway, "lanes", direction))
+    own, other = (f"lanes:{'forward' if towards > 0 else 'backward'}" for towards in (direction, -direction))
+    if found is None or own in way.tags:
+        return found
+    # On a street that is one-way for cars, ``lanes`` counts those of buses against them as well.
+    return max(found - (_count(way.tags.get(other)) or 0), 1)
+
+
+def _counted(way: Way, direction: int) -> int | None:
+    """The lanes of a direction that ``lanes`` counts, as far as tags of that direction tell: bus lanes included."""
+    explicit = _explicit(way, direction)
+    entries = _turn_entries(way, direction)
+    if explicit is not None or entries is None:
+        return explicit
+    marks = lane_marks(way.tags, way.oneway, direction)
+    turns = marks.without_closed(entries, None)
+    return len(entries if turns is None else turns) + marks.buses
+
+
 def speed_limit(way: Way, direction: int) -> tuple[float, bool]:
     """Speed limit in m/s for one direction, and whether it was imputed."""
     suffix = "forward" if direction > 0 else "backward"
-    for value in (way.tags.get(f"maxspeed:{suffix}"), way.tags.get("maxspeed")):
-        found = parse_speed(value)
+    for key in (f"maxspeed:{suffix}", "maxspeed", "zone:maxspeed", "maxspeed:type"):
+        found = parse_speed(way.tags.get(key))
         if found is not None:
             return found, False
     return class_default(way).speed_limit_mps, True
 
 
 def parse_speed(value: str | None) -> float | None:
-    """``"30 mph"``, ``"50"`` or ``"50 km/h"`` in m/s; ``None`` for anything else, such as ``"none"`` or ``"US:urban"``.
+    """``"30 mph"``, ``"50"``, ``"50 km/h"``, ``"DE:zone30"`` or ``"walk"`` in m/s.
 
-    Of several values, as in ``"30 mph; 20 mph"``, the first counts.
+    ``None`` for anything else, such as ``"none"`` or ``"US:urban"``. Of several values, as in ``"30 mph; 20 mph"``, the
+    first counts.
     """
-    match = _SPEED.fullmatch((value or "").split(";")[0].strip())
-    if match is None:
+    text = (value or "").split(";")[0].strip()
+    if text == "walk":
+        return WALKING_MPS
+    match, zone = _SPEED.fullmatch(text), _ZONE.fullmatch(text)
+    if zone is not None:
+        speed = float(zone[2]) * (MPH if zone[1] in _MPH_COUNTRIES else KMH)
+    elif match is not None:
+        speed = float(match[1]) * _SPEED_UNITS.get((match[2] or "").lower(), KMH)
+    else:
         return None
-    speed = float(match[1]) * _SPEED_UNITS.get((match[2] or "").lower(), KMH)
     return speed if 1.0 <= speed <= 60.0 else None
 
 
@@ -163,20 +203,15 @@ def _add_sides(found: list[set[str]], open_lanes: list[int], missing: frozenset[
             found[last].add("l")
 
 
-def _directional(way: Way, key: str, direction: int) -> str | None:
-    value = way.tags.get(f"{key}:{'forward' if direction > 0 else 'backward'}")
-    return way.tags.get(key) if value is None and way.oneway == direction else value
-
-
 def _turn_entries(way: Way, direction: int) -> tuple[str, ...] | None:
-    text = _directional(way, "turn:lanes", direction)
+    text = directional(way.tags, way.oneway, "turn:lanes", direction)
     if text is None:
         return None
     entries = []
     for entry in reversed(text.split("|")):
         turns = {_TURN_WORDS.get(word.strip(), "") for word in entry.split(";")}
         entries.append("".join(turn for turn in "rsl" if turn in turns))
-    return tuple(entries[:MAX_LANES])
+    return tuple(entries)
 
 
 def _centre_lane(way: Way) -> int:
@@ -190,7 +225,7 @@ def _with_centre(turns: tuple[str, ...], guessed: bool, centre: int | bool) -> L
     return Lanes(whole[:MAX_LANES], guessed)
 
 
-def _count(value: str | None, most: int = MAX_LANES) -> int | None:
+def _count(value: str | None, most: int = 2 * MAX_LANES + 2) -> int | None:
     """Return the number of lanes that a tag names, or ``most`` if it names more."""
     numbers = [int(float(part)) for part in re.findall(r"\d+(?:\.\d+)?", value or "")]
     return min(max(numbers), most) if numbers and max(numbers) > 0 else None

@@ -14,7 +14,7 @@ from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.movements import conflict
 from izoo.contexts.spec import IntersectionSpec
 from izoo.networks.net.connections import Link, signal_links
-from izoo.networks.turning import LEFT, RIGHT, STRAIGHT, turning_shares
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT, exit_shares
 
 SATURATION_VPH = 1800.0
 """Saturation flow of a lane."""
@@ -52,7 +52,8 @@ def peak_movements(spec: IntersectionSpec) -> tuple[Movement, ...]:
             if link.from_leg == leg.name:
                 by_exit.setdefault(link.to_leg, []).append(link)
         turns = np.array([TURNS[served[0].turn] for served in by_exit.values()])
-        shares = turning_shares(turns, np.array([len(served) for served in by_exit.values()]))
+        served_by = np.array([len(served) for served in by_exit.values()])
+        shares = exit_shares(leg.approach, tuple(by_exit), turns, served_by)
         for share, (end, served) in zip(shares.tolist(), by_exit.items(), strict=True):
             flow_vph = per_lane * leg.approach.main_lane_count * share
             lanes = tuple(link.from_lane for link in served)

@@ -1,0 +1,128 @@
+"""Signals that control no junction, and what else real extracts hold that is easily misread."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from izoo.errors import IzooError
+from izoo.networks.dataset.intersections import load_specs
+from izoo.networks.osm.extract import build_from_osm
+from izoo.networks.osm.streets import read_streets
+from izoo.networks.osm.tags import parse_speed, speed_limit
+from tests.networks.test_osm import Map, approach, crossing, way
+
+pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
+
+
+def side_street(**signal: str) -> Map:
+    """The crossing, and 400 m to its west a side street without a signal; 20 m from it one on the main street."""
+    plan = crossing()
+    plan.ways = []
+    plan.node(20, -380, 0, highway="traffic_signals", **signal), plan.node(21, -400, -100), plan.node(22, -600, 0)
+    plan.way(10, [22, 5, 20, 1, 3], lanes="4", name="Main Street")
+    plan.way(11, [2, 1, 4], "residential", name="Side Street")
+    plan.way(12, [5, 21], "residential", name="Lane")
+    return plan
+
+
+@pytest.mark.parametrize(
+    ("signal", "intersections"),
+    [
+        ({"traffic_signals": "pedestrian_crossing"}, 1),
+        ({"crossing": "traffic_signals"}, 1),
+        ({"crossing_ref": "pelican"}, 1),
+        ({"traffic_signals": "signal"}, 2),
+    ],
+)
+def test_a_crossing_for_pedestrians_makes_no_intersection(
+    tmp_path: Path, signal: dict[str, str], intersections: int
+) -> None:
+    report = build_from_osm(side_street(**signal).write(tmp_path / "map.osm"), target=tmp_path / "town")
+    assert len(report.streets) == intersections and report.stray_signals == 3 - intersections
+
+
+def test_stop_lines_that_are_crossings_too_make_one(tmp_path: Path) -> None:
+    """Where streets are signalised at their stop lines, these have crossings."""
+    plan = side_street(crossing="traffic_signals")
+    plan.node(23, -400, -15, highway="traffic_signals", crossing="traffic_signals")
+    plan.ways[-1] = plan.ways[-1].replace('<nd ref="5"/>', '<nd ref="5"/><nd ref="23"/>')
+    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
+    assert len(report.streets) == 2
+
+
+@pytest.mark.parametrize("what", ["blinker", "emergency", "ramp_meter"])
+def test_lights_without_a_cycle_make_no_intersection(tmp_path: Path, what: str) -> None:
+    plan = side_street(traffic_signals=what)
+    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
+    assert len(report.streets) == 1 and (report.stray_signals, report.uncycled_signals) == (1, 1)
+    assert "1 signal nodes blink, meter a ramp or wait for emergencies: no cycle" in str(report)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("blinker", "0 signal nodes there, and 1 that blink"),
+        ("emergency", "0 signal nodes there, and 1 that blink"),
+        ("ped_near", "1 signal nodes there"),
+    ],
+)
+def test_small_extracts_without_an_intersection(faults: Path, tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(IzooError, match=f"no usable intersection with traffic signals .{message}"):
+        build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
+
+
+@pytest.mark.parametrize("suffix", [".osm", ".osm.gz"])
+def test_what_an_editor_deleted_is_gone(faults: Path, tmp_path: Path, suffix: str) -> None:
+    text = (faults / "osm" / "josm_deleted.osm").read_bytes()
+    path = tmp_path / f"map{suffix}"
+    path.write_bytes(gzip.compress(text) if suffix.endswith("gz") else text)
+    build_from_osm(path, target=tmp_path / "town")
+    (spec,) = load_specs(tmp_path / "town")
+    assert [round(leg.bearing_deg) for leg in spec.legs] == [0, 90, 270]
+
+
+def test_two_nodes_in_one_place_do_not_end_a_street(faults: Path, tmp_path: Path) -> None:
+    build_from_osm(faults / "osm" / "samepos.osm", target=tmp_path / "town")
+    (spec,) = load_specs(tmp_path / "town")
+    assert approach(spec, "D").length_m == pytest.approx(200.0, abs=1.0)
+    plan = crossing()
+    plan.node(30, 0, 0)
+    plan.ways[0] = plan.ways[0].replace('<nd ref="1"/>', '<nd ref="30"/><nd ref="1"/>')
+    streets = read_streets(plan.write(tmp_path / "map.osm"))
+    assert 30 not in streets.lonlat and 1 in streets.signals and streets.ways[10].nodes == (5, 1, 3)
+
+
+def test_reversible_streets_are_named(faults: Path, tmp_path: Path) -> None:
+    report = build_from_osm(faults / "osm" / "oneway_rev.osm", target=tmp_path / "town")
+    assert report.reversible == ("West",)
+    assert "taken as two-way, whatever their direction by time: West" in str(report)
+
+
+def test_a_street_that_is_closed_to_cars_is_no_leg(faults: Path, tmp_path: Path) -> None:
+    build_from_osm(faults / "osm" / "access_bus.osm", target=tmp_path / "town")
+    (spec,) = load_specs(tmp_path / "town")
+    assert [round(leg.bearing_deg) for leg in spec.legs] == [90, 180, 270]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("walk", 7 / 3.6),
+        ("DE:zone30", 30 / 3.6),
+        ("DE:zone:30", 30 / 3.6),
+        ("FR:zone30", 30 / 3.6),
+        ("GB:zone20", 20 * 0.44704),
+        ("RO:urban", None),
+        ("signals", None),
+    ],
+)
+def test_limits_in_words(text: str, expected: float | None) -> None:
+    assert parse_speed(text) == (None if expected is None else pytest.approx(expected))
+
+
+def test_a_zone_counts_where_no_limit_stands() -> None:
+    assert speed_limit(way(zone__maxspeed="DE:30"), 1) == (pytest.approx(30 / 3.6), False)
+    assert speed_limit(way(maxspeed="50", maxspeed__type="DE:zone30"), 1) == (pytest.approx(50 / 3.6), False)
