@@ -45,11 +45,18 @@ class TrainedPolicy:
     action: ActionConfig
 
     def check_observed(self, env: EnvConfig) -> None:
-        """Raise :class:`IzooError` unless ``env`` lets the policy observe what it was trained on."""
+        """Raise :class:`IzooError` unless ``env`` lets the policy observe and do what it was trained for."""
         if observation_names(env) != observation_names(self.env):
             raise IzooError(
                 f"the policy {self.name} was trained on other observations than the env options describe; "
                 "leave env.observed and env.neighbours out."
+            )
+        own, other = ((of.action, of.action_parts, of.decide) for of in (self.env, env))
+        if own != other:
+            raise IzooError(
+                f"the policy {self.name} was trained for env.action={own[0]}, env.action_parts={list(own[1])} and "
+                f"env.decide={own[2]}, and the env options say {other[0]}, {list(other[1])} and {other[2]}; leave them "
+                "out, or, where the policy is given with an environment, give it its own (TrainedPolicy.env)."
             )
 
 

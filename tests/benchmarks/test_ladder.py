@@ -221,7 +221,7 @@ def test_a_net_that_the_twin_cannot_play_is_refused_before_anything_is_played(
     words = ["contexts=dataset", f"contexts.path={tmp_path}/nets", f"out={tmp_path}/ladder", "num_workers=0"]
     assert twin.main(words) == 2
     said = capsys.readouterr()
-    assert "context nets/2/A: " in said.err and "is of type actuated" in said.err and said.err.count("\n") == 1
+    assert "nets/2/net.net.xml: " in said.err and "is of type actuated" in said.err and said.err.count("\n") == 1
     assert "sumo:" not in said.out and not (tmp_path / "ladder").exists()
 
 

@@ -143,7 +143,7 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
     ):
         for _ in range(16):
             batch = source.next().clone()
-            beside.add_team_rewards(batch)
+            beside.add(batch)
             torch.testing.assert_close(batch["next", TEAM_BASELINE], batch["next", TEAM_REWARD], rtol=0.0, atol=0.0)
             beside.compare(batch)
             numbers = batch[NUMBERS][..., 0]
