@@ -121,7 +121,7 @@ def idle(names: Sequence[str], slots: int, action_size: int) -> dict[str, Tensor
     """Return commands of a step for an environment whose script has not begun: what it does now will be forgotten."""
     kinds = {"action": torch.float32, "defer": torch.bool, "lane_change": torch.int64}
     rows = {name: torch.zeros(slots, dtype=kinds[name]) for name in names}
-    return rows | {"action": torch.zeros(slots, action_size)}
+    return rows | {"action": torch.ones(slots, action_size)}  # which is legal for speeds, too
 
 
 def with_commands(frame: TensorDictBase, rows: Sequence[dict[str, Tensor]]) -> TensorDictBase:
