@@ -14,10 +14,11 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from izoo.algos import base
+from izoo.algos.scripted import greens
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
 
 LATENESS = ("agents", "lateness")
@@ -52,8 +53,9 @@ class Arrival(nn.Module):
             observation: ``[*B, A, F]``.
             lateness: ``[*B, A, 2]``.
         """
-        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
-        free_s = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M) / limit
+        limit = observation[..., self.columns["context_speed_limit_mps"]] * feature("speed_limit_mps").scale
+        distance = -observation[..., self.columns["stop_line_distance"]] * DISTANCE_SCALE_M
+        free_s = distance / limit.clamp_min(1.0)
         arrival_s = self.arrival(observation, free_s, lateness[..., 0])
         before = torch.where(free_s > 0.0, free_s / arrival_s.clamp_min(0.1), torch.ones_like(free_s))
         behind = 1.0 - (1.0 - self.slowest) * lateness[..., 1]
@@ -67,23 +69,12 @@ class Arrival(nn.Module):
             free_s: ``[*B, A]`` seconds to the stop line at the limit.
             late: ``[*B, A]`` share of the green that is to have gone by.
         """
-        green, red = (self._column(observation, f"signal_{colour}", 1.0) > 0.5 for colour in ("green", "red"))
-        left, second, third = (
-            self._column(observation, f"signal_{name}", TIME_SCALE_S)
-            for name in ("time_left", "second_green", "third_green")
-        )
-        length = self._column(observation, "context_green_s", feature("green_s").scale)
-        cycle = length + self._column(observation, "context_red_s", feature("red_s").scale)
-        # On yellow the time left is that of the yellow, so the first green follows from the second.
-        first = torch.where(green, left - length, torch.where(red, left, (second - cycle).clamp_min(0.0)))
+        starts, length = greens(observation, self.columns)
         found = torch.full_like(free_s, torch.inf)
-        for start in (first, second, third):
+        for start in starts:
             aim = torch.maximum(start + late * length, free_s)
             found = torch.where(torch.isinf(found) & (aim <= start + length), aim, found)
         return torch.where(torch.isinf(found), free_s, found)
-
-    def _column(self, observation: Tensor, name: str, scale: float) -> Tensor:
-        return observation[..., self.columns[name]] * scale
 
 
 class ArrivingPolicy(TensorDictModuleBase):

@@ -8,7 +8,7 @@ the simulator's own driver for the step. Where the environment takes desired spe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -204,6 +204,28 @@ class CappedSpeed(ScriptedDriver):
         return (-above / self.response_s).clamp_min(-self.brake_mps2), free
 
 
+def greens(observation: Tensor, columns: Mapping[str, int]) -> tuple[list[Tensor], Tensor]:
+    """Return in how many seconds the next three greens of each CV's movement begin, and how long they last, ``[*B, A]``
+    each; one that has begun counts from below 0.
+
+    Args:
+        observation: ``[*B, A, F]``.
+        columns: places of its features; ``green_s`` and ``red_s`` must be among them.
+    """
+
+    def column(name: str, scale: float = 1.0) -> Tensor:
+        return observation[..., columns[name]] * scale
+
+    left, second, third = (
+        column(f"signal_{name}", TIME_SCALE_S) for name in ("time_left", "second_green", "third_green")
+    )
+    length = column("context_green_s", feature("green_s").scale)
+    cycle = length + column("context_red_s", feature("red_s").scale)
+    # On yellow the time left is that of the yellow, so the first green follows from the second.
+    late = torch.where(column("signal_red") > 0.5, left, (second - cycle).clamp_min(0.0))
+    return [torch.where(column("signal_green") > 0.5, left - length, late), second, third], length
+
+
 @dataclass(frozen=True)
 class GlideConfig:
     """Settings of :class:`Glide`; tuned by hand on measured training intersections.
@@ -369,17 +391,9 @@ class Glide(ScriptedDriver):
         """
         s = self.settings
         queue = self.queue_ahead(observation, distance)
-        green = observation[..., self.columns["signal_green"]] > 0.5
-        red = observation[..., self.columns["signal_red"]] > 0.5
-        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
-        second = self._column(observation, "signal_second_green", TIME_SCALE_S)
-        third = self._column(observation, "signal_third_green", TIME_SCALE_S)
-        length = self._column(observation, "context_green_s", feature("green_s").scale)
-        cycle = length + self._column(observation, "context_red_s", feature("red_s").scale)
-        # On yellow the time left is that of the yellow, so the first green follows from the second.
-        first = torch.where(green, left - length, torch.where(red, left, (second - cycle).clamp_min(0.0)))
+        starts, length = greens(observation, self.columns)
         best = torch.full_like(distance, torch.inf)
-        for start, end in ((first, first + length), (second, second + length), (third, third + length)):
+        for start, end in ((start, start + length) for start in starts):
             # A green that has begun has already discharged a part of the queue; what is seen is what is left.
             discharged = start.clamp_min(0.0) + torch.where(start < 0, 0.0, s.start_lag_s) + s.headway_s * queue
             passing = torch.maximum(discharged, free_s)
@@ -387,7 +401,7 @@ class Glide(ScriptedDriver):
             best = torch.where(fits, passing, best)
             served = (end - start.clamp_min(0.0) - s.start_lag_s).clamp_min(0.0) / s.headway_s
             queue = torch.where(fits, queue, (queue - served).clamp_min(0.0))
-        return torch.where(torch.isinf(best), third + length, best)
+        return torch.where(torch.isinf(best), starts[-1] + length, best)
 
     def queue_ahead(self, observation: Tensor, distance: Tensor) -> Tensor:
         """Return how many vehicles each CV expects to pass before it, on its lane, ``[*B, A]``."""

@@ -38,7 +38,7 @@ SCOPES = {
     "every_2_s": ("every 2 s", ("env.hold_s=2", *_PER_STEP)),
     "every_half_s": ("every 0.5 s", ("env.hold_s=0.5", "algo.gamma=0.998", *_PER_STEP)),
 }
-"""When a CV decides. Deciding in steps makes some twelve times as many decisions."""
+"""When a CV decides. Deciding in steps makes more than ten times as many decisions."""
 BASELINES = {
     "paired": ("the same vehicle uncommanded", ("algo.control_variate=vehicle",)),
     "learned": ("a learned value", ()),

@@ -117,6 +117,7 @@ def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
             f"the run {folder} was trained on other observations than the env options describe "
             f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
         )
+    zoo.check_actions(f"the policy of {folder}", trained.env, env)
     changed = [option for option in sorted(given) if option.startswith("contexts.")]
     if changed and "contexts" not in given:  # as in a sweep over runs
         raise IzooError(f"{changed[0]} is given, and it is not known of which contexts; give contexts=NAME as well.")

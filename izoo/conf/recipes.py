@@ -138,13 +138,10 @@ RECIPES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
 }
 """What each recipe is for, and its words."""
-_CHOICES = {
-    "algo": ("algo",),
-    "action": ("action", "env.action", "env.action_parts", "env.decide"),
-    "contexts": ("contexts",),
-    "env.reward": ("env.reward",),
-}
+_CHOICES = ("algo", "action", "contexts", "env.reward")
 """Options that another choice takes the place of, with all that stand below them."""
+_DECISIONS = ("env.action", "env.action_parts", "env.decide")
+"""What goes with another action, unless that chooses speeds, too."""
 
 
 def recipe_words(name: str) -> tuple[str, ...]:
@@ -170,7 +167,9 @@ def with_recipe(words: Sequence[str]) -> list[str]:
         return others
     words = recipe_words(named[-1].removeprefix(RECIPE).strip("'\""))
     said = {word.partition("=")[0] for word in others}
-    replaced = [option for group, options in _CHOICES.items() if group in said for option in options]
+    replaced = [group for group in _CHOICES if group in said]
+    if "action" in said and not {"action=speed", "action=arrive"} & set(others):
+        replaced += _DECISIONS
     kept = [
         word
         for word in words

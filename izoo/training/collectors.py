@@ -258,6 +258,11 @@ def _check_decisions(config: TrainConfig) -> None:
             f"algo.control_variate={variate} plays every training episode a second time, uncommanded, which only the "
             "twin does beside training; choose simulator=twin, or algo.control_variate=none."
         )
+    if algo.candidates > 1 and config.env.action == SPEED:
+        raise IzooError(
+            f"algo={algo.name} compares policies that command accelerations or give advice, but action is "
+            f"{config.action.name}; choose action=direct or advise, and env.action=acceleration."
+        )
     if decide == STEP:
         return
     by_step = {

@@ -158,24 +158,13 @@ def make_policy(config: CollectConfig) -> Policy:
             f"the policy of {config.policy} was trained on other observations than env describes; "
             "set env.observed and env.neighbours as in its config.yaml."
         )
-    for name in ("decide", "action", "action_parts"):
-        theirs, ours = getattr(trained.env, name), getattr(config.env, name)
-        if theirs != ours:
-            raise IzooError(
-                f"the policy of {config.policy} was trained with env.{name}={_said(theirs)}, and here it is "
-                f"{_said(ours)}; set env.{name}={_said(theirs)}."
-            )
+    zoo.check_actions(f"the policy of {config.policy}", trained.env, config.env)
     if trained.env.decision_s != config.env.decision_s:
         raise IzooError(
             f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "
             f"{config.env.decision_s:g} s; set env.hold_s={trained.env.decision_s:g}."
         )
     return algorithm.policy.eval()
-
-
-def _said(value: str | tuple[str, ...]) -> str:
-    """Return an option's value as one writes it on the command line."""
-    return value if isinstance(value, str) else f"[{','.join(value)}]"
 
 
 def load(folder: Path | str) -> TensorDictBase:

@@ -266,8 +266,7 @@ class Paired:
 
     def _episodes(self, batch: TensorDictBase) -> tuple[dict[int, Episode], dict[int, int]]:
         """Return the uncommanded episodes of a batch, and by its episodes' numbers those in the schedule."""
-        if self._subtracted is None:
-            raise RuntimeError("no episodes are subtracted")
+        assert self._subtracted is not None
         levels = {number: self._level(number) for number in batch.get(NUMBERS)[..., 0].unique().tolist()}
         return self._subtracted.episodes(list(levels.values())), levels
 

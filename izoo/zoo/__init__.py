@@ -6,12 +6,13 @@ path.
 """
 
 from izoo.zoo.shelf import PREFIX, card, check_exported, check_name, named, names
-from izoo.zoo.trained import TrainedPolicy, full_episodes, load, read, write
+from izoo.zoo.trained import TrainedPolicy, check_actions, full_episodes, load, read, write
 
 __all__ = [
     "PREFIX",
     "TrainedPolicy",
     "card",
+    "check_actions",
     "check_exported",
     "check_name",
     "full_episodes",

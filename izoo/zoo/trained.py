@@ -51,12 +51,27 @@ class TrainedPolicy:
                 f"the policy {self.name} was trained on other observations than the env options describe; "
                 "leave env.observed and env.neighbours out."
             )
-        own, other = ((of.action, of.action_parts, of.decide) for of in (self.env, env))
-        if own != other:
+        check_actions(f"the policy {self.name}", self.env, env)
+
+
+def check_actions(policy: str, trained: EnvConfig, env: EnvConfig) -> None:
+    """Raise :class:`IzooError` unless ``env`` takes the actions that a policy was trained to choose, at their times.
+
+    Args:
+        policy: what it is called in the message.
+        trained: the environment that it was trained in.
+        env: the one in which it is to act.
+    """
+
+    def said(env: EnvConfig, name: str) -> str:
+        value = getattr(env, name)
+        return value if isinstance(value, str) else f"[{','.join(value)}]"
+
+    for name in ("decide", "action", "action_parts"):
+        theirs, ours = said(trained, name), said(env, name)
+        if theirs != ours:
             raise IzooError(
-                f"the policy {self.name} was trained for env.action={own[0]}, env.action_parts={list(own[1])} and "
-                f"env.decide={own[2]}, and the env options say {other[0]}, {list(other[1])} and {other[2]}; leave them "
-                "out, or, where the policy is given with an environment, give it its own (TrainedPolicy.env)."
+                f"{policy} was trained with env.{name}={theirs}, and here it is {ours}; set env.{name}={theirs}."
             )
 
 

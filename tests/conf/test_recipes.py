@@ -38,6 +38,8 @@ def test_another_choice_takes_the_place_of_all_that_the_recipe_says_of_it() -> N
     assert changed.contexts.name == "city" and changed.algo.name == "mappo"
     assert changed.algo.control_variate == "none"  # type: ignore[attr-defined]
     assert (changed.env.decide, changed.env.action) == ("step", "acceleration")
+    arriving = composed("recipe=busy_lane", "action=arrive")
+    assert (arriving.env.decide, arriving.env.action_size, arriving.action.initial) == ("vehicle", 2, 0.25)  # type: ignore[union-attr]
     assert changed.simulator == "twin"
 
 

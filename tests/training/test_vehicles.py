@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
 from izoo import train
 from izoo.algos.action import SpeedAction
@@ -126,8 +126,8 @@ def test_the_gradient_is_the_same_in_the_mean_and_varies_less(tmp_path: Path) ->
                 decided = Decisions()(steps)
                 if len(decided) == 0:
                     continue
-                rows = decided["agents"].flatten(0, 2)
-                rows = rows.__class__({"agents": rows}, rows.batch_size)
+                agents = decided["agents"].flatten(0, 2)
+                rows = TensorDict({"agents": agents}, agents.batch_size)
                 for kept, of in ((plain, decided), (less, shaped(decided, 1.0))):
                     kept.append(gradients(algorithm, [rows], [of["next"][REWARD].flatten()])[0])  # type: ignore[arg-type, list-item]
     first, second = torch.stack(plain), torch.stack(less)
@@ -172,7 +172,10 @@ def test_learning_on_sumo_sees_the_same_decisions(tmp_path: Path) -> None:
     ("words", "message"),
     [
         (["simulator=sumo"], r"control_variate=vehicle .* choose simulator=twin"),
-        (["algo=cmaes"], r"algo=cmaes learns from decisions in every step"),
+        (
+            ["algo=cmaes", "action=direct", "env.action=acceleration"],
+            r"algo=cmaes learns from decisions in every step",
+        ),
         (
             ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"],
             r"algo.credit=team learns from decisions in every",
@@ -181,13 +184,19 @@ def test_learning_on_sumo_sees_the_same_decisions(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_learn_from_one_decision_per_vehicle_says_so(words: list[str], message: str) -> None:
-    given = [word for word in [*SMALL, *ONCE] if word.split("=")[0] != words[0].split("=")[0]]
+    given = [word for word in [*SMALL, *ONCE] if word.split("=")[0] not in {said.split("=")[0] for said in words}]
     if "algo=" in words[0]:
         given = [word for word in given if not word.startswith("algo.")]
     if "simulator=sumo" in words:
         given.remove("num_envs=4")
     with pytest.raises(IzooError, match=message):
         check_collector(compose_config("train", TrainConfig, [*given, *words]))
+
+
+def test_policies_that_are_compared_choose_no_speeds() -> None:
+    words = ["algo=cmaes", "simulator=twin", "action=speed", "env.action=speed", "env.reward=fuel_team"]
+    with pytest.raises(IzooError, match=r"algo=cmaes compares policies .* but action is speed"):
+        check_collector(compose_config("train", TrainConfig, words))
 
 
 def test_advice_needs_decisions_in_every_step() -> None:
