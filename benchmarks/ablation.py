@@ -1,6 +1,7 @@
 """When should agents decide, what should be taken from their returns, and whom should they be paid for?
 
-``python -m izoo.benchmarks.ablation`` trains every row of :data:`~izoo.benchmarks.ablation_options.ROWS` with several
+``python -m izoo.benchmarks.ablation`` trains every row of :data:`~izoo.benchmarks.campaign.ablation_options.ROWS`
+with several
 seeds, one run after the other, and plays each policy on the twin, in the same contexts with the same episode seeds. It
 may be stopped at any time; the same command goes on.
 """
@@ -17,8 +18,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from izoo.benchmarks.ablation_options import BASELINES, REFERENCE, REWARDS, ROWS, SCOPES, SETTING, AblationConfig
-from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.benchmarks.campaign.ablation_options import (
+    BASELINES,
+    REFERENCE,
+    REWARDS,
+    ROWS,
+    SCOPES,
+    SETTING,
+    AblationConfig,
+)
+from izoo.cli.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
     from izoo.conf.train_options import TrainConfig
@@ -42,7 +51,7 @@ def run(config: AblationConfig, given: frozenset[str] = frozenset()) -> Summary:
     """Train and compare what is not there yet; print the differences, and write summary and figure."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
 
-    from izoo.benchmarks.comparing import SUMMARY_FILE
+    from izoo.benchmarks.campaign.comparing import SUMMARY_FILE
     from izoo.files import write_json
     from izoo.metrics.summary import summarise
     from izoo.report import tables
@@ -72,7 +81,7 @@ class Bench:
     """
 
     def __init__(self, config: AblationConfig, folder: Path) -> None:
-        from izoo.benchmarks.training_runs import TrainingRuns
+        from izoo.benchmarks.campaign.training_runs import TrainingRuns
         from izoo.results.selection import EpisodeSeeds, choose_contexts
         from izoo.results.store import Store
         from izoo.training.validation import VALIDATION_SEED, held_out
@@ -115,10 +124,10 @@ class Bench:
 
     def play(self) -> None:
         """Train and play what the folder lacks."""
-        from izoo.benchmarks.comparing import check_settings
-        from izoo.benchmarks.contestants import untrained
+        from izoo.benchmarks.campaign.comparing import check_settings
+        from izoo.benchmarks.campaign.policies import untrained
         from izoo.conf.mapping import to_mapping
-        from izoo.training import checkpoint, runs
+        from izoo.training import checkpoint, run_folder
 
         check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
         with self.store.open():
@@ -133,7 +142,7 @@ class Bench:
                     self.runs.train(key)
                 path = checkpoint.find(self.runs.run_dir(key))
                 known: dict[str, Any] = {"algo": self.runs.wanted[key].algo.name, "frames": checkpoint.frames_of(path)}
-                self._play(key[0], key[1], runs.load_policy(path), kind="trained", **known)
+                self._play(key[0], key[1], run_folder.load_policy(path), kind="trained", **known)
 
     def _play(self, name: str, seed: int, given: Any, **known: Any) -> None:
         from izoo.cores import usable_cores
@@ -172,8 +181,8 @@ def draw_curves(bench: Bench, path: Path) -> None:
 
 def curve(run_dir: Path, column: str) -> Line:
     """Return a column of a run's validations, and the decisions that it had learned from by then."""
-    from izoo.training.records import MetricsTable
-    from izoo.training.runs import METRICS_FILE
+    from izoo.training.loggers import MetricsTable
+    from izoo.training.run_folder import METRICS_FILE
     from izoo.training.validation import VALIDATION_FILE
 
     measured, validated = (MetricsTable.read(run_dir / name) for name in (METRICS_FILE, VALIDATION_FILE))
@@ -205,7 +214,7 @@ COMMAND = OptionCommand(
         "izoo.benchmarks.ablation rows=[every_8_s-paired-own,per_vehicle-learned-own] out=ablation",
         "izoo.benchmarks.ablation rows=[every_2_s-paired-own] seeds=1 num_contexts=6 'train=[\"total_frames=9600\"]'",
     ),
-    config="izoo.benchmarks.ablation_options:AblationConfig",
+    config="izoo.benchmarks.campaign.ablation_options:AblationConfig",
     work="izoo.benchmarks.ablation:run",
     stopped=GOES_ON,
 )

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo.benchmarks.journal import Journal
-from izoo.commands.calibrate import check_packages
+from izoo.benchmarks.fidelity.journal import Journal
+from izoo.cli.calibrate import check_packages
 from izoo.console import exit_code, unheard
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs import MODEL_VERSION
@@ -85,7 +85,7 @@ def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_
 def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
     """Simulate and calibrate one data set; return what is true and what was found."""
     from izoo.drivers.estimate import estimate, finite
-    from izoo.drivers.followers import ReadConfig, read_following
+    from izoo.drivers.trajectories import ReadConfig, read_following
 
     population = true_population(number)
     with tempfile.TemporaryDirectory() as folder:
@@ -177,7 +177,7 @@ def run(options: argparse.Namespace) -> int:
     check_range("--drivers", options.drivers, 5, 200)
     check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
     check_packages()
-    from izoo.drivers.chains import SamplerConfig
+    from izoo.drivers.mcmc import SamplerConfig
 
     chains = SamplerConfig(options.warmup, options.draws)
     made_with = options.drivers, options.speed_noise, options.warmup, options.draws, MODEL_VERSION

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.commands.option_command import OptionCommand
+from izoo.cli.option_command import OptionCommand
 from izoo.errors import check_range
 
 ROUNDS = 5

@@ -18,16 +18,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.cli.option_command import GOES_ON, OptionCommand
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.generalization_options import GeneralizationConfig
+    from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
 
 
 def run(config: GeneralizationConfig, given: frozenset[str] = frozenset()) -> Path:
     """Run a benchmark, or the rest of one, and return its folder."""
-    from izoo.benchmarks.campaign import Campaign
-    from izoo.benchmarks.comparing import show
+    from izoo.benchmarks.campaign.comparing import show
+    from izoo.benchmarks.campaign.jobs import Campaign
     from izoo.report.leaderboard import write_entries
 
     config = config.resolved()
@@ -51,9 +51,9 @@ COMMAND = OptionCommand(
         "izoo.benchmarks.generalization protocol=systematicity algos=[ppo,ppo_residual,glide] episodes=200",
         "izoo.benchmarks.generalization train=DATASET scale=small out=results/measured",
     ),
-    config="izoo.benchmarks.generalization_options:GeneralizationConfig",
+    config="izoo.benchmarks.campaign.generalization_options:GeneralizationConfig",
     work="izoo.benchmarks.generalization:run",
-    check="izoo.commands.given_paths:check_benchmark",
+    check="izoo.cli.path_checks:check_benchmark",
     stopped=GOES_ON,
 )
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import to_mapping
@@ -104,7 +104,7 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
         IzooError: ``out`` is no folder of this command, or was made with other options.
     """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.benchmarks.comparing import check_settings, show, summaries
+    from izoo.benchmarks.campaign.comparing import check_settings, show, summaries
     from izoo.cores import usable_cores
     from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
@@ -167,7 +167,7 @@ class Planner:
     def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
         import torch
 
-        from izoo.algos.advice import SpeedCap
+        from izoo.algos.actions.action_wrappers import SpeedCap
         from izoo.envs.mdp.frame import observation_names
 
         self.world, self.config = world, config

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from izoo.benchmarks.stopwatch import clocked, seconds_per_step
-from izoo.commands.option_command import OptionCommand
+from izoo.benchmarks.timing.stopwatch import clocked, seconds_per_step
+from izoo.cli.option_command import OptionCommand
 from izoo.console import counted
 from izoo.errors import check_range
 
@@ -131,7 +131,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
 
 def run_twin(config: ScalingConfig) -> None:
     """Measure the twin: every world, then growing numbers of environments in one of them."""
-    from izoo.benchmarks import twin_parts
+    from izoo.benchmarks.timing import twin_parts
 
     contexts, on = worlds(), (config.threads, config.surrogate)
     by_world: list[dict[str, float]] = []

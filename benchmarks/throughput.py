@@ -26,13 +26,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from izoo.benchmarks.stopwatch import CHUNK
-from izoo.commands.option_command import OptionCommand
+from izoo.benchmarks.timing.stopwatch import CHUNK
+from izoo.cli.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.errors import IzooError, check_range
 
 if TYPE_CHECKING:
-    from izoo.benchmarks.throughput_plan import Sample
+    from izoo.benchmarks.timing.throughput_plan import Sample
 
 ROUNDS = 3
 Scenario = Literal["light", "medium", "heavy"]
@@ -85,8 +85,8 @@ def measure(config: ThroughputConfig) -> list[Row]:
     """Measure all variants of the scenarios, with a bar on the error stream meanwhile."""
     import torch
 
-    from izoo.benchmarks.throughput_plan import Plan, scenarios
-    from izoo.benchmarks.variants import make_variants
+    from izoo.benchmarks.timing.throughput_plan import Plan, scenarios
+    from izoo.benchmarks.timing.variants import make_variants
 
     torch.set_num_threads(1)
     names, twins = config.scenarios, itertools.product(config.twin_threads, config.twin_envs)

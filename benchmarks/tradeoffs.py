@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from izoo.benchmarks.generalization_options import FLOOR_INFIX, SWEPT, Entry, GeneralizationConfig, parse_entry
-from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.benchmarks.campaign.generalization_options import FLOOR_INFIX, SWEPT, Entry, GeneralizationConfig, parse_entry
+from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.envs.config import RewardConfig
 from izoo.errors import IzooError
 
@@ -83,8 +83,8 @@ class TradeoffsConfig(GeneralizationConfig):
 
 def run(config: TradeoffsConfig, given: frozenset[str] = frozenset()) -> Path:
     """Run a sweep, or the rest of one, and return its folder."""
-    from izoo.benchmarks.campaign import Campaign
-    from izoo.benchmarks.comparing import show
+    from izoo.benchmarks.campaign.comparing import show
+    from izoo.benchmarks.campaign.jobs import Campaign
     from izoo.report.plots import tradeoff
     from izoo.training.plots import draw, save
 
@@ -133,7 +133,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.tradeoffs:TradeoffsConfig",
     work="izoo.benchmarks.tradeoffs:run",
-    check="izoo.commands.given_paths:check_benchmark",
+    check="izoo.cli.path_checks:check_benchmark",
     stopped=GOES_ON,
 )
 

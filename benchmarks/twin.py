@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from izoo.commands.option_command import GOES_ON, OptionCommand
+from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import check_episodes, check_policy
@@ -28,12 +28,12 @@ from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.files import expanded
 from izoo.metrics.pairing import HUMAN
-from izoo.zoo import shelf
+from izoo.zoo import catalog
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from izoo.benchmarks.journal import Journal
+    from izoo.benchmarks.fidelity.journal import Journal
     from izoo.contexts.context import Context
     from izoo.results.policies import NamedPolicy
     from izoo.results.selection import EpisodeSeeds
@@ -94,7 +94,7 @@ class LadderConfig:
                 if policy == HUMAN:
                     raise IzooError(f"{name} holds 'human', which is played in any case; leave it out.")
                 check_policy(name, policy)
-            object.__setattr__(self, name, tuple(map(shelf.absolute, getattr(self, name))))
+            object.__setattr__(self, name, tuple(map(catalog.absolute, getattr(self, name))))
         if not (self.adoptions and self.demand and self.policies):
             raise IzooError("adoptions, demand and policies each need one entry or more.")
         for name in ("out", "cache"):
@@ -107,12 +107,12 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
 
-    from izoo.benchmarks import ladder
-    from izoo.benchmarks.few_vehicles import compare_few
-    from izoo.benchmarks.journal import Journal
+    from izoo.benchmarks.fidelity import twin_fidelity
+    from izoo.benchmarks.fidelity.few_vehicles import compare_few
+    from izoo.benchmarks.fidelity.journal import Journal
     from izoo.console import counted
-    from izoo.envs.twin.playable import check_contexts
-    from izoo.envs.twin.twin_backend import check_settings
+    from izoo.envs.twin.backend import check_settings
+    from izoo.envs.twin.net.supported import check_contexts
     from izoo.files import write_json, write_text
     from izoo.results.policies import BASELINES, as_policy
     from izoo.results.rollout import evaluated
@@ -133,24 +133,29 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     late = [play_all(config, policies, contexts, seeds, number) for number in range(1, config.late + 1)]
     sumo, played = (both[both["simulator"] == name] for name in ("sumo", "twin"))
     kept = Journal(out / STEPS_FILE)
-    few = ladder.few(compare_few(base, seeds, config.env.step_s, kept))
+    few = twin_fidelity.few(compare_few(base, seeds, config.env.step_s, kept))
     exact = compare_steps(contexts, seeds, config.env, exact_of, kept)
-    own = ladder.own_spread(sumo, late)
-    compared = ladder.with_spread(ladder.approaches(sumo, played), own)
-    gained = ladder.gains(sumo, played, late)
-    own_rungs = pd.DataFrame() if own.empty else ladder.rungs(own)
-    found = ladder.Ladder(
-        few, ladder.exactness(exact), ladder.conduct(exact), ladder.rungs(compared), own_rungs, gained
+    own = twin_fidelity.own_spread(sumo, late)
+    compared = twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), own)
+    gained = twin_fidelity.gains(sumo, played, late)
+    own_rungs = pd.DataFrame() if own.empty else twin_fidelity.rungs(own)
+    found = twin_fidelity.Ladder(
+        few,
+        twin_fidelity.exactness(exact),
+        twin_fidelity.conduct(exact),
+        twin_fidelity.rungs(compared),
+        own_rungs,
+        gained,
     )
     write_text(out / "approaches.csv", compared.to_csv(index=False))
     about = {"contexts": len(contexts), "seeds": len(seeds), "late": config.late}
     rows = {name: json.loads(table.to_json(orient="records")) for name, table in found._asdict().items()}
-    write_json(out / "ladder.json", {**about, **rows, "same_order": ladder.same_order(gained)})
+    write_json(out / "ladder.json", {**about, **rows, "same_order": twin_fidelity.same_order(gained)})
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
-    ladder.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
-    for table in [*(ladder.tables(found) if config.verbose else ()), ladder.headline(compared, gained)]:
+    twin_fidelity.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
+    for table in [*(twin_fidelity.tables(found) if config.verbose else ()), twin_fidelity.headline(compared, gained)]:
         table.show()
-    print(f"Results: {out}\n{ladder.verdict(compared, gained)}", flush=True)
+    print(f"Results: {out}\n{twin_fidelity.verdict(compared, gained)}", flush=True)
     return out
 
 
@@ -222,10 +227,10 @@ def compare_steps(
     Returns:
         ``policy``, ``context``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted`` (the first step
         that differs; missing where none does), ``where`` (the vehicle that differs there), ``ks_speed``, ``ks_accel``,
-        and with ``_sumo`` and ``_twin`` what is counted of drivers (:data:`izoo.benchmarks.conduct.COUNTS`), missing
-        where decisions last longer than a step.
+        and with ``_sumo`` and ``_twin`` what is counted of drivers
+        (:data:`izoo.benchmarks.fidelity.driving_statistics.COUNTS`), missing where decisions last longer than a step.
     """
-    from izoo.benchmarks.side_by_side import SideBySide
+    from izoo.benchmarks.fidelity.trajectory_diff import SideBySide
     from izoo.console import Progress
     from izoo.results.store import settings
 
@@ -250,7 +255,7 @@ def compare_steps(
 
 
 def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> dict[str, Any]:
-    from izoo.benchmarks.ladder import COUNTED, ks_distance
+    from izoo.benchmarks.fidelity.twin_fidelity import COUNTED, ks_distance
     from izoo.networks.net.build import build_net
     from izoo.networks.road import read_road
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.frame import TEAM_REWARD
-from izoo.envs.mdp.scene import Scene
-from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.tally import EPISODE_METRIC
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC
+from izoo.envs.mdp.snapshot import Scene
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import INSIDE, RoadNet, read_road

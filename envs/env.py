@@ -21,10 +21,10 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import specs
 from izoo.envs.backend import CLOSED, Backend, Play
 from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
+from izoo.envs.frame_io import FrameReader, set_entry
 from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
-from izoo.envs.mdp.scene import Scene
-from izoo.envs.picture import draw
-from izoo.envs.reader import FrameReader, set_entry
+from izoo.envs.mdp.snapshot import Scene
+from izoo.envs.render import draw
 from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError, check_choice, check_seed, check_whole
@@ -276,7 +276,7 @@ def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
 
 
 def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
-    from izoo.envs.twin.twin_backend import TwinBackend
+    from izoo.envs.twin.backend import TwinBackend
 
     # The surrogate that SUMO's environments have: a batch of one gains nothing from torch.
     backend = TwinBackend(config, 1, surrogate="compiled")

@@ -10,10 +10,10 @@ import torch
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, STEP, EnvConfig
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, TEAM_REWARD, observation_names
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.reward import REWARD_VECTOR
-from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 
 DONE = ("terminated", "truncated", "done")
 

@@ -20,10 +20,10 @@ from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
-from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.envs.picture import draw
-from izoo.envs.twin.twin_backend import TwinBackend
+from izoo.envs.render import draw
+from izoo.envs.twin.backend import TwinBackend
 from izoo.errors import IzooError, check_whole
 from izoo.files import own_key
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.commands.entries import COLLECT as COMMAND
+from izoo.cli.entries import COLLECT as COMMAND
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.entries import EVALUATE as COMMAND
+from izoo.cli.entries import EVALUATE as COMMAND
 
 main = COMMAND.main
 

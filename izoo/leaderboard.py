@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.leaderboards import LEADERBOARD
+from izoo.cli.leaderboard import LEADERBOARD
 
 main = LEADERBOARD.main
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.entries import TRAIN as COMMAND
+from izoo.cli.entries import TRAIN as COMMAND
 
 main = COMMAND.main
 

@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from izoo import collect, console, evaluate, train
-from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.learners.ppo_config import PPOConfig
 from izoo.benchmarks import generalization
-from izoo.commands.option_command import OptionCommand
+from izoo.cli.option_command import OptionCommand
 from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping

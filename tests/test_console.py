@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from izoo.console import Progress, duration, time_left
-from izoo.training.records import in_short
+from izoo.training.loggers import in_short
 
 
 @pytest.mark.parametrize(

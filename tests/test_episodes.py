@@ -6,8 +6,8 @@ import torch
 
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
+from izoo.training.batch_statistics import episode_stats
 from izoo.training.environments import TrainingParallelEnv
-from izoo.training.episodes import episode_stats
 
 
 def test_a_lost_episode_is_not_logged() -> None:

@@ -26,9 +26,9 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.results.store import read_manifest
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint, run_folder
 from izoo.training.collectors import ShiftedSchedule
-from izoo.training.records import MetricsTable
+from izoo.training.loggers import MetricsTable
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[16]"),
@@ -37,12 +37,12 @@ TOY = [
 
 
 def rows(run_dir: Path) -> list[dict[str, str]]:
-    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
         return list(csv.DictReader(file))
 
 
 def weights(run_dir: Path) -> dict[str, torch.Tensor]:
-    return runs.load_algorithm(run_dir)[0].state_dict()["policy"]
+    return run_folder.load_algorithm(run_dir)[0].state_dict()["policy"]
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +55,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_leaves_what_it_promises(finished: Path) -> None:
-    assert runs.read_config(finished).total_frames == 600
+    assert run_folder.read_config(finished).total_frames == 600
     table = rows(finished)
     assert [int(row["frames"]) for row in table] == [200, 400, 600]
     assert all(float(row["reward"]) != 0 for row in table[1:])
     assert any(row["return"] for row in table), "episodes of 100 steps end within batches of 100 steps per worker"
-    assert (finished / runs.CURVE_FILE).read_bytes().startswith(b"\x89PNG")
+    assert (finished / run_folder.CURVE_FILE).read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in checkpoint.listed(finished)] == ["step-000000000400.pt", "step-000000000600.pt"]
     assert not [path for path in finished.rglob("*") if files.is_partial(path)]
     table, manifest = read_table(finished / "evaluations" / "last"), read_manifest(finished / "evaluations" / "last")
@@ -79,8 +79,8 @@ def test_a_run_ends_with_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:
-    policy = runs.load_policy(finished)
-    features = len(observation_names(runs.read_config(finished).env))
+    policy = run_folder.load_policy(finished)
+    features = len(observation_names(run_folder.read_config(finished).env))
     agents = {"observation": torch.randn(7, features), "mask": torch.ones(7, dtype=torch.bool)}
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         action = policy(TensorDict({"agents": TensorDict(agents, [7])}, []))["agents", "action"]
@@ -127,15 +127,15 @@ def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.Cap
     assert train.main([*TOY, "collector=single", "total_frames=400", f"run_dir={run_dir}"]) == 0
     assert train.main([f"resume={run_dir}", "total_frames=800"]) == 0
     assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400, 600, 800]
-    assert runs.read_config(run_dir).total_frames == 800
-    assert runs.read_config(run_dir).contexts.preset == "easy"
+    assert run_folder.read_config(run_dir).total_frames == 800
+    assert run_folder.read_config(run_dir).contexts.preset == "easy"
     assert train.main([f"resume={run_dir}", "algo.lr=1e-3"]) == 2
     assert "algo.lr" in capsys.readouterr().err
     assert train.main([f"resume={run_dir}", "total_frames=400"]) == 2
     assert "has 800 frames already, more than total_frames=400" in capsys.readouterr().err
-    assert runs.read_config(run_dir).total_frames == 800
+    assert run_folder.read_config(run_dir).total_frames == 800
     # Its last batch went beyond its frames: the run is done, and that is no mistake.
-    runs.write_config(run_dir, dataclasses.replace(runs.read_config(run_dir), total_frames=700))
+    run_folder.write_config(run_dir, dataclasses.replace(run_folder.read_config(run_dir), total_frames=700))
     assert train.main([f"resume={run_dir}"]) == 0
     assert "All 800 frames are there" in capsys.readouterr().out
     # From an earlier checkpoint: what came later in the table is written again.

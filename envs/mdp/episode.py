@@ -11,12 +11,7 @@ from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
-from izoo.envs.mdp.motion import road_arrays
-from izoo.envs.mdp.scene import Scene
-from izoo.envs.mdp.share import HERE
-from izoo.envs.mdp.signals import clock_arrays, read_clock
-from izoo.envs.mdp.slots import enter, leave
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     AGENT,
     APPROACH,
     EXIT,
@@ -27,9 +22,13 @@ from izoo.envs.mdp.state import (
     VEHICLE_INTS,
     YIELDING,
 )
-from izoo.envs.mdp.step import give_orders, make_frame
-from izoo.envs.mdp.tally import EPISODE_METRIC, METRIC, book_unfinished
-from izoo.envs.mdp.world import (
+from izoo.envs.mdp.credit import HERE
+from izoo.envs.mdp.displacement import road_arrays
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, book_unfinished
+from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.slots import enter, leave
+from izoo.envs.mdp.snapshot import Scene
+from izoo.envs.mdp.state import (
     HELD,
     MEMBERS,
     SUSPECTS,
@@ -41,6 +40,7 @@ from izoo.envs.mdp.world import (
     rules_of,
     work_space,
 )
+from izoo.envs.mdp.step import give_orders, make_frame
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.observation import observation_columns
 from izoo.envs.mdp.reward import REWARD_VECTOR
-from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
 
 TEAM_REWARD = "team_reward"
 """Array ``[1]``: what the reward's fleet part was in the step or decision; emitted at the root on demand."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.motion import ROUTE_LIMIT
-from izoo.envs.mdp.observation import FAR_M
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     EXIT,
     GAP,
     HAS_LEADER,
@@ -20,6 +18,8 @@ from izoo.envs.mdp.state import (
     SPEED,
     TTC,
 )
+from izoo.envs.mdp.displacement import ROUTE_LIMIT
+from izoo.envs.mdp.observation import FAR_M
 from izoo.networks.road import LEAVING
 
 NO_TTC = np.inf

@@ -2,7 +2,7 @@
 
 An observation is the ego columns, then the neighbour columns of each neighbour that is seen, then the observed context
 features of the ego's movement. Names, specs and the layout page follow from the declarations here, and so does the
-compiled code (:mod:`izoo.envs.mdp.observe`), which holds each value divided by its scale.
+compiled code (:mod:`izoo.envs.mdp.observation_kernel`), which holds each value divided by its scale.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
 from izoo.contexts.features import BY_NAME, scales
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     APPROACH,
     BLINKER_LEFT,
     BLINKER_RIGHT,
@@ -47,7 +47,7 @@ class Column:
         scale: the observation holds ``value / scale``.
         value: gives the value; it is compiled. An ego column's is ``value(r, vehicles, road, clock)`` for the vehicle
             in row ``r`` of the tables ``vehicles`` (``floats``, ``ints``, ``flags``:
-            :mod:`izoo.envs.mdp.state`), the arrays of the road and the state of the signals. A neighbour column's is
+            :mod:`izoo.envs.mdp.columns`), the arrays of the road and the state of the signals. A neighbour column's is
             ``value(other, gap_m, lane_exists, vehicles)``, where row ``other`` is -1 and the gap :data:`FAR_M` if
             nobody is there.
         meaning: what a reader needs to know beside that.

@@ -2,7 +2,7 @@
 
 A term is a field of :class:`RewardConfig` made by :func:`term`: the field's name is the option of its weight, and from
 its declaration follow that option with its default and help, the columns of ``("agents", "reward_vector")``, the specs,
-and the compiled code (:mod:`izoo.envs.mdp.pay`).
+and the compiled code (:mod:`izoo.envs.mdp.reward_kernel`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.envs.mdp.state import ACCEL, DELAY, EMISSION, PREV_ACCEL, SPEED, TTC
+from izoo.envs.mdp.columns import ACCEL, DELAY, EMISSION, PREV_ACCEL, SPEED, TTC
 from izoo.errors import IzooError, check_range, check_types
 
 TTC_CAP_S = 10.0

@@ -8,8 +8,7 @@ stands in a leaver's place; the lowest free number goes first.
 from __future__ import annotations
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.share import BLOCKED, HERE
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     ACCEL,
     AGENT,
     APPROACH,
@@ -26,8 +25,9 @@ from izoo.envs.mdp.state import (
     NUMBER,
     PRESENT,
 )
-from izoo.envs.mdp.tally import EPISODE_METRIC, METRIC, book_entry
-from izoo.envs.mdp.world import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
+from izoo.envs.mdp.credit import BLOCKED, HERE
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, book_entry
+from izoo.envs.mdp.state import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]
 _UNSLOTTED = EPISODE_METRIC["unslotted"]
@@ -41,7 +41,7 @@ def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     A CV that finds no slot, or whose row is not among those emitted, is left to its own driver and counted.
 
     Args:
-        world: the :class:`~izoo.envs.mdp.world.World`.
+        world: the :class:`~izoo.envs.mdp.state.World`.
         number: of the vehicle in the episode's demand.
         accel_mps2: its acceleration in the last step.
         counted: whether it came while the episode was measured.

@@ -8,15 +8,7 @@ from __future__ import annotations
 
 from izoo.compiling import compiled
 from izoo.emissions.kernel import emission_rate
-from izoo.envs.mdp.motion import place
-from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
-from izoo.envs.mdp.observe import observe
-from izoo.envs.mdp.orders import plan_caps, plan_commands
-from izoo.envs.mdp.pay import NUM_TERMS, pay, reward_terms, team_pay
-from izoo.envs.mdp.share import count_blocked, share_out
-from izoo.envs.mdp.signals import phase_driven, read_clock
-from izoo.envs.mdp.slots import release
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     ACCEL,
     AGENT,
     ELECTRIC,
@@ -30,8 +22,16 @@ from izoo.envs.mdp.state import (
     STEADY,
     WRONG_LANE,
 )
-from izoo.envs.mdp.tally import EPISODE_METRIC, account, account_cohort, sum_episode
-from izoo.envs.mdp.world import (
+from izoo.envs.mdp.commands import plan_caps, plan_commands
+from izoo.envs.mdp.credit import count_blocked, share_out
+from izoo.envs.mdp.displacement import place
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, account, account_cohort, sum_episode
+from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
+from izoo.envs.mdp.observation_kernel import observe
+from izoo.envs.mdp.reward_kernel import NUM_TERMS, pay, reward_terms, team_pay
+from izoo.envs.mdp.signals import phase_driven, read_clock
+from izoo.envs.mdp.slots import release
+from izoo.envs.mdp.state import (
     EVERY_STEP,
     FREE,
     HELD,
@@ -141,7 +141,7 @@ def settle(world, reading):  # type: ignore[no-untyped-def]
     """Write where the members are into the tables, sort them, and find their leaders.
 
     Args:
-        world: the :class:`~izoo.envs.mdp.world.World`.
+        world: the :class:`~izoo.envs.mdp.state.World`.
         reading: tuple of ``[n]`` arrays, in the order of the members: region lane, lane position in m, speed in m/s,
             signal bits.
     """
@@ -190,7 +190,7 @@ def conclude(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
     is written at its end.
 
     Args:
-        world: the :class:`~izoo.envs.mdp.world.World`, settled, with the members' CO2.
+        world: the :class:`~izoo.envs.mdp.state.World`, settled, with the members' CO2.
         time_s: simulated time after the step.
         measured: whether the step counts (the first frame of an episode does not).
         empty: whether no vehicle is in the network or will be; then a decision that lasts until somebody is to decide

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.sumo.overheard import Overheard
+from izoo.envs.sumo.stderr_filter import Overheard
 from izoo.errors import IzooError
 
 SUMO_VERSION = "1.28.0"

@@ -16,10 +16,10 @@ from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import KEEP_LANE, EnvConfig
+from izoo.envs.mdp.columns import ACCEL, DEFERRED, SPEED
+from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.episode import Ending, Episode, Reading
-from izoo.envs.mdp.orders import LANE_CHANGE_BRAKING_MPS2
-from izoo.envs.mdp.scene import Scene
-from izoo.envs.mdp.state import ACCEL, DEFERRED, SPEED
+from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.step import make_frame
 from izoo.envs.sumo.names import Names
 from izoo.envs.sumo.session import SumoSession, readable, sumo_arguments

@@ -15,7 +15,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs.backend import CLOSED, Play, rest_where_ended, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
-from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
 from izoo.errors import IzooError, check_whole
 from izoo.networks.net.build import build_nets

@@ -7,7 +7,7 @@ Each simulation of SUMO has a process of its own, so any number of them live sid
 them in parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
-seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.host.OPTIONS`.
+seed, the base seed is drawn afresh. ``reset(options=...)`` takes those of :data:`izoo.envs.views.view_session.OPTIONS`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from gymnasium import spaces
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.actions import Commands, action_space, read_action
-from izoo.envs.views.host import RENDER_MODES, Host, render_modes
 from izoo.envs.views.vector import ViewVector
+from izoo.envs.views.view_session import RENDER_MODES, Host, render_modes
 from izoo.errors import IzooError
 
 if TYPE_CHECKING:

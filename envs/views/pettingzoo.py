@@ -14,11 +14,11 @@ import numpy as np
 from gymnasium import spaces
 
 from izoo.envs.config import STEP, EnvConfig
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.actions import Commands, action_space, read_action
 from izoo.envs.views.barren import first_fertile
-from izoo.envs.views.host import OPTIONS, Host, render_modes
+from izoo.envs.views.view_session import OPTIONS, Host, render_modes
 from izoo.errors import IzooError, check_whole, unknown_choice
 
 try:
@@ -133,7 +133,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         ``episode`` and ``episode_seed`` of an agent's info say which it is. Of a ``context`` that the options name, the
         next ``episode_seed`` is played.
 
-        Options are those of :data:`izoo.envs.views.host.OPTIONS`. Others are ignored with a warning, because
+        Options are those of :data:`izoo.envs.views.view_session.OPTIONS`. Others are ignored with a warning, because
         PettingZoo's own test passes one.
 
         Raises:
@@ -216,7 +216,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         return self.host.plan()
 
     def metrics(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.host.Host.metrics`.
+        """Return the metrics of the episode that has ended; see :meth:`izoo.envs.views.view_session.Host.metrics`.
 
         Raises:
             IzooError: no episode has ended.

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.emissions.classes import CLASSES
-from izoo.envs.mdp.state import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.errors import IzooError
 from izoo.files import expanded, replacing
 

@@ -18,7 +18,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from izoo.algos import registry
+from izoo.algos.learners import registry
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.quoting import quoted
 from izoo.contexts.cities.rebuilt import CITIES, city_name

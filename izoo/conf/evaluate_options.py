@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.algos.registry import DRIVER_NAMES, cap_share
+from izoo.algos.learners.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import EnvConfig

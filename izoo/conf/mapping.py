@@ -10,7 +10,7 @@ import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-from izoo.algos.registry import AlgoConfig
+from izoo.algos.learners.registry import AlgoConfig
 from izoo.errors import IzooError, plain_number, unknown_choice
 
 T = TypeVar("T")

@@ -6,9 +6,9 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
-from izoo.algos.action import ActionConfig, DirectAction
-from izoo.algos.ppo_config import PPOConfig
-from izoo.algos.registry import AlgoConfig
+from izoo.algos.actions.action_modes import ActionConfig, DirectAction
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.registry import AlgoConfig
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig

@@ -1,8 +1,8 @@
-"""``python -m izoo.contexts``: see :mod:`izoo.commands.contexts`."""
+"""``python -m izoo.contexts``: see :mod:`izoo.cli.contexts`."""
 
 import sys
 
-from izoo.commands.contexts import CONTEXTS
+from izoo.cli.contexts import CONTEXTS
 
 main = CONTEXTS.main
 

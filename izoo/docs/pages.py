@@ -21,8 +21,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from izoo.commands.help_page import as_word, attribute_docs
-from izoo.commands.option_command import OptionCommand
+from izoo.cli.help_page import as_word, attribute_docs
+from izoo.cli.option_command import OptionCommand
 from izoo.conf import compose
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.envs.mdp.observation import observation_columns

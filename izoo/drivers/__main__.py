@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.calibrate import main
+from izoo.cli.calibrate import main
 
 if __name__ == "__main__":
     sys.exit(main())

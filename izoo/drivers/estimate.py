@@ -12,12 +12,12 @@ import numpy as np
 from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 
 from izoo.contexts.population import IDM_PARAMETERS
-from izoo.drivers.chains import Draws, SamplerConfig, sample
-from izoo.drivers.followers import Following
-from izoo.drivers.hierarchy import total_noise
-from izoo.drivers.pilot import fit_pilot
+from izoo.drivers.laplace_fit import fit_pilot
+from izoo.drivers.mcmc import Draws, SamplerConfig, sample
+from izoo.drivers.model import total_noise
 from izoo.drivers.predictive import Predictions, predict
 from izoo.drivers.recorded_pairs import CLASSES
+from izoo.drivers.trajectories import Following
 from izoo.traffic.drivers import built_in_population
 
 MAX_R_HAT, MIN_ESS = 1.02, 200.0

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from izoo.drivers.chains import Draws
-from izoo.drivers.followers import Following
-from izoo.drivers.hierarchy import total_noise
-from izoo.drivers.pilot import NOISE_FLOOR_MPS2
-from izoo.drivers.update import SMALLEST_GAP_M, next_speed
+from izoo.drivers.idm import SMALLEST_GAP_M, next_speed
+from izoo.drivers.laplace_fit import NOISE_FLOOR_MPS2
+from izoo.drivers.mcmc import Draws
+from izoo.drivers.model import total_noise
+from izoo.drivers.trajectories import Following
 
 REPLICAS = 100
 INTERVALS = (0.5, 0.9)

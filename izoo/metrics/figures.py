@@ -1,6 +1,6 @@
 """The registry of figures: each number that izoo shows, declared once.
 
-A figure is computed from *sums* of :mod:`izoo.envs.mdp.tally`, of a policy and of a baseline. Console, Markdown,
+A figure is computed from *sums* of :mod:`izoo.envs.mdp.metric_sums`, of a policy and of a baseline. Console, Markdown,
 HTML, JSON, plots and leaderboard files read :data:`FIGURES`; so does training, whose sums are tensors. A new figure is
 an entry here (and, if it needs a new sum, one in that module).
 

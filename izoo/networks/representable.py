@@ -1,7 +1,7 @@
 """What a finished net may have: a net with anything else would be played by SUMO and seen otherwise by izoo.
 
 One list, for the import, for what is observed, and so for both simulators. What SUMO plays and the twin alone does not
-know stands in :mod:`izoo.envs.twin.playable`.
+know stands in :mod:`izoo.envs.twin.net.supported`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.entries import REPORT as COMMAND
+from izoo.cli.entries import REPORT as COMMAND
 
 main = COMMAND.main
 

@@ -25,7 +25,7 @@ from jsonschema import Draft202012Validator
 
 from izoo.console import counted
 from izoo.envs import MODEL_VERSION
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 from izoo.metrics.figures import FIGURES
@@ -34,7 +34,7 @@ from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
-from izoo.report.published import BENEFIT, paper_table
+from izoo.report.paper_results import BENEFIT, paper_table
 from izoo.report.tables import SAVED, Table
 from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, WHOLE
 from izoo.results.store import PolicyRecord, read_manifest, read_table

@@ -21,7 +21,7 @@ from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.report import plots, tables
-from izoo.report.published import paper_table, published_for
+from izoo.report.paper_results import paper_table, published_for
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import Evaluation, Results, collect, context_rows
 from izoo.report.tables import SAVED

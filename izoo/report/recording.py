@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.mdp.scene import Scene
-from izoo.envs.mdp.tally import METRIC
+from izoo.envs.mdp.metric_sums import METRIC
+from izoo.envs.mdp.snapshot import Scene
 from izoo.networks.road import APPROACHING, RoadNet
 
 COUNTER_STEPS = 10

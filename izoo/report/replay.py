@@ -29,7 +29,7 @@ from izoo.results.contexts_file import read_contexts
 from izoo.results.playing import Policy, run_episode
 from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import PolicyRecord
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint, run_folder
 
 FOLDER = "replays"
 FORMAT = 4
@@ -209,4 +209,4 @@ class Player:
             raise IzooError(f"the checkpoint {places[0]} is gone.")
         for path in there:
             exported = zoo.named(str(path))
-            yield zoo.load(exported).policy if exported else runs.load_algorithm(path)[0].policy.eval()
+            yield zoo.load(exported).policy if exported else run_folder.load_algorithm(path)[0].policy.eval()

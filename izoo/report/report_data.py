@@ -17,8 +17,8 @@ from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import TRAINING, summarise
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
-from izoo.training.records import MetricsTable
-from izoo.training.runs import CONFIG_FILE, METRICS_FILE
+from izoo.training.loggers import MetricsTable
+from izoo.training.run_folder import CONFIG_FILE, METRICS_FILE
 from izoo.training.validation import VALIDATION_FILE
 
 EVALUATIONS, TRAIN_FOLDER = "evaluations", "train"

@@ -19,8 +19,8 @@ from izoo.metrics.summary import summarise
 from izoo.report.report_data import EVALUATIONS
 from izoo.report.tables import SAVED, Cell, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
-from izoo.training import plots, runs
-from izoo.training.records import MetricsTable
+from izoo.training import plots, run_folder
+from izoo.training.loggers import MetricsTable
 from izoo.training.validation import VALIDATION_FILE
 
 SWEEP_FILE, RUNS_FILE, CURVES_FILE = "sweep.csv", "sweep_runs.csv", "sweep.png"
@@ -46,8 +46,11 @@ OPTION = "option "
 
 def is_sweep(folder: Path) -> bool:
     """Whether a folder holds training runs, and is neither one itself nor of a benchmark or an evaluation."""
-    own = (runs.CONFIG_FILE, ROWS_FILE, MANIFEST_FILE)
-    return not any((folder / name).exists() for name in own) and next(folder.rglob(runs.CONFIG_FILE), None) is not None
+    own = (run_folder.CONFIG_FILE, ROWS_FILE, MANIFEST_FILE)
+    return (
+        not any((folder / name).exists() for name in own)
+        and next(folder.rglob(run_folder.CONFIG_FILE), None) is not None
+    )
 
 
 def read_run(run_dir: Path) -> dict[str, Any]:
@@ -58,11 +61,11 @@ def read_run(run_dir: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0}
     row |= dict.fromkeys(MEASURES)
     try:
-        config = runs.read_config(run_dir)
+        config = run_folder.read_config(run_dir)
     except IzooError as error:
         return {**row, "state": str(error)}
     row |= {OPTION + path: "" if value is None else str(value) for path, value in flat(to_mapping(config)).items()}
-    table = MetricsTable.read(run_dir / runs.METRICS_FILE)
+    table = MetricsTable.read(run_dir / run_folder.METRICS_FILE)
     if table.rows:
         row["frames"], row["seconds"] = int(table.rows[-1]["frames"]), float(table.rows[-1]["seconds"])
         returns = table.series("return")[1]
@@ -99,7 +102,7 @@ def report(folder: Path, console: Console | None = None) -> Path:
         IzooError: there are no runs.
     """
     check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
-    found = sorted((path.parent for path in folder.rglob(runs.CONFIG_FILE)), key=_natural)
+    found = sorted((path.parent for path in folder.rglob(run_folder.CONFIG_FILE)), key=_natural)
     table = pd.DataFrame([read_run(run_dir) for run_dir in found])
     table[list(MEASURES)] = table[list(MEASURES)].astype(float)
     options = varied(table)
@@ -122,7 +125,7 @@ def report(folder: Path, console: Console | None = None) -> Path:
     write_text(folder / SWEEP_FILE, choices.to_csv(index=False))
     curves: dict[str, list[MetricsTable]] = {}
     for run_dir, number, choice in zip(found, grouped.ngroup(), chosen.itertuples(index=False), strict=True):
-        metrics = MetricsTable.read(run_dir / runs.METRICS_FILE)
+        metrics = MetricsTable.read(run_dir / run_folder.METRICS_FILE)
         row = f"row {number + 1}: " if len(options) > FEW_OPTIONS else ""
         if metrics.rows:
             curves.setdefault(row + ", ".join(choice[:FEW_OPTIONS]), []).append(metrics)

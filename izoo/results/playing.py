@@ -19,7 +19,7 @@ from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.results.schema import EPISODE_COLUMNS, Row, features, scored_approaches
 from izoo.results.store import Key

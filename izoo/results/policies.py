@@ -15,15 +15,15 @@ import torch
 from torch import Tensor, nn
 
 from izoo import zoo
-from izoo.algos.registry import cap_share
-from izoo.algos.scripted import DRIVERS, UncommandedDriver, make_driver
+from izoo.algos.drivers.scripted import DRIVERS, UncommandedDriver, make_driver
+from izoo.algos.learners.registry import cap_share
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES
 from izoo.results.playing import Policy
 from izoo.results.store import PolicyRecord, own_settings
-from izoo.zoo.shelf import WEIGHTS
+from izoo.zoo.catalog import WEIGHTS
 
 
 class NamedPolicy(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from izoo.algos.scripted import RandomDriver, make_driver
+from izoo.algos.drivers.scripted import RandomDriver, make_driver
 from izoo.conf.evaluate_options import DRAIN_S
 from izoo.console import Progress
 from izoo.contexts.context import Context
@@ -38,12 +38,12 @@ from izoo.results.policies import as_policy, pack
 from izoo.results.schema import Row, identity
 from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import Key, PolicyRecord, Store
-from izoo.zoo.shelf import WEIGHTS
+from izoo.zoo.catalog import WEIGHTS
 
 EXECUTORS = {
-    "processes": "izoo.results.processes:Processes",
-    "batch": "izoo.results.batch:Batch",
-    "ray": "izoo.results.on_ray:OnRay",
+    "processes": "izoo.results.process_executor:Processes",
+    "batch": "izoo.results.twin_executor:Batch",
+    "ray": "izoo.results.ray_executor:OnRay",
 }
 """What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
 
@@ -184,7 +184,7 @@ def evaluate_policy(
     executor = executor_for(simulator, policies, executor)
     check_range("num_workers", workers, 0, 1024)
     if simulator == "twin":
-        from izoo.envs.twin.twin_backend import check_settings  # it compiles, and most evaluations need none
+        from izoo.envs.twin.backend import check_settings  # it compiles, and most evaluations need none
 
         check_settings(config)
     every = list({context.content_hash: context for context in contexts}.values())

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from izoo.contexts.context import Context
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
 from izoo.results.saturation import volume_over_capacity
 

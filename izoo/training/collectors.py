@@ -20,19 +20,19 @@ from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
-from izoo.algos.base import Keys
+from izoo.algos.learners.base import Keys
 from izoo.conf.train_options import TWIN_ENVS, TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.context import Context
 from izoo.contexts.source import Schedule
 from izoo.envs.config import SPEED, STEP
-from izoo.envs.twin.twin_backend import check_settings
+from izoo.envs.twin.backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster as cluster
+from izoo.training.command_replay import EpisodePast
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
-from izoo.training.heartbeats import Watch, open_counts
-from izoo.training.past import EpisodePast
+from izoo.training.watchdog import Watch, open_counts
 
 
 @dataclass(frozen=True)

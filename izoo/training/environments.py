@@ -1,7 +1,7 @@
 """Environments as the training loop needs them: an episode's metrics travel as one leaf, :data:`TOTALS`.
 
 Metrics matter once per episode, but every leaf of a step costs time in each of TorchRL's passes over it. For the same
-reason the group of vehicles, where it is emitted, is what critics look at (:mod:`izoo.algos.overview`).
+reason the group of vehicles, where it is emitted, is what critics look at (:mod:`izoo.algos.networks.fleet_features`).
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from izoo.algos import overview
-from izoo.algos.base import OBSERVATION, Keys
+from izoo.algos.learners.base import OBSERVATION, Keys
+from izoo.algos.networks import fleet_features
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.mdp.frame import TOTALS
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
-from izoo.envs.tape import Tape
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.observation_buffer import Tape
 from izoo.envs.twin_env import TwinEnv
-from izoo.training import past
-from izoo.training.levels import Levels
+from izoo.training import command_replay
+from izoo.training.prioritized_level_replay import Levels
 
 NUMBERS = "context_ids"
 """Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
@@ -44,14 +44,14 @@ class _Training(EcoDrivingBase):
     leaves: tuple[str, ...] = (TOTALS,)
     steps_taken: np.ndarray | None = None
 
-    def __init__(self, *args: Any, pasts: Sequence[past.EpisodePast] = (), **options: Any) -> None:
+    def __init__(self, *args: Any, pasts: Sequence[command_replay.EpisodePast] = (), **options: Any) -> None:
         super().__init__(*args, **options)
         self._pasts = tuple(pasts)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
-            self.reader.vehicle_names = overview.COLUMNS
+            self.reader.vehicle_names = fleet_features.COLUMNS
             group = self.observation_spec["vehicles"]
-            kept = {name: group[name] for name in overview.COLUMNS}
+            kept = {name: group[name] for name in fleet_features.COLUMNS}
             self.observation_spec["vehicles"] = Composite(kept, shape=group.shape)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
@@ -65,7 +65,7 @@ class _Training(EcoDrivingBase):
         pasts, self._pasts = self._pasts, ()
         return self._relive(pasts) if pasts else super()._reset(tensordict, **options)
 
-    def _relive(self, pasts: Sequence[past.EpisodePast]) -> TensorDictBase:
+    def _relive(self, pasts: Sequence[command_replay.EpisodePast]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
         Before the shorter ones begin, their environments play a part of the same episode that is then forgotten.
@@ -83,10 +83,12 @@ class _Training(EcoDrivingBase):
             masks = frame.get(("agents", "mask")).view(-1, slots)
             waits = [longest - len(script) for script in scripts]
             rows = [
-                script.at(step - wait, mask) if step >= wait else past.idle(names, slots, self.config.action_size)
+                script.at(step - wait, mask)
+                if step >= wait
+                else command_replay.idle(names, slots, self.config.action_size)
                 for script, wait, mask in zip(scripts, waits, masks, strict=True)
             ]
-            frame = self._step(past.with_commands(frame, rows)).exclude(("agents", "reward"))
+            frame = self._step(command_replay.with_commands(frame, rows)).exclude(("agents", "reward"))
             if frame.get("done").any():
                 raise RuntimeError("a simulation was lost while its episode was played again; resume the run once more")
         # A script without steps belongs to an episode that was about to begin.

@@ -12,9 +12,9 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.base import POTENTIAL, Algorithm, Keys, reads
-from izoo.algos.decisions import Decisions, shaped
-from izoo.algos.registry import make_algorithm
+from izoo.algos.learners.base import POTENTIAL, Algorithm, Keys, reads
+from izoo.algos.learners.decisions import Decisions, shaped
+from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
@@ -41,7 +41,7 @@ def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
 
 
 def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
-    """Load what :meth:`~izoo.algos.base.Algorithm.state_dict` returned.
+    """Load what :meth:`~izoo.algos.learners.base.Algorithm.state_dict` returned.
 
     Raises:
         Exception: of whichever kind, where it is of an algorithm with other networks.
@@ -98,7 +98,7 @@ class Learner:
         )
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.base.Algorithm`.
+        """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
         The algorithm sees decisions, and of rewards what differs from the uncommanded episode where the batch says it.
         """

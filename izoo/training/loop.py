@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from izoo.algos.base import MASK
+from izoo.algos.learners.base import MASK
 from izoo.conf.mapping import with_given
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, graceful_interrupt
@@ -23,15 +23,15 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.envs.twin_env import is_own_state
 from izoo.errors import IzooError, UnfinishedError, check_whole
 from izoo.files import NO_ROOM
-from izoo.training import checkpoint, plots, records, runs
+from izoo.training import checkpoint, loggers, plots, run_folder
+from izoo.training.baseline_episodes import Paired
+from izoo.training.batch_statistics import READS, episode_stats
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
+from izoo.training.command_replay import Pasts
 from izoo.training.environments import NUMBERS
-from izoo.training.episodes import READS, episode_stats
-from izoo.training.last_comparison import compare
+from izoo.training.final_evaluation import compare
 from izoo.training.learner import Learner, is_finite, learner_device
-from izoo.training.levels import Levels
-from izoo.training.paired import Paired
-from izoo.training.past import Pasts
+from izoo.training.prioritized_level_replay import Levels
 from izoo.training.validation import Validator
 
 MAX_LEARNER_THREADS = 8
@@ -58,7 +58,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset(), show: Show |
     """
     if config.resume is not None:
         run_dir = _run_to_resume(config, given)
-        with runs.owned(run_dir), _room(run_dir):
+        with run_folder.owned(run_dir), _room(run_dir):
             config, state, path = _resumed(config, given, run_dir)
             session = Session(config, run_dir, config.contexts.build())
             if state is None:
@@ -71,7 +71,7 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset(), show: Show |
     learner_device(config.device)
     check_collector(config)
     source = config.contexts.build()
-    with runs.created(config) as run_dir, _room(run_dir):
+    with run_folder.created(config) as run_dir, _room(run_dir):
         session = Session(config, run_dir, source)
         session.begin()
         session.run(show)
@@ -112,10 +112,10 @@ def _last_good(run_dir: Path) -> str:
 def _run_to_resume(config: TrainConfig, given: frozenset[str]) -> Path:
     """Return the folder of the run to go on with."""
     for name in sorted(given):
-        if name.split(".")[0] not in runs.CHANGEABLE:
+        if name.split(".")[0] not in run_folder.CHANGEABLE:
             raise IzooError(
                 f"a resumed run keeps its own options, so {name} cannot be given with resume; "
-                f"only these can: {', '.join(runs.CHANGEABLE)}."
+                f"only these can: {', '.join(run_folder.CHANGEABLE)}."
             )
     where = Path(config.resume or "")
     return where if _has_only_begun(where) else checkpoint.run_of(checkpoint.find(where))
@@ -123,7 +123,7 @@ def _run_to_resume(config: TrainConfig, given: frozenset[str]) -> Path:
 
 def _has_only_begun(where: Path) -> bool:
     """Whether a run has saved nothing yet."""
-    return (where / runs.CONFIG_FILE).is_file() and not checkpoint.listed(where)
+    return (where / run_folder.CONFIG_FILE).is_file() and not checkpoint.listed(where)
 
 
 def _resumed(
@@ -132,12 +132,12 @@ def _resumed(
     """Return the options, the state and the checkpoint of the run to go on with; no state: it had not saved any yet."""
     where = Path(config.resume or "")
     path = None if _has_only_begun(where) else checkpoint.find(where)
-    stored = runs.read_config(run_dir)
-    runs.check_drivers(run_dir, stored)
+    stored = run_folder.read_config(run_dir)
+    run_folder.check_drivers(run_dir, stored)
     config = with_given(dataclasses.replace(stored, run_dir=str(run_dir)), config, given - {"resume"})
     state = None if path is None else checkpoint.load(path)
     if state is not None and path is not None:
-        runs.check_state(state, stored, path)
+        run_folder.check_state(state, stored, path)
         # The last batch of a run that is done may have gone beyond its frames.
         if config.total_frames < min(stored.total_frames, state["frames"]):
             raise IzooError(
@@ -146,7 +146,7 @@ def _resumed(
             )
     learner_device(config.device)
     check_collector(config)
-    runs.write_config(run_dir, config)
+    run_folder.write_config(run_dir, config)
     return config, state, path or run_dir
 
 
@@ -162,7 +162,7 @@ class Session:
     def __init__(self, config: TrainConfig, run_dir: Path, source: ContextSource) -> None:
         torch.manual_seed(config.seed)
         self.config, self.run_dir, self.source = config, run_dir, source
-        self.features, self._options = len(observation_names(config.env)), runs.options_digest(config)
+        self.features, self._options = len(observation_names(config.env)), run_folder.options_digest(config)
         self.learner = Learner(config, learner_device(config.device))
         self.draws = RandomSchedule(source, config.seed)
         self.levels = Levels(self.draws, config.levels, config.seed) if config.levels.draw == "prioritised" else None
@@ -180,7 +180,7 @@ class Session:
     def begin(self) -> None:
         """Begin with the policy that the options name, if they name one."""
         if self.config.start is not None:
-            runs.begin_with(self.learner.algorithm, self.config)
+            run_folder.begin_with(self.learner.algorithm, self.config)
             self.learner.share()
 
     def restore(self, state: dict[str, Any], path: Path) -> None:
@@ -189,10 +189,10 @@ class Session:
         With another number of environments than before, the episodes in progress are left out.
 
         Args:
-            state: of the checkpoint, checked (:func:`izoo.training.runs.check_state`).
+            state: of the checkpoint, checked (:func:`izoo.training.run_folder.check_state`).
             path: where it lies, for messages.
         """
-        with runs.fitting(path):
+        with run_folder.fitting(path):
             self.learner.load_state_dict(state)
             if self.levels is not None:
                 self.levels.load_state_dict(state["levels"])
@@ -201,7 +201,7 @@ class Session:
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
         if environments:
-            with runs.fitting(path):
+            with run_folder.fitting(path):
                 episodes = environments["episodes"]
                 later = check_whole("next_episodes", max(environments["next_episodes"]), 0, 2**62)
             whole = len(episodes) == num_envs(self.config)
@@ -235,7 +235,7 @@ class Session:
             UnfinishedError: the last weights could not be saved.
             KeyboardInterrupt: Ctrl-C was pressed; what was learned until then is saved.
         """
-        self.table = records.MetricsTable(self.run_dir / runs.METRICS_FILE, self.frames)
+        self.table = loggers.MetricsTable(self.run_dir / run_folder.METRICS_FILE, self.frames)
         if len(self.table.rows) != self.batches:
             print(
                 f"{self.table.path} has {len(self.table.rows)} rows for {self.batches} batches: it was damaged or cut. "
@@ -244,7 +244,7 @@ class Session:
                 flush=True,
             )
         self.validator = Validator(self.config, self.run_dir, self.frames)
-        sinks = records.make_sinks(self.config.logger, self.run_dir)
+        sinks = loggers.make_sinks(self.config.logger, self.run_dir)
         print(f"Run folder: {self.run_dir}", flush=True)
         with graceful_interrupt() as interrupt:
             try:
@@ -258,7 +258,7 @@ class Session:
                 self._plot()
             finally:
                 self.validator.close()
-                records.close_all(sinks)
+                loggers.close_all(sinks)
         if self.batches > 0 and self._saved_at != self.frames:
             raise UnfinishedError(f"the last weights could not be saved. {_last_good(self.run_dir)}")
         if interrupt.requested:
@@ -278,7 +278,7 @@ class Session:
             done = f"Stopped at {self.frames:,} of {self.config.total_frames:,} frames"
             print(f"{done}; go on with: python -m izoo.train resume={self.run_dir}", flush=True)
 
-    def _learn(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+    def _learn(self, interrupt: Any, sinks: list[loggers.Sink]) -> None:
         config = self.config
         going_on = self.pasts.pasts if self._state is not None else ()
         reads = self.learner.reads
@@ -297,11 +297,11 @@ class Session:
                 while self.frames < config.total_frames and not interrupt.requested:
                     row = {**self._batch(batches), **self.validator.poll()}
                     self.table.append(row)
-                    records.log_all(sinks, row)
+                    loggers.log_all(sinks, row)
                     if "validation_frames" in row:  # an interval that it lacks must not be that of an earlier one
                         latest = {name: value for name, value in latest.items() if not name.startswith("validation_")}
                     latest |= row
-                    bar.update(self.frames, records.in_short(latest))
+                    bar.update(self.frames, loggers.in_short(latest))
                     if self.batches % config.checkpoint.every_batches == 0:
                         self._save()
                         if self.seconds - self._plotted_s >= PLOT_EVERY_S:
@@ -326,7 +326,7 @@ class Session:
             except OSError as error:
                 print(f"Could not begin a validation: {error}; training goes on.", file=sys.stderr, flush=True)
 
-    def _validate_last(self, interrupt: Any, sinks: list[records.Sink]) -> None:
+    def _validate_last(self, interrupt: Any, sinks: list[loggers.Sink]) -> None:
         """Validate the last weights, unless the run is to stop, was too short for any validation, or lost them."""
         every = self.config.validation.every_batches
         if self._saved_at != self.frames or interrupt.requested or every == 0 or self.batches < every:
@@ -337,7 +337,7 @@ class Session:
             print("Validating the last weights. Ctrl-C leaves that out.", flush=True)
         row = self.validator.wait(interrupt)
         if row:
-            records.log_all(sinks, {"frames": self.frames, **row})
+            loggers.log_all(sinks, {"frames": self.frames, **row})
 
     def _load(self, batches: BatchSource | None) -> None:
         """Load what the checkpoint holds of the learner; only now, since making a collector tries the policy out."""
@@ -444,7 +444,7 @@ class Session:
     def _plot(self) -> None:
         if self.table.rows:
             title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
-            plots.learning_curve(self.table, self.run_dir / runs.CURVE_FILE, title, self.validator.table)
+            plots.learning_curve(self.table, self.run_dir / run_folder.CURVE_FILE, title, self.validator.table)
             self._plotted_s = self.seconds
 
     def _compare(self) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__, zoo
-from izoo.algos.registry import DRIVER_NAMES
-from izoo.algos.scripted import RandomDriver, make_driver
+from izoo.algos.drivers.scripted import RandomDriver, make_driver
+from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import to_mapping, with_given
 from izoo.conf.train_options import MAX_ENVS, TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
@@ -30,7 +30,7 @@ from izoo.files import NO_ROOM, claimed_empty, expanded, write_json
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.results.policies import import_policy
-from izoo.training import runs
+from izoo.training import run_folder
 from izoo.training.shards import ShardStorage, as_they_are, check_files, reserve
 
 MANIFEST = "manifest.json"
@@ -152,7 +152,7 @@ def make_policy(config: CollectConfig) -> Policy:
     if ":" in config.policy and not expanded(config.policy).exists():
         policy = import_policy(config.policy)
         return policy.eval() if isinstance(policy, nn.Module) else policy
-    algorithm, trained, _ = runs.load_algorithm(config.policy)
+    algorithm, trained, _ = run_folder.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
         raise IzooError(
             f"the policy of {config.policy} was trained on other observations than env describes; "

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
-from izoo.training.records import MetricsTable
+from izoo.training.loggers import MetricsTable
 
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4fa0", "#8c564b")
 """Okabe and Ito's colours, which colour-blind readers can tell apart, and two more."""

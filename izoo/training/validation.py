@@ -1,4 +1,4 @@
-"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validating`) plays the run's
+"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validation_worker`) plays the run's
 weights and the baselines.
 """
 
@@ -26,7 +26,7 @@ from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
 from izoo.metrics.statistics import SIGNIFICANCE, fall_p_value
 from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import checkpoint
-from izoo.training.records import MetricsTable
+from izoo.training.loggers import MetricsTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,7 +146,7 @@ class Validator:
         self._alive, child = socket.socketpair()  # which closes for the process when the run is gone
         with child:
             paths = f"{str(self._validating)!r}, {str(result)!r}"
-            call = f"from izoo.training.validating import main; main({child.fileno()}, {paths})"
+            call = f"from izoo.training.validation_worker import main; main({child.fileno()}, {paths})"
             self._process = start_process(call, child.fileno(), output=self._log)
 
     def _result(self, candidate: Path) -> Path:
@@ -223,11 +223,11 @@ def validate(path: Path) -> dict[str, Any]:
     CO2 saved of every context.
     """
     from izoo.results import evaluate_policy, summarise
-    from izoo.training import runs
+    from izoo.training import run_folder
 
     started = time.perf_counter()
-    algorithm, config, state = runs.load_algorithm(path)
-    runs.check_drivers(checkpoint.run_of(path), config)
+    algorithm, config, state = run_folder.load_algorithm(path)
+    run_folder.check_drivers(checkpoint.run_of(path), config)
     options = config.validation
     table = evaluate_policy(
         algorithm.policy.eval(),

@@ -5,7 +5,7 @@ shows them all. The policy of a run becomes such a file with ``python -m izoo.zo
 path.
 """
 
-from izoo.zoo.shelf import PREFIX, card, check_exported, check_name, named, names
+from izoo.zoo.catalog import PREFIX, card, check_exported, check_name, named, names
 from izoo.zoo.trained import TrainedPolicy, check_actions, full_episodes, load, read, write
 
 __all__ = [

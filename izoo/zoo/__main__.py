@@ -2,7 +2,7 @@
 
 import sys
 
-from izoo.commands.zoo_policies import ZOO
+from izoo.cli.zoo import ZOO
 
 main = ZOO.main
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.algos.action import ActionConfig
-from izoo.algos.registry import AlgoConfig, make_algorithm
+from izoo.algos.actions.action_modes import ActionConfig
+from izoo.algos.learners.registry import AlgoConfig, make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import DamagedError, check_parts, expanded, replacing
-from izoo.zoo import shelf
+from izoo.zoo import catalog
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -90,7 +90,7 @@ def load(name: str) -> TrainedPolicy:
     Raises:
         IzooError: no policy of that name ships, and the message lists those that do; or the file cannot be used.
     """
-    return read(expanded(name) if name.endswith(shelf.WEIGHTS) else shelf.weights(name))
+    return read(expanded(name) if name.endswith(catalog.WEIGHTS) else catalog.weights(name))
 
 
 def read(path: Path) -> TrainedPolicy:

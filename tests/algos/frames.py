@@ -6,8 +6,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos import base
-from izoo.algos.set_ppo import SetPPO
+from izoo.algos.learners import base
+from izoo.algos.learners.set_ppo import SetPPO
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
 

@@ -13,12 +13,12 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.action import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.advice import ADVICE, Advised, AdvisedPolicy, SpeedCap, Translator
-from izoo.algos.registry import ALGORITHMS, make_algorithm
-from izoo.algos.residual import Correction, NominalDriver
-from izoo.algos.scripted import DEFER
+from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
+from izoo.algos.actions.action_wrappers import ADVICE, Advised, AdvisedPolicy, SpeedCap, Translator
+from izoo.algos.actions.residual import Correction, NominalDriver
+from izoo.algos.drivers.scripted import DEFER
+from izoo.algos.learners import base
+from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
@@ -27,7 +27,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError
-from izoo.training import runs
+from izoo.training import run_folder
 
 ENV = EnvConfig()
 NAMES = observation_names(ENV)
@@ -303,13 +303,13 @@ def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_
         *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
     ]
     assert train.main([*words, "collector=single"]) == 0
-    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]
     assert all(float(row["loss_value"]) > 0 for row in rows)
     assert 0 < float(rows[0]["advice_abs"]) < 0.8
-    assert runs.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)
-    policy = runs.load_policy(run_dir)
+    assert run_folder.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)
+    policy = run_folder.load_policy(run_dir)
     assert isinstance(policy, AdvisedPolicy)
     batch = make_batch()
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

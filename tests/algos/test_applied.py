@@ -7,13 +7,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos import base
-from izoo.algos.action import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.advice import ADVICE, SpeedCap
-from izoo.algos.applied import AppliedAcceleration
-from izoo.algos.ddpg_config import DDPGConfig, TD3Config
-from izoo.algos.registry import make_algorithm
-from izoo.algos.residual import Correction, NominalDriver
+from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
+from izoo.algos.actions.action_wrappers import ADVICE, SpeedCap
+from izoo.algos.actions.executed_actions import AppliedAcceleration
+from izoo.algos.actions.residual import Correction, NominalDriver
+from izoo.algos.learners import base
+from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
+from izoo.algos.learners.registry import make_algorithm
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, TwinEnv
 from izoo.envs.mdp.frame import observation_names

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 import torch
 
-from izoo.algos.action import ArriveAction
-from izoo.algos.arrival import LATENESS, Arrival
-from izoo.algos.base import ACTION, DECIDES, MASK
-from izoo.algos.decisions import Decisions
-from izoo.algos.registry import make_algorithm, preset
+from izoo.algos.actions.action_modes import ArriveAction
+from izoo.algos.actions.arrival import LATENESS, Arrival
+from izoo.algos.learners.base import ACTION, DECIDES, MASK
+from izoo.algos.learners.decisions import Decisions
+from izoo.algos.learners.registry import make_algorithm, preset
 from izoo.contexts.features import feature
 from izoo.envs import EnvConfig, TwinEnv
 from izoo.envs.mdp.frame import observation_names

@@ -11,16 +11,16 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.action import Rest
-from izoo.algos.cmaes import CMAES
-from izoo.algos.cmaes_config import CMAESConfig
-from izoo.algos.masked_gae import TEAM_REWARD
+from izoo.algos.actions.action_modes import Rest
+from izoo.algos.learners import base
+from izoo.algos.learners.cmaes import CMAES
+from izoo.algos.learners.cmaes_config import CMAESConfig
+from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.contexts.procedural import EASY
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.training import runs
+from izoo.training import run_folder
 from izoo.training.collectors import SharedSchedule
 
 FEATURES, AGENTS, STEPS, BLOCK = 5, 6, 4, 3
@@ -174,7 +174,7 @@ def test_a_run_can_be_stopped_and_resumed_exactly(algo: str, tmp_path: Path) -> 
     assert train.main([*words, f"total_frames={4 * decisions}", f"run_dir={whole}"]) == 0
     assert train.main([*words, f"total_frames={2 * decisions}", f"run_dir={half}"]) == 0
     assert train.main([f"resume={half}", f"total_frames={4 * decisions}"]) == 0
-    one, other = (runs.load_algorithm(path)[0].state_dict() for path in (whole, half))
+    one, other = (run_folder.load_algorithm(path)[0].state_dict() for path in (whole, half))
     assert len(one["returns"]) == 4 and one["returns"].nan_to_num().std() > 0.0
     torch.testing.assert_close(one["returns"], other["returns"], rtol=0.0, atol=0.0, equal_nan=True)
     assert torch.equal(one["policy"]["candidates"], other["policy"]["candidates"])

@@ -10,9 +10,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos import base
-from izoo.algos.base import ACTION_VALUE
-from izoo.algos.buffer import (
+from izoo.algos.learners import base
+from izoo.algos.learners.base import ACTION_VALUE
+from izoo.algos.learners.ddpg import DDPG
+from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.replay import (
     ERROR,
     NEXT_OBSERVATION,
     NEXT_REWARD,
@@ -23,8 +25,6 @@ from izoo.algos.buffer import (
     Replay,
     transitions,
 )
-from izoo.algos.ddpg import DDPG
-from izoo.algos.ddpg_config import DDPGConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig

@@ -12,12 +12,12 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
-from izoo.algos.action import SpeedAction
-from izoo.algos.base import ACTION, DECIDES, DONE, LOG_PROB, MASK, NUMBER, OBSERVATION, REWARD, TERMINATED
-from izoo.algos.buffer import transitions
-from izoo.algos.decisions import Decisions
-from izoo.algos.registry import make_algorithm, preset
-from izoo.algos.scripted import RandomDriver
+from izoo.algos.actions.action_modes import SpeedAction
+from izoo.algos.drivers.scripted import RandomDriver
+from izoo.algos.learners.base import ACTION, DECIDES, DONE, LOG_PROB, MASK, NUMBER, OBSERVATION, REWARD, TERMINATED
+from izoo.algos.learners.decisions import Decisions
+from izoo.algos.learners.registry import make_algorithm, preset
+from izoo.algos.learners.replay import transitions
 from izoo.envs import EnvConfig, SumoParallelEnv, TwinEnv
 from tests.envs.worlds import crossing
 

@@ -9,18 +9,18 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos import base, gcrl
-from izoo.algos.gcrl import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
-from izoo.algos.ppo_config import GCRLConfig
-from izoo.algos.sets import places
+from izoo.algos.learners import base, graph_ppo
+from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
+from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.networks.set_networks import places
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
-from izoo.training import runs
-from izoo.training.records import MetricsTable
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
@@ -31,7 +31,7 @@ def neighbourhood(
     position_m: torch.Tensor, mask: torch.Tensor, count: int | None, range_m: float | None
 ) -> torch.Tensor:
     others = mask.unsqueeze(-1) & mask.unsqueeze(-2) & ~torch.eye(len(mask), dtype=torch.bool)
-    return gcrl.neighbourhood(position_m, others, gcrl.reach_m(position_m, others, count, range_m))
+    return graph_ppo.neighbourhood(position_m, others, graph_ppo.reach_m(position_m, others, count, range_m))
 
 
 def sets(attended: torch.Tensor) -> list[set[int]]:
@@ -137,7 +137,7 @@ def make_crowd() -> torch.Tensor:
 
 @pytest.mark.parametrize("bin_rows", [1, 4, 1000])
 def test_frames_in_bins_are_as_if_alone(bin_rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gcrl, "BIN_ROWS", bin_rows)
+    monkeypatch.setattr(graph_ppo, "BIN_ROWS", bin_rows)
     network, observation = make_network(neighbours=2), make_crowd()
     frame, column = places(CROWDED)
     bins = Bins(frame, column)
@@ -162,10 +162,10 @@ def test_rows_remember_their_reach() -> None:
     position_m = (observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M).masked_fill(~mask, 0.0)
     others = mask.unsqueeze(-1) & mask.unsqueeze(-2) & ~torch.eye(4, dtype=torch.bool)
     rows = algorithm.advantages(batch)
-    assert torch.equal(rows[gcrl.REACH], gcrl.reach_m(position_m, others, 1, 100.0)[mask])
+    assert torch.equal(rows[graph_ppo.REACH], graph_ppo.reach_m(position_m, others, 1, 100.0)[mask])
     for part in algorithm._minibatches(rows):
-        network, places_of = algorithm.critic.module.network, [part[key] for key in gcrl.ROW[:3]]
-        torch.testing.assert_close(network.rows(*places_of, part[gcrl.REACH]), network.rows(*places_of))
+        network, places_of = algorithm.critic.module.network, [part[key] for key in graph_ppo.ROW[:3]]
+        torch.testing.assert_close(network.rows(*places_of, part[graph_ppo.REACH]), network.rows(*places_of))
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ def test_a_short_run_on_sumo(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = ["algo=gcrl", "contexts=pcg_easy", "algo.frames_per_batch=400", "total_frames=800", f"run_dir={run_dir}"]
     assert train.main([*words, "collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
-    losses = MetricsTable(run_dir / runs.METRICS_FILE, 800).series("loss_critic")[1]
+    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 800).series("loss_critic")[1]
     assert len(losses) == 2
     assert all(math.isfinite(loss) for loss in losses)
-    assert runs.load_policy(run_dir).in_keys == [base.OBSERVATION, base.MASK], "neighbours act on each other"
+    assert run_folder.load_policy(run_dir).in_keys == [base.OBSERVATION, base.MASK], "neighbours act on each other"

@@ -10,13 +10,13 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos import base
-from izoo.algos.action import AdviseAction, DirectAction
-from izoo.algos.glide_search import GATE, GATE_STARTS, OTHERS, SETTINGS, GlideSearch
-from izoo.algos.glide_search_config import GlideSearchConfig
-from izoo.algos.masked_gae import TEAM_REWARD
-from izoo.algos.registry import make_algorithm
-from izoo.algos.scripted import DEFER, Glide, GlideConfig
+from izoo.algos.actions.action_modes import AdviseAction, DirectAction
+from izoo.algos.drivers.scripted import DEFER, Glide, GlideConfig
+from izoo.algos.learners import base
+from izoo.algos.learners.glide_search import GATE, GATE_STARTS, OTHERS, SETTINGS, GlideSearch
+from izoo.algos.learners.glide_search_config import GlideSearchConfig
+from izoo.algos.learners.registry import make_algorithm
+from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError

@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.mappo import COUNT_SCALE, MAPPO, SetCritic
-from izoo.algos.ppo_config import MAPPOConfig, PPOConfig
+from izoo.algos.learners import base
+from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, SetCritic
+from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from izoo.training import runs
-from izoo.training.records import MetricsTable
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
 
@@ -106,10 +106,10 @@ def test_a_short_run_on_sumo(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = ["algo=mappo", "contexts=pcg_easy", "algo.frames_per_batch=400", "total_frames=800", f"run_dir={run_dir}"]
     assert train.main([*words, "collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
-    losses = MetricsTable(run_dir / runs.METRICS_FILE, 800).series("loss_critic")[1]
+    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 800).series("loss_critic")[1]
     assert len(losses) == 2
     assert all(math.isfinite(loss) for loss in losses)
-    policy = runs.load_policy(run_dir)
+    policy = run_folder.load_policy(run_dir)
     assert policy.in_keys == [base.OBSERVATION], "it acts on one vehicle's observation"
 
 
@@ -132,5 +132,5 @@ def test_a_short_run_for_the_team(tmp_path: Path) -> None:
     ]
     short = ["collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=100", "total_frames=200"]
     assert train.main([*words, *short, "algo.frames_per_batch=100", f"run_dir={run_dir}"]) == 0
-    losses = MetricsTable(run_dir / runs.METRICS_FILE, 200).series("loss_critic")[1]
+    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 200).series("loss_critic")[1]
     assert len(losses) == 2 and all(math.isfinite(loss) for loss in losses)

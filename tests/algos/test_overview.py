@@ -12,15 +12,15 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.mappo import MAPPO
-from izoo.algos.overview import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
-from izoo.algos.ppo_config import MAPPOConfig
+from izoo.algos.learners import base
+from izoo.algos.learners.mappo import MAPPO
+from izoo.algos.learners.ppo_config import MAPPOConfig
+from izoo.algos.networks.fleet_features import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
-from izoo.training import runs
+from izoo.training import run_folder
 from izoo.training.environments import TrainingTwinEnv
-from izoo.training.records import MetricsTable
+from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 from tests.envs.worlds import crossing, defer, short
 
@@ -109,5 +109,5 @@ def test_a_short_run(tmp_path: Path) -> None:
     words += ["contexts.adoption=1.0", "contexts.inflow_vph_per_lane=600", "twin.threads=1", "twin.compare_every=0"]
     words += ["evaluation.contexts=0", "algo.epochs=1", "env.horizon_s=75"]
     assert train.main([*words, "algo.frames_per_batch=100", "total_frames=200", f"run_dir={run_dir}"]) == 0
-    losses = MetricsTable.read(run_dir / runs.METRICS_FILE).series("loss_critic")[1]
+    losses = MetricsTable.read(run_dir / run_folder.METRICS_FILE).series("loss_critic")[1]
     assert len(losses) == 2 and all(math.isfinite(loss) for loss in losses)

@@ -10,11 +10,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos import base
-from izoo.algos.gaussian import SamplingPolicy
-from izoo.algos.losses import MaskedPPOLoss
-from izoo.algos.ppo import PPO
-from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.learners import base
+from izoo.algos.learners.ppo import PPO
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.losses.losses import MaskedPPOLoss
+from izoo.algos.networks.gaussian import SamplingPolicy
 from izoo.errors import IzooError
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5

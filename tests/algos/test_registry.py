@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos import registry
-from izoo.algos.action import DirectAction
-from izoo.algos.registry import ALGORITHMS, Home, choices, make_algorithm, preset
+from izoo.algos.actions.action_modes import DirectAction
+from izoo.algos.learners import registry
+from izoo.algos.learners.registry import ALGORITHMS, Home, choices, make_algorithm, preset
 from izoo.conf import compose
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.training import runs
+from izoo.training import run_folder
 
 NEW = '''
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from typing import Literal
 import torch
 from tensordict.nn import TensorDictModule
 
-from izoo.algos.registry import AlgoConfig
+from izoo.algos.learners.registry import AlgoConfig
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def test_algorithms_learn_whatever_the_default_type_of_numbers_is(name: str, tmp
     torch.set_default_dtype(torch.float64)
     try:
         assert train.main(words) == 0
-        state = runs.load_policy(tmp_path / "run").state_dict()
+        state = run_folder.load_policy(tmp_path / "run").state_dict()
     finally:
         torch.set_default_dtype(before)
     assert {tensor.dtype for tensor in state.values() if tensor.is_floating_point()} == {torch.float32}
@@ -119,8 +119,8 @@ def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
     assert getattr(config.algo, "accel_mps2") == 0.1  # noqa: B009
     with pytest.raises(IzooError, match="It is an option of algo=calm and algo=calm_slow"):
         compose.compose_config("train", TrainConfig, ["algo.accel_mps2=1"])
-    runs.write_config(tmp_path, config)
-    assert runs.read_config(tmp_path) == config
+    run_folder.write_config(tmp_path, config)
+    assert run_folder.read_config(tmp_path) == config
     assert make_algorithm(config.algo, config.action, config.env).update(None, 0.0) == {}  # type: ignore[arg-type]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from izoo.algos import acting
-from izoo.algos.action import Rest
-from izoo.algos.resting import RestingNormal
+from izoo.algos.actions.action_modes import Rest
+from izoo.algos.networks import compiled_mlp
+from izoo.algos.networks.censored_normal import RestingNormal
 from izoo.errors import IzooError
 
 BOUND, DEAD = 0.8, 0.7
@@ -93,7 +93,7 @@ def test_compiled_draws_equal_the_modules() -> None:
     guided, noise = torch.rand(n, generator=generator) < 0.5, torch.randn(n, generator=generator)
     parameters = torch.stack([loc, offset], dim=-1).numpy()
     out, rows = np.empty((4, n), np.float32), np.arange(n)
-    acting.sample(
+    compiled_mlp.sample(
         parameters, rows, (0.5, 0.0, 0.01), (-BOUND, BOUND), DEAD, guided.numpy().view(np.uint8), noise.numpy(), out
     )
     scale = torch.nn.functional.softplus(offset + 0.5).clamp_min(0.01)
@@ -107,7 +107,7 @@ def test_compiled_draws_equal_the_modules() -> None:
 def test_far_tails_of_the_compiled_distribution_function() -> None:
     for z in (-60.0, -31.0, -29.0, -8.0, 0.0, 3.0):
         exact = float(torch.special.log_ndtr(torch.tensor(z, dtype=torch.float64)))
-        assert acting.log_cdf(z) == pytest.approx(exact, rel=1e-5, abs=1e-12)
+        assert compiled_mlp.log_cdf(z) == pytest.approx(exact, rel=1e-5, abs=1e-12)
 
 
 def test_the_band_holds_what_an_untrained_policy_says() -> None:

@@ -8,8 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from izoo.algos.registry import DRIVER_NAMES
-from izoo.algos.scripted import (
+from izoo.algos.drivers.scripted import (
     DRIVERS,
     ConstantSpeed,
     Glide,
@@ -18,6 +17,7 @@ from izoo.algos.scripted import (
     UncommandedDriver,
     make_driver,
 )
+from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names

@@ -11,12 +11,12 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos import base
-from izoo.algos.gcrl import GCRL
-from izoo.algos.mappo import MAPPO
-from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig
-from izoo.algos.set_ppo import SetPPO
-from izoo.algos.sets import COLUMN, FRAME, places
+from izoo.algos.learners import base
+from izoo.algos.learners.graph_ppo import GCRL
+from izoo.algos.learners.mappo import MAPPO
+from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig
+from izoo.algos.learners.set_ppo import SetPPO
+from izoo.algos.networks.set_networks import COLUMN, FRAME, places
 from tests.algos.frames import FEATURES, HIGH, LOW, act, alone, hand_advantages, make_frames
 
 KINDS = {

@@ -8,10 +8,10 @@ import io
 import pytest
 import torch
 
-from izoo.algos import base
-from izoo.algos.buffer import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
-from izoo.algos.ddpg_config import TD3Config
-from izoo.algos.td3 import TD3
+from izoo.algos.learners import base
+from izoo.algos.learners.ddpg_config import TD3Config
+from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
+from izoo.algos.learners.td3 import TD3
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError

@@ -10,11 +10,11 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.modules import RunningValueNorm, ValueOperator
 
-from izoo.algos import base
-from izoo.algos.mappo import MAPPO
-from izoo.algos.masked_gae import MaskedGAE
-from izoo.algos.ppo import PPO, make_value_norm
-from izoo.algos.ppo_config import MAPPOConfig, PPOConfig
+from izoo.algos.learners import base
+from izoo.algos.learners.mappo import MAPPO
+from izoo.algos.learners.ppo import PPO, make_value_norm
+from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
+from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 

@@ -11,10 +11,10 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.advice import ADVICE, SpeedCap
-from izoo.algos.scripted import DEFER, make_driver
-from izoo.algos.warm_start import LEAST_SPREAD
+from izoo.algos.actions.action_wrappers import ADVICE, SpeedCap
+from izoo.algos.drivers.scripted import DEFER, make_driver
+from izoo.algos.learners import base
+from izoo.algos.learners.imitation import LEAST_SPREAD
 from izoo.envs.config import EnvConfig
 from tests.algos.test_advice import act, make, observe
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks import ablation
-from izoo.benchmarks.ablation_options import REFERENCE, ROWS, AblationConfig
+from izoo.benchmarks.campaign.ablation_options import REFERENCE, ROWS, AblationConfig
 from izoo.conf import compose
 from izoo.results import read_table
 from izoo.training.collectors import check_collector

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.comparing import check_settings
-from izoo.benchmarks.journal import Journal
+from izoo.benchmarks.campaign.comparing import check_settings
+from izoo.benchmarks.fidelity.journal import Journal
 from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
 from izoo.results.rollout import Play, missing

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from izoo.benchmarks.conduct import COUNTS, Conduct, rates
+from izoo.benchmarks.fidelity.driving_statistics import COUNTS, Conduct, rates
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.mdp.scene import Scene
+from izoo.envs.mdp.snapshot import Scene
 from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
 

@@ -15,7 +15,8 @@ import pytest
 import torch
 from matplotlib import image
 
-from izoo.benchmarks import campaign, generalization, training_runs
+from izoo.benchmarks import generalization
+from izoo.benchmarks.campaign.jobs import jobs, training_runs
 from izoo.errors import IzooError
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
@@ -23,7 +24,7 @@ from izoo.report.report_data import collect
 from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint
-from izoo.training.runs import owned
+from izoo.training.run_folder import owned
 
 pytestmark = pytest.mark.slow
 
@@ -249,7 +250,7 @@ def test_what_was_trained_otherwise_or_not_to_its_end_is_not_taken_over(
     (copy / "manifest.json").write_text(json.dumps(manifest))
     checkpoint.listed(copy / "train/ppo/seed0")[-1].unlink()
     monkeypatch.setattr(training_runs, "train", stop)
-    monkeypatch.setattr(campaign, "play_missing", lambda *_, **__: None)
+    monkeypatch.setattr(jobs, "play_missing", lambda *_, **__: None)
     assert generalization.main([*elsewhere(copy), *out]) == 130
     assert "still to be trained: ppo seed 0.\n" in capsys.readouterr().out
 

@@ -16,9 +16,10 @@ import pytest
 from rich.console import Console
 
 from izoo import zoo
-from izoo.benchmarks import ladder, twin
-from izoo.benchmarks.journal import Journal
-from izoo.benchmarks.side_by_side import SideBySide, parting
+from izoo.benchmarks import twin
+from izoo.benchmarks.fidelity import twin_fidelity
+from izoo.benchmarks.fidelity.journal import Journal
+from izoo.benchmarks.fidelity.trajectory_diff import SideBySide, parting
 from izoo.benchmarks.twin import LadderConfig
 from izoo.conf import compose
 from izoo.contexts.procedural import procedural_context
@@ -48,7 +49,7 @@ def rows(*episodes: dict[str, Any]) -> pd.DataFrame:
 def test_an_approach_is_compared_by_hand() -> None:
     sumo = rows(episode("glide", "A", 1, 100.0), episode("glide", "A", 2, 120.0))
     other = rows(episode("glide", "A", 1, 110.0), episode("glide", "A", 2, 110.0, cohort=20))
-    row = ladder.approaches(sumo, other).iloc[0]
+    row = twin_fidelity.approaches(sumo, other).iloc[0]
     assert row["co2_g_sumo"] == pytest.approx(110.0) and row["co2_g_twin"] == pytest.approx(110.0)
     assert row["co2_g_difference"] == pytest.approx(0.0) and row["throughput_difference"] == pytest.approx(0.5)
     assert row["delay_s_difference"] == 0.0 and row["lane_count"] == 1
@@ -56,9 +57,9 @@ def test_an_approach_is_compared_by_hand() -> None:
 
 
 def test_an_approach_without_demand_has_no_difference() -> None:
-    table = ladder.approaches(rows(episode("glide", "A", 1, 0.0, cohort=0)), rows(episode("glide", "A", 1, 3.0)))
+    table = twin_fidelity.approaches(rows(episode("glide", "A", 1, 0.0, cohort=0)), rows(episode("glide", "A", 1, 3.0)))
     assert np.isnan(table["co2_g_difference"].iloc[0])
-    assert ladder.rungs(table)["approaches"].iloc[0] == 0
+    assert twin_fidelity.rungs(table)["approaches"].iloc[0] == 0
 
 
 def everywhere(**co2_g: float) -> pd.DataFrame:
@@ -69,61 +70,63 @@ def everywhere(**co2_g: float) -> pd.DataFrame:
 def test_differences_beyond_sumos_own_spread_are_counted() -> None:
     sumo, played = everywhere(A=100.0, B=100.0, C=100.0), everywhere(A=104.0, B=90.0, C=107.0)
     late = [everywhere(A=100.0, B=101.0, C=102.0), everywhere(A=100.0, B=99.0, C=96.0)]
-    own = ladder.own_spread(sumo, late)
-    compared = ladder.with_spread(ladder.approaches(sumo, played), own)
+    own = twin_fidelity.own_spread(sumo, late)
+    compared = twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), own)
     assert compared["co2_g_own"].tolist() == pytest.approx([0.0, 0.01, 0.03])  # sizes, which do not cancel
-    row = ladder.rungs(compared).iloc[0]
+    row = twin_fidelity.rungs(compared).iloc[0]
     assert row["co2_mean_abs"] == pytest.approx(0.07) and row["co2_bias"] == pytest.approx(0.01 / 3)
     assert row["co2_wide"] == 2 and row["co2_beyond"] == 1 and row["co2_worst"] == pytest.approx(0.1)
     assert row["co2_own"] == pytest.approx(0.04 / 3)
-    itself = ladder.rungs(own).iloc[0]
+    itself = twin_fidelity.rungs(own).iloc[0]
     assert itself["approaches"] == 6 and itself["co2_mean_abs"] == pytest.approx(0.04 / 3)
-    without = ladder.rungs(ladder.with_spread(ladder.approaches(sumo, played), ladder.own_spread(sumo, []))).iloc[0]
+    without = twin_fidelity.rungs(
+        twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), twin_fidelity.own_spread(sumo, []))
+    ).iloc[0]
     assert without["co2_beyond"] == without["co2_wide"] == 2 and np.isnan(without["co2_own"])
 
 
 def test_human_driving_is_compared_once_whatever_the_share_of_cvs() -> None:
     table = rows(*(episode(policy, "A", 1, 100.0, adoption=a) for policy in ("human", "glide") for a in (0.5, 1.0)))
-    summed = ladder.rungs(ladder.approaches(table, table))
+    summed = twin_fidelity.rungs(twin_fidelity.approaches(table, table))
     found = sorted(zip(summed["policy"], summed["adoption"], summed["approaches"], strict=True))
     assert found == [("glide", 0.5, 1), ("glide", 1.0, 1), ("human", 0.0, 1)]
 
 
 def test_kolmogorov_smirnov_distance() -> None:
-    assert ladder.ks_distance(np.array([1.0, 1.0, 2.0]), np.array([2.0, 2.0, 4.0])) == 0.0
-    assert ladder.ks_distance(np.array([1.0, 0.0]), np.array([0.0, 5.0])) == 1.0
-    assert np.isnan(ladder.ks_distance(np.zeros(2), np.ones(2)))
+    assert twin_fidelity.ks_distance(np.array([1.0, 1.0, 2.0]), np.array([2.0, 2.0, 4.0])) == 0.0
+    assert twin_fidelity.ks_distance(np.array([1.0, 0.0]), np.array([0.0, 5.0])) == 1.0
+    assert np.isnan(twin_fidelity.ks_distance(np.zeros(2), np.ones(2)))
 
 
 def test_the_same_order() -> None:
     gained = pd.DataFrame({"policy": ["a", "b"], "sumo": [0.1, 0.2], "twin": [0.0, 0.01]})
     gained = gained.assign(adoption=1.0, demand="all")
-    assert ladder.same_order(gained)
-    assert not ladder.same_order(gained.assign(twin=[0.3, 0.01]))
+    assert twin_fidelity.same_order(gained)
+    assert not twin_fidelity.same_order(gained.assign(twin=[0.3, 0.01]))
     # Policies at different shares of CVs are not ranked against each other.
-    assert ladder.same_order(gained.assign(twin=[0.3, 0.01], adoption=[0.5, 1.0]))
+    assert twin_fidelity.same_order(gained.assign(twin=[0.3, 0.01], adoption=[0.5, 1.0]))
 
 
 def test_what_late_vehicles_change_of_a_gain() -> None:
     def table(human_g: float, glide_g: float) -> pd.DataFrame:
         return rows(episode("human", "A", 1, human_g), episode("glide", "A", 1, glide_g))
 
-    found = ladder.gains(table(100.0, 90.0), table(100.0, 93.0), [table(100.0, 91.0), table(100.0, 88.0)])
+    found = twin_fidelity.gains(table(100.0, 90.0), table(100.0, 93.0), [table(100.0, 91.0), table(100.0, 88.0)])
     row = found.iloc[0]
     assert row["sumo"] == pytest.approx(10.0) and row["difference"] == pytest.approx(-3.0)
     assert row["own"] == pytest.approx(1.5) and row["adoption"] == 0.5 and row["demand"] == "all"
-    compared = ladder.approaches(table(100.0, 90.0), table(100.0, 93.0))
-    assert ladder.verdict(compared, found) == (
+    compared = twin_fidelity.approaches(table(100.0, 90.0), table(100.0, 93.0))
+    assert twin_fidelity.verdict(compared, found) == (
         "CO2 per vehicle on the twin is 1.7% from SUMO's on average over approaches; policies rank the same on both."
     )
 
 
 def test_contexts_without_demand_have_no_part_in_a_gain() -> None:
     blocked = rows(*(episode(name, "A", 1, 0.0, cohort=0) for name in ("human", "glide")))
-    found = ladder.gains(blocked, blocked)
-    assert found["sumo"].isna().all() and ladder.same_order(found)
+    found = twin_fidelity.gains(blocked, blocked)
+    assert found["sumo"].isna().all() and twin_fidelity.same_order(found)
     out = io.StringIO()
-    Console(file=out, width=80).print(ladder.headline(ladder.approaches(blocked, blocked), found).rich())
+    Console(file=out, width=80).print(twin_fidelity.headline(twin_fidelity.approaches(blocked, blocked), found).rich())
     assert "nan" not in out.getvalue()
 
 
@@ -146,10 +149,12 @@ def test_where_two_scenes_part() -> None:
 
 
 def test_episodes_without_counts_are_left_out_of_what_drivers_did() -> None:
-    without = pd.DataFrame({"policy": ["glide"], "demand": ["one"], **{name: [np.nan] for name in ladder.COUNTED}})
-    assert ladder.conduct(without).empty
+    without = pd.DataFrame(
+        {"policy": ["glide"], "demand": ["one"], **{name: [np.nan] for name in twin_fidelity.COUNTED}}
+    )
+    assert twin_fidelity.conduct(without).empty
     both = pd.concat([without, without.fillna(2.0)], ignore_index=True)
-    assert (ladder.conduct(both).set_index("measure")["sumo"]["passed_left_red"]) == 2.0
+    assert (twin_fidelity.conduct(both).set_index("measure")["sumo"]["passed_left_red"]) == 2.0
 
 
 @pytest.mark.slow
@@ -255,17 +260,20 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
 def test_tables_fit_a_terminal_of_80_columns() -> None:
     episodes = [episode("uncommanded", name, 1, 100.0, lanes=lanes) for lanes, name in ((1, "A"), (2, "B"))]
     table = rows(*episodes, *({**row, "policy": "measured_search"} for row in episodes))
-    compared = ladder.approaches(table, table)
-    own = ladder.own_spread(table, [table])
+    compared = twin_fidelity.approaches(table, table)
+    own = twin_fidelity.own_spread(table, [table])
     gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-10.1], "twin": [-20.2], "difference": [-10.1]})
     gained = gained.assign(adoption=1.0, demand="all", own=0.01)
     few = pd.DataFrame({"vehicles": [1, 2], "commanded": [False, True], "episodes": 160, "same": 160})
     exact = {"policy": ["uncommanded", "measured_search"], "demand": "given", "lanes": "2+"}
     exact |= {"episodes": 160, "same": 7, "median_parted": 1234.0, "ks_speed": 0.001, "ks_accel": 0.001}
-    done = {"policy": "uncommanded", "demand": "given", "measure": list(ladder.MEASURE_TITLES), "sumo": 12345.6}
-    rungs = ladder.rungs(ladder.with_spread(compared, own))
-    found = (few, pd.DataFrame(exact), pd.DataFrame(done | {"twin": 12345.0}), rungs, ladder.rungs(own), gained)
-    for shown in [*ladder.tables(ladder.Ladder(*found)), ladder.headline(ladder.with_spread(compared, own), gained)]:
+    done = {"policy": "uncommanded", "demand": "given", "measure": list(twin_fidelity.MEASURE_TITLES), "sumo": 12345.6}
+    rungs = twin_fidelity.rungs(twin_fidelity.with_spread(compared, own))
+    found = (few, pd.DataFrame(exact), pd.DataFrame(done | {"twin": 12345.0}), rungs, twin_fidelity.rungs(own), gained)
+    for shown in [
+        *twin_fidelity.tables(twin_fidelity.Ladder(*found)),
+        twin_fidelity.headline(twin_fidelity.with_spread(compared, own), gained),
+    ]:
         out = io.StringIO()
         Console(file=out, width=80).print(shown.rich())
         assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
@@ -312,7 +320,7 @@ def test_a_context_in_which_nobody_drives_is_not_played_side_by_side(tmp_path: P
     glide = [as_policy("glide", EnvConfig())]
     found = twin.compare_steps([quiet], EpisodeSeeds(0, 1), EnvConfig(), glide, Journal(tmp_path / "steps.jsonl"))
     assert found.empty
-    assert ladder.exactness(found).empty and ladder.conduct(found).empty
+    assert twin_fidelity.exactness(found).empty and twin_fidelity.conduct(found).empty
 
 
 @pytest.mark.slow

@@ -11,14 +11,21 @@ import yaml
 
 import izoo.conf
 from izoo import zoo
-from izoo.benchmarks.generalization_options import SCALES, GeneralizationConfig, parse_entry
-from izoo.benchmarks.plan import evaluation_env, evaluation_seeds, limit_contexts, make_plan, place_name, train_config
+from izoo.benchmarks.campaign.generalization_options import SCALES, GeneralizationConfig, parse_entry
+from izoo.benchmarks.campaign.task_plan import (
+    evaluation_env,
+    evaluation_seeds,
+    limit_contexts,
+    make_plan,
+    place_name,
+    train_config,
+)
 from izoo.conf.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.zoo import shelf
+from izoo.zoo import catalog
 
 
 def hashes(contexts) -> list[str]:  # type: ignore[no-untyped-def]
@@ -155,8 +162,8 @@ def test_entries() -> None:
 
 
 def test_a_policy_must_not_be_taken_for_what_stands_beside_it(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    shutil.copy(shelf.weights("measured_search"), tmp_path / "uncommanded.pt")
-    shutil.copy(shelf.weights("measured_search"), tmp_path / "ppo_untrained.pt")
+    shutil.copy(catalog.weights("measured_search"), tmp_path / "uncommanded.pt")
+    shutil.copy(catalog.weights("measured_search"), tmp_path / "ppo_untrained.pt")
     for name in (
         str(tmp_path / "uncommanded.pt"),
         "mine:uncommanded",

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from izoo.benchmarks.campaign import Campaign
-from izoo.benchmarks.contestants import selected, untrained
-from izoo.benchmarks.generalization_options import GeneralizationConfig
+from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
+from izoo.benchmarks.campaign.jobs import Campaign
+from izoo.benchmarks.campaign.policies import selected, untrained
 from izoo.conf.train_options import TrainConfig
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
@@ -53,7 +53,7 @@ def test_every_training_seed_is_also_tested_as_it_begins(tmp_path: Path) -> None
 
 def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise a benchmark that is killed during the last validation would test other weights."""
-    monkeypatch.setattr("izoo.benchmarks.training_runs._check", lambda *_: None)
+    monkeypatch.setattr("izoo.benchmarks.campaign.training_runs._check", lambda *_: None)
     trained = {}
     for select in ("last", "best"):
         runs, key = campaign(tmp_path / select, "ppo", select=select, frames=200, seeds=1).runs, ("ppo", 0)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.side_runs import SideRuns, shares
+from izoo.benchmarks.campaign.parallel_training import SideRuns, shares
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from izoo.training import checkpoint, runs
-from izoo.training.records import MetricsTable
+from izoo.training import checkpoint, run_folder
+from izoo.training.loggers import MetricsTable
 
 WORDS = [
     *("contexts=pcg_easy", "env.horizon_s=100", "simulator=twin", "num_envs=2", "twin.surrogate=compiled"),
@@ -60,7 +60,7 @@ def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path
         assert beside.has_room
     for seed in (0, 1):
         assert checkpoint.listed(tmp_path / f"seed{seed}")
-        assert runs.read_config(tmp_path / f"seed{seed}").seed == seed
+        assert run_folder.read_config(tmp_path / f"seed{seed}").seed == seed
         assert "Run folder: " in (tmp_path / f"seed{seed}.log").read_text()
 
 
@@ -72,11 +72,11 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     failed = pytest.raises(IzooError, match=r"run failed: .*taken.* is not empty.* \(all that it said: .*taken\.log\)")
     with failed, SideRuns(2) as beside:
         beside.begin("long", *order(tmp_path, "long", 10**8))
-        wait_until(lambda: MetricsTable.read(long / runs.METRICS_FILE).rows, "the first batch")
+        wait_until(lambda: MetricsTable.read(long / run_folder.METRICS_FILE).rows, "the first batch")
         beside.begin("taken", *order(tmp_path, "taken", 200))
         wait_until(lambda: beside.is_done("taken"), "the run that cannot begin")
     assert "go on with: python -m izoo.train resume=" in (tmp_path / "long.log").read_text()
-    learned, _ = MetricsTable.read(long / runs.METRICS_FILE).series("seconds")
+    learned, _ = MetricsTable.read(long / run_folder.METRICS_FILE).series("seconds")
     assert int(checkpoint.listed(long)[-1].stem.rpartition("-")[2]) == learned[-1]
 
 
@@ -91,7 +91,7 @@ def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_ord
     parent.kill()
     parent.wait()
     wait_until(lambda: "izoo train: stopped." in (tmp_path / "long.log").read_text(), "the end")
-    learned, _ = MetricsTable.read(tmp_path / "long" / runs.METRICS_FILE).series("seconds")
+    learned, _ = MetricsTable.read(tmp_path / "long" / run_folder.METRICS_FILE).series("seconds")
     assert int(checkpoint.listed(tmp_path / "long")[-1].stem.rpartition("-")[2]) == learned[-1]
 
 
@@ -99,7 +99,7 @@ def stopped(folder: Path) -> None:
     """Begin a run, and ask it to stop once it has learned something."""
     with SideRuns(1) as beside:
         beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
-        wait_until(lambda: MetricsTable.read(folder / "long" / runs.METRICS_FILE).rows, "the first batch")
+        wait_until(lambda: MetricsTable.read(folder / "long" / run_folder.METRICS_FILE).rows, "the first batch")
         beside.going[0].ask_to_stop()
         (folder / "asked").touch()
         time.sleep(PATIENCE_S)

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from izoo import console
-from izoo.benchmarks import emissions, scaling, throughput, twin_parts
-from izoo.benchmarks.twin_parts import PARTS
+from izoo.benchmarks import emissions, scaling, throughput
+from izoo.benchmarks.timing import twin_parts
+from izoo.benchmarks.timing.twin_parts import PARTS
 from izoo.envs import EcoDrivingEnv
 
 

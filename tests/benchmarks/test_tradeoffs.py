@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks import tradeoffs
-from izoo.benchmarks.generalization_options import Entry
-from izoo.benchmarks.plan import make_plan, train_config
+from izoo.benchmarks.campaign.generalization_options import Entry
+from izoo.benchmarks.campaign.task_plan import make_plan, train_config
 from izoo.benchmarks.tradeoffs import TradeoffsConfig, on_front
-from izoo.commands.help_page import attribute_docs
+from izoo.cli.help_page import attribute_docs
 from izoo.conf.compose import compose_config
 from izoo.errors import IzooError
 from izoo.results import read_table
-from izoo.training.runs import read_config
+from izoo.training.run_folder import read_config
 
 
 def test_yaml_equals_dataclass() -> None:

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from izoo.algos import registry
-from izoo.algos.action import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.ppo_config import PPOConfig
-from izoo.algos.scripted import GlideConfig
-from izoo.benchmarks.generalization_options import GeneralizationConfig
+from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
+from izoo.algos.drivers.scripted import GlideConfig
+from izoo.algos.learners import registry
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
 from izoo.benchmarks.tradeoffs import TradeoffsConfig
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts

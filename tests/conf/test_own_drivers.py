@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from izoo import train
-from izoo.commands.evaluating import resolve
+from izoo.cli.evaluate import resolve
 from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from izoo import evaluate, train
-from izoo.commands.entries import TRAIN
+from izoo.cli.entries import TRAIN
 from izoo.conf.compose import compose_config
 from izoo.conf.recipes import RECIPES
 from izoo.conf.train_options import TrainConfig

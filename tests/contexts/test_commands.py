@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from izoo.commands import trial
-from izoo.commands.contexts import CONTEXTS
+from izoo.cli import smoke_test
+from izoo.cli.contexts import CONTEXTS
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
@@ -158,7 +158,7 @@ def test_try_names_what_fails(town, monkeypatch, capsys):
     def refuse(*_arguments: object) -> None:
         raise ValueError("no way")
 
-    monkeypatch.setattr(trial, "run_episode", refuse)
+    monkeypatch.setattr(smoke_test, "run_episode", refuse)
     assert main(["try", str(town)]) == 2
     out, err = capsys.readouterr()
     assert "failed: " in out and "ValueError: no way" in out
@@ -166,6 +166,6 @@ def test_try_names_what_fails(town, monkeypatch, capsys):
 
 
 def test_drawn_intersections_are_shared_out_evenly():
-    specs = trial.choose(None, ["atlanta", "boston", "atlanta"], 5, seed=0)
+    specs = smoke_test.choose(None, ["atlanta", "boston", "atlanta"], 5, seed=0)
     assert [spec.city for spec in specs] == ["atlanta"] * 3 + ["boston"] * 2
-    assert specs == trial.choose(None, ["atlanta", "boston"], 5, seed=0)
+    assert specs == smoke_test.choose(None, ["atlanta", "boston"], 5, seed=0)

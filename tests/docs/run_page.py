@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from izoo.commands.option_command import OptionCommand
+from izoo.cli.option_command import OptionCommand
 from izoo.conf import compose
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
 

@@ -17,11 +17,11 @@ import pytest
 
 pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
-from izoo.commands import calibrate
+from izoo.cli import calibrate
 from izoo.conf.context_choices import PcgContexts
 from izoo.contexts.population import read_population
 from izoo.drivers import estimate as estimating
-from izoo.drivers.chains import SamplerConfig
+from izoo.drivers.mcmc import SamplerConfig
 from izoo.errors import IzooError
 from tests.drivers.platoons import MEDIANS, SPREAD, platoon_table
 

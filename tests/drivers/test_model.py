@@ -16,14 +16,14 @@ import numpyro.distributions as dist
 from numpyro.infer import util
 
 from izoo.contexts.procedural import procedural_context
-from izoo.drivers import hierarchy
-from izoo.drivers.chains import SamplerConfig, sample
+from izoo.drivers import model
 from izoo.drivers.estimate import Estimate, estimate, to_content
-from izoo.drivers.followers import Following, ReadConfig, read_following
-from izoo.drivers.pilot import NOISE_FLOOR_MPS2, TYPICAL, Pilot, fit_pilot
+from izoo.drivers.idm import next_speed
+from izoo.drivers.laplace_fit import NOISE_FLOOR_MPS2, TYPICAL, Pilot, fit_pilot
+from izoo.drivers.mcmc import SamplerConfig, sample
 from izoo.drivers.posterior_figure import longest_drive
 from izoo.drivers.predictive import predict
-from izoo.drivers.update import next_speed
+from izoo.drivers.trajectories import Following, ReadConfig, read_following
 from tests.drivers.platoons import MEDIANS, SPREAD, idm_step, platoon_table
 
 jax.config.update("jax_enable_x64", True)
@@ -95,10 +95,10 @@ def test_the_density_is_the_one_written_down_whatever_the_first_fit_says(data: F
     for first_fit in (pilot, worse):
         difference = []
         for _ in range(3):
-            near = {name: jnp.asarray(value) for name, value in hierarchy.start(first_fit).items()}
+            near = {name: jnp.asarray(value) for name, value in model.start(first_fit).items()}
             place = {name: value + 0.1 * generator.standard_normal(value.shape) for name, value in near.items()}
-            values = util.constrain_fn(hierarchy.model, (data, first_fit), {}, place, return_deterministic=True)
-            got = -util.potential_energy(hierarchy.model, (data, first_fit), {}, place)
+            values = util.constrain_fn(model.model, (data, first_fit), {}, place, return_deterministic=True)
+            got = -util.potential_energy(model.model, (data, first_fit), {}, place)
             difference.append(float(got - _written_down(data, values, place, first_fit)))
         # Constants are left out of the product's density.
         np.testing.assert_allclose(difference, difference[0], atol=1e-6)
@@ -121,7 +121,7 @@ def _written_down(data: Following, values: dict, place: dict, pilot: Pilot) -> f
 
     def constrained(place: dict) -> jnp.ndarray:
         """What the volumes are of: the drivers' values, by the sampler's coordinates."""
-        values = util.constrain_fn(hierarchy.model, (data, pilot), {}, place, return_deterministic=True)
+        values = util.constrain_fn(model.model, (data, pilot), {}, place, return_deterministic=True)
         return jnp.concatenate([values["x"].ravel(), values["log_noise"]])
 
     def of_drivers(z: jnp.ndarray, noise_z: jnp.ndarray) -> jnp.ndarray:

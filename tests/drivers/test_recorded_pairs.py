@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.drivers.followers import ReadConfig, read_following
 from izoo.drivers.recorded_pairs import read_pairs
+from izoo.drivers.trajectories import ReadConfig, read_following
 from izoo.errors import IzooError
 from tests.drivers.platoons import platoon_table
 

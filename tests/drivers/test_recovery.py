@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
 from izoo.benchmarks import calibration
-from izoo.benchmarks.journal import Journal
+from izoo.benchmarks.fidelity.journal import Journal
 from izoo.envs import MODEL_VERSION
 
 

@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from tests.envs.worlds import defer
 
 Drive = Callable[[TensorDictBase, float], TensorDictBase]
@@ -72,7 +72,7 @@ def uncommanded(state: TensorDictBase, time_s: float) -> TensorDictBase:
 
 
 def glide() -> Drive:
-    from izoo.algos.scripted import make_driver
+    from izoo.algos.drivers.scripted import make_driver
 
     driver = make_driver("glide", EnvConfig(step_s=STEP_S))
     return lambda state, time_s: driver(state)

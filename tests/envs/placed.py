@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from izoo.envs.mdp.motion import place, road_arrays
+from izoo.envs.mdp.columns import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
+from izoo.envs.mdp.displacement import place, road_arrays
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS, neighbour_columns
-from izoo.envs.mdp.observe import observe
+from izoo.envs.mdp.observation_kernel import observe
 from izoo.envs.mdp.signals import clock_arrays, read_clock
-from izoo.envs.mdp.state import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
 from izoo.networks.road import RoadNet
 
 STEP_S = 0.5

@@ -12,8 +12,8 @@ import pytest
 
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
-from izoo.envs.sumo.overheard import Overheard
 from izoo.envs.sumo.session import sumo_arguments
+from izoo.envs.sumo.stderr_filter import Overheard
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes

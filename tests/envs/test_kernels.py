@@ -9,8 +9,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.features import OBSERVED
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg
 from izoo.envs.config import NEIGHBOURS
+from izoo.envs.mdp.columns import BLINKER_LEFT, BLINKER_RIGHT, LOCATION, PATH_POSITION
 from izoo.envs.mdp.observation import FAR_M, NEIGHBOUR_FEATURES, observed_table
-from izoo.envs.mdp.state import BLINKER_LEFT, BLINKER_RIGHT, LOCATION, PATH_POSITION
 from izoo.networks.road import INSIDE, LEAVING, RoadNet
 from tests.envs.placed import LEFT_BLINKER, RIGHT_BLINKER, Scene
 

@@ -20,7 +20,7 @@ from tensordict import TensorDictBase
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from izoo.envs.config import SIMULATORS, EnvConfig, RewardConfig
 from izoo.envs.env import EcoDrivingBase
-from izoo.envs.mdp.tally import EPISODE_METRIC
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, play_on, short, steer
 

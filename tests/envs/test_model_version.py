@@ -24,7 +24,7 @@ from tensordict import TensorDictBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import MODEL_VERSION, EcoDrivingEnv, EnvConfig, RewardConfig
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.errors import IzooError
 from tests.envs.worlds import Driver, crossing, defer, set_action, steer_and_change
 
@@ -74,7 +74,7 @@ def _driver(name: str, config: EnvConfig) -> Driver:
         return steer_and_change
     if name == "constant":
         return lambda state: set_action(state, torch.full((*state["agents", "mask"].shape, 1), 0.7))
-    from izoo.algos.scripted import make_driver
+    from izoo.algos.drivers.scripted import make_driver
 
     driver = make_driver(name, config)
 

@@ -18,7 +18,7 @@ from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig, SumoParallelEnv
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.blocked_demand import reach_times
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road

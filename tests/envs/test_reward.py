@@ -14,10 +14,10 @@ from izoo.envs import EcoDrivingEnv, RewardConfig
 from izoo.envs.backend import episode_traffic
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.blocked_demand import NEVER, idle_rates
-from izoo.envs.mdp.pay import pay, reward_arrays, reward_terms, team_pay
+from izoo.envs.mdp.columns import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
+from izoo.envs.mdp.credit import BLOCKED, HERE
 from izoo.envs.mdp.reward import REWARD_VECTOR
-from izoo.envs.mdp.share import BLOCKED, HERE
-from izoo.envs.mdp.state import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
+from izoo.envs.mdp.reward_kernel import pay, reward_arrays, reward_terms, team_pay
 from izoo.envs.mdp.units import units_of
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road

@@ -16,14 +16,14 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
-from izoo.algos.scripted import RandomDriver
+from izoo.algos.drivers.scripted import RandomDriver
 from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.errors import IzooError
 from izoo.training import offline
+from izoo.training.command_replay import Pasts
 from izoo.training.environments import TrainingEnv
-from izoo.training.past import Pasts
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.worlds import crossing, play_on, same

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.mdp.state import COUNTED, CROSSED
+from izoo.envs.mdp.columns import COUNTED, CROSSED
 from tests.envs.worlds import at_random, crossing, defer, episode, play, short, steer
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from izoo.envs.mdp.state import (
+from izoo.envs.mdp.columns import (
     ACCEL,
     FRESH,
     GAP,

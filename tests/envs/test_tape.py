@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from izoo.envs import TwinEnv
-from izoo.envs.tape import Tape
+from izoo.envs.observation_buffer import Tape
 from tests.envs.worlds import crossing, short, steer
 
 NUM_ENVS, STEPS, BATCHES = 3, 25, 8

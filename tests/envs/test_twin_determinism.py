@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 
 from izoo.envs import TwinEnv
 from izoo.envs.config import EMIT_GROUPS
-from izoo.envs.twin.emitting import GROUP
+from izoo.envs.twin.runtime.batched_emissions import GROUP
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import by_episode, schedule
 from tests.envs.worlds import play, short, steer

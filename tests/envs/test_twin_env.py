@@ -15,10 +15,10 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, RandomSchedule, RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
-from izoo.envs.twin import twin_backend
-from izoo.envs.twin.arrays import ARRIVED, LOST_TAILS
-from izoo.envs.twin.twin_episode import TwinEpisode
-from izoo.envs.twin.whole_net import twin_traffic
+from izoo.envs.twin import backend
+from izoo.envs.twin.net.reader import twin_traffic
+from izoo.envs.twin.runtime.layout import ARRIVED, LOST_TAILS
+from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.errors import IzooError
 from izoo.networks.road import read_road
 from tests.envs.conftest import MakeTwin
@@ -192,7 +192,7 @@ class _Interrupted(BaseException):
 def _interrupt(env: TwinEnv, call: Callable[[], object], monkeypatch: pytest.MonkeyPatch, surrogate: str) -> None:
     """Let a call end in the midst of its simulation: on torch before, with compiled code after the step was counted."""
     name = "conclude_all" if surrogate == "torch" else "play_all"
-    whole = getattr(twin_backend, name)
+    whole = getattr(backend, name)
 
     def broken(*arguments: object) -> None:
         if name == "play_all":
@@ -200,7 +200,7 @@ def _interrupt(env: TwinEnv, call: Callable[[], object], monkeypatch: pytest.Mon
         raise _Interrupted
 
     with monkeypatch.context() as patch, pytest.raises(_Interrupted):
-        patch.setattr(twin_backend, name, broken)
+        patch.setattr(backend, name, broken)
         call()
 
 

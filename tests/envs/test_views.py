@@ -16,8 +16,8 @@ import izoo.envs.views.pettingzoo
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
-from izoo.envs.mdp.state import LANE_POSITION, NUMBER, REGION_LANE, SPEED
-from izoo.envs.views.host import Host
+from izoo.envs.mdp.columns import LANE_POSITION, NUMBER, REGION_LANE, SPEED
+from izoo.envs.views.view_session import Host
 from izoo.errors import IzooError
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 
 
 def episode_row(

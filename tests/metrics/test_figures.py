@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import torch
 
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES, HEADLINE, Ratio, level_tensors
 from tests.metrics.tables import episode_row
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from izoo.commands.contexts import CONTEXTS
+from izoo.cli.contexts import CONTEXTS
 from izoo.contexts.context import Context
 from izoo.contexts.spec import CountedApproach, IntersectionSpec
 from izoo.errors import IzooError

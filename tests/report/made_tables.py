@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.tally import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.results.schema import COLUMNS
 from izoo.results.store import PolicyRecord, Store
 

@@ -15,7 +15,7 @@ from matplotlib import image
 
 from izoo import leaderboard as command
 from izoo.envs import MODEL_VERSION
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import summarise

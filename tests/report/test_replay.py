@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from izoo.envs.env import EcoDrivingEnv
-from izoo.envs.twin.twin_backend import TwinBackend
+from izoo.envs.twin.backend import TwinBackend
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road

@@ -11,14 +11,14 @@ import pytest
 from matplotlib import image
 
 from izoo import train
-from izoo.algos.ddpg_config import DDPGConfig
-from izoo.algos.ppo_config import PPOConfig
+from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.ppo_config import PPOConfig
 from izoo.conf.train_options import TrainConfig, training_env
 from izoo.envs import RewardConfig
 from izoo.report import __main__ as report
 from izoo.report import sweeps
-from izoo.training import runs
-from izoo.training.records import MetricsTable
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
 from tests.report.made_tables import folder as results_folder
 from tests.report.made_tables import table as rows
 
@@ -28,8 +28,8 @@ def make_run(
 ) -> None:
     """Write what a run leaves behind."""
     folder.mkdir(parents=True)
-    runs.write_config(folder, config)
-    table = MetricsTable(folder / runs.METRICS_FILE)
+    run_folder.write_config(folder, config)
+    table = MetricsTable(folder / run_folder.METRICS_FILE)
     table.append({"frames": frames // 2, "seconds": 1800.0, "return": returns})
     table.append({"frames": frames, "seconds": 3600.0})
     validation = MetricsTable(folder / "validation.csv")
@@ -120,9 +120,9 @@ def test_options_of_the_page_are_refused(
 
 def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "5-run").mkdir()
-    (folder / "5-run" / runs.CONFIG_FILE).write_text("algo: [")
+    (folder / "5-run" / run_folder.CONFIG_FILE).write_text("algo: [")
     (folder / "0-run" / "evaluations" / "last" / "rows.csv").write_text("{")
-    with (folder / "1-run" / runs.METRICS_FILE).open("a") as file:
+    with (folder / "1-run" / run_folder.METRICS_FILE).open("a") as file:
         file.write("20")  # a row cut short by a kill
     assert report.main([str(folder)]) == 0
     assert "5-run: cannot read" in capsys.readouterr().out.replace("\n", "")

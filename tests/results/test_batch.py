@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import torch
 
-from izoo.algos.base import MASK
+from izoo.algos.learners.base import MASK
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
 from izoo.errors import IzooError

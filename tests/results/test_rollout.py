@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.drivers.scripted import UncommandedDriver
 from izoo.contexts.context import Context
-from izoo.envs.mdp.tally import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.results import evaluate_policy, read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context

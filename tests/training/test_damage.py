@@ -15,7 +15,7 @@ import torch
 
 from izoo import train
 from izoo.errors import IzooError
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint, run_folder
 from tests.training.test_resume import flat
 
 TOY = [
@@ -67,16 +67,16 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_options_are_refused(run_dir: Path, damage: str, capsys: pytest.CaptureFixture[str]) -> None:
-    path = run_dir / runs.CONFIG_FILE
+    path = run_dir / run_folder.CONFIG_FILE
     changed = DAMAGES[damage](path.read_bytes())
     assert changed != path.read_bytes()
     path.write_bytes(changed)
     before = contents(run_dir)
     assert train.main([f"resume={run_dir}", "total_frames=150"]) == 2
-    assert is_one_sentence(capsys.readouterr().err, runs.CONFIG_FILE)
+    assert is_one_sentence(capsys.readouterr().err, run_folder.CONFIG_FILE)
     assert contents(run_dir) == before, "what could not be read was changed"
     with pytest.raises(IzooError):
-        runs.load_policy(run_dir)
+        run_folder.load_policy(run_dir)
 
 
 def contents(run_dir: Path) -> dict[str, bytes]:
@@ -91,8 +91,8 @@ def is_one_sentence(error: str, named: str) -> bool:
 
 
 def test_a_pipe_for_options_is_refused(run_dir: Path) -> None:
-    (run_dir / runs.CONFIG_FILE).unlink()
-    os.mkfifo(run_dir / runs.CONFIG_FILE)
+    (run_dir / run_folder.CONFIG_FILE).unlink()
+    os.mkfifo(run_dir / run_folder.CONFIG_FILE)
     assert train.main([f"resume={run_dir}", "total_frames=150"]) == 2
 
 
@@ -121,13 +121,13 @@ def test_a_damaged_table_is_refused_or_said_to_be_short(
     run_dir: Path, damage: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change, code = TABLES[damage]
-    path = run_dir / runs.METRICS_FILE
+    path = run_dir / run_folder.METRICS_FILE
     path.write_bytes(change(path.read_bytes()))
     damaged = path.read_bytes()
     assert train.main([f"resume={run_dir}"]) == code  # nothing is left to train
     error = capsys.readouterr().err
     if code:
-        assert is_one_sentence(error, runs.METRICS_FILE) and path.read_bytes() == damaged
+        assert is_one_sentence(error, run_folder.METRICS_FILE) and path.read_bytes() == damaged
     else:
         assert "rows for 2 batches" in error
 

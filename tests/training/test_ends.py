@@ -21,9 +21,9 @@ from izoo import files, train
 from izoo.conf.train_options import TrainConfig
 from izoo.console import exit_code, graceful_interrupt
 from izoo.errors import IzooError, UnfinishedError
-from izoo.training import checkpoint, loop, records, runs
-from izoo.training.heartbeats import Watch, open_counts
+from izoo.training import checkpoint, loggers, loop, run_folder
 from izoo.training.learner import Learner, is_finite
+from izoo.training.watchdog import Watch, open_counts
 from tests.test_console import LOST
 
 TOY = [
@@ -34,7 +34,7 @@ TOY = [
 
 
 def frames_in(run_dir: Path) -> list[int]:
-    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
         return [int(row["frames"]) for row in csv.DictReader(file)]
 
 
@@ -52,8 +52,8 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
     run_dir = tmp_path / "run"
     assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
     before = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file()}
-    program = "import sys, pathlib; from izoo.training import runs\n"
-    program += "with runs.owned(pathlib.Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
+    program = "import sys, pathlib; from izoo.training import run_folder\n"
+    program += "with run_folder.owned(pathlib.Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", program, str(run_dir)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None and other.stdout.readline() == "mine\n"
@@ -67,12 +67,12 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
 
 def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> None:
     config = TrainConfig(run_dir=str(tmp_path / "run"))
-    with runs.created(config) as run_dir:
-        kept = (run_dir / runs.CONFIG_FILE).read_bytes()
-        with pytest.raises(IzooError, match="not empty"), runs.created(config):
+    with run_folder.created(config) as run_dir:
+        kept = (run_dir / run_folder.CONFIG_FILE).read_bytes()
+        with pytest.raises(IzooError, match="not empty"), run_folder.created(config):
             pass
-        assert (run_dir / runs.CONFIG_FILE).read_bytes() == kept
-        (run_dir / runs.METRICS_FILE).touch()  # so that the folder is not taken for a start that failed
+        assert (run_dir / run_folder.CONFIG_FILE).read_bytes() == kept
+        (run_dir / run_folder.METRICS_FILE).touch()  # so that the folder is not taken for a start that failed
     assert (tmp_path / "run").is_dir()
 
 
@@ -116,9 +116,9 @@ def test_runs_that_begin_in_one_second_have_folders_of_their_own(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(runs.created(TrainConfig())) for _ in range(12)]
+        folders = [stack.enter_context(run_folder.created(TrainConfig())) for _ in range(12)]
         for folder in folders:
-            (folder / runs.METRICS_FILE).touch()
+            (folder / run_folder.METRICS_FILE).touch()
     assert len({*folders}) == 12 == len(list((tmp_path / "runs").iterdir()))
 
 
@@ -203,10 +203,10 @@ def test_resuming_on_a_full_disk_is_one_sentence(
 ) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
-    full(monkeypatch, tmp_path, runs.CONFIG_FILE)
+    full(monkeypatch, tmp_path, run_folder.CONFIG_FILE)
     assert train.main([f"resume={run_dir}", "total_frames=200"]) == 1
     one_line(capsys, "No space left on device", "step-000000000100.pt")
-    assert runs.read_config(run_dir).total_frames == 100
+    assert run_folder.read_config(run_dir).total_frames == 100
 
 
 def test_a_run_folder_that_is_removed_does_not_come_back(
@@ -263,9 +263,9 @@ def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str])
     good, bad, late = Logger(100), Logger(3), Logger(8)
     sinks: list[Any] = [bad, good, late]
     for frames in range(4):
-        records.log_all(sinks, {"frames": frames, "return": 1.0, "reward": 2.0})
+        loggers.log_all(sinks, {"frames": frames, "return": 1.0, "reward": 2.0})
     late.takes = -1
-    records.close_all(sinks)
+    loggers.close_all(sinks)
     assert sinks == [good] and good.takes == 92
     assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
 

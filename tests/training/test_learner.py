@@ -11,10 +11,10 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos import base
-from izoo.algos.action import ResidualAction
-from izoo.algos.ddpg_config import DDPGConfig, TD3Config
-from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.actions.action_modes import ResidualAction
+from izoo.algos.learners import base
+from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
+from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError

@@ -11,17 +11,17 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos.mappo import TEAM_BASELINE
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.train_options import LevelsConfig
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.mdp.frame import TEAM_REWARD
-from izoo.training import checkpoint, paired
+from izoo.training import baseline_episodes, checkpoint
+from izoo.training.baseline_episodes import Paired
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
-from izoo.training.levels import Levels, replay_probabilities
-from izoo.training.paired import Paired
+from izoo.training.prioritized_level_replay import Levels, replay_probabilities
 from tests.training.test_paired import config as paired_config
 from tests.training.test_paired import schedule as uniform
 
@@ -132,7 +132,7 @@ def test_state_restores_the_very_next_draws() -> None:
 
 def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Uncommanded training, with replays: the same rewards as the uncommanded episodes beside it, step by step."""
-    monkeypatch.setattr(paired, "BLOCK", 4)
+    monkeypatch.setattr(baseline_episodes, "BLOCK", 4)
     options = paired_config("levels.draw=prioritised")
     draws = uniform(options)
     levels = Levels(draws, LevelsConfig(draw="prioritised", kept=4, share=0.7), 0)

@@ -12,9 +12,9 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo import train
-from izoo.algos.base import ACTION, MASK
-from izoo.algos.mappo import TEAM_BASELINE
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.learners.base import ACTION, MASK
+from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
@@ -22,11 +22,11 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError
-from izoo.results.batch import Batch
-from izoo.training import paired, runs
+from izoo.results.twin_executor import Batch
+from izoo.training import baseline_episodes, run_folder
+from izoo.training.baseline_episodes import Paired
 from izoo.training.collectors import BatchSource, check_collector
-from izoo.training.paired import Paired
-from izoo.training.records import MetricsTable
+from izoo.training.loggers import MetricsTable
 from tests.envs.worlds import defer
 
 WORDS = [
@@ -50,7 +50,7 @@ class Crawl(UncommandedDriver):
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paired, "BLOCK", 4)
+    monkeypatch.setattr(baseline_episodes, "BLOCK", 4)
 
 
 def config(*words: str) -> TrainConfig:
@@ -145,7 +145,7 @@ def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     words += ["algo.value_norm=running", "algo.epochs=1"]
     for name, every in (("compared", 2), ("alone", 0)):
         assert train.main([*words, f"twin.compare_every={every}", f"run_dir={tmp_path / name}"]) == 0
-    tables = [MetricsTable.read(tmp_path / name / runs.METRICS_FILE) for name in ("compared", "alone")]
+    tables = [MetricsTable.read(tmp_path / name / run_folder.METRICS_FILE) for name in ("compared", "alone")]
     assert len(tables[0].series("co2_saved_over_human")[1]) > 0 and tables[1].series("co2_saved_over_human")[1] == []
     for column in ("reward", "loss_critic", "grad_norm"):
         assert tables[0].series(column) == tables[1].series(column)

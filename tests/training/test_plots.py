@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from izoo.metrics.figures import FIGURES
+from izoo.training.loggers import MetricsTable
 from izoo.training.plots import COMPARED, CURVES, curves, draw, learning_curve
-from izoo.training.records import MetricsTable
 
 
 def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from izoo import train
-from izoo.algos.registry import choices, preset
-from izoo.training import runs
-from izoo.training.records import MetricsTable
+from izoo.algos.learners.registry import choices, preset
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
 
 SMALLER = {"frames_per_batch": 160, "learning_starts": 0, "random_frames": 0, "epochs": 1}
 OPTIONS = {choice: {field.name for field in dataclasses.fields(preset(choice))} for choice in choices()}
@@ -28,7 +28,7 @@ def test_every_preset_learns_from_a_batch(choice: str, tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     smaller = [f"algo.{name}={value}" for name, value in SMALLER.items() if name in OPTIONS[choice]]
     assert train.main([*WORDS, f"algo={choice}", *smaller, f"run_dir={run_dir}"]) == 0
-    (row,) = MetricsTable.read(run_dir / runs.METRICS_FILE).rows
+    (row,) = MetricsTable.read(run_dir / run_folder.METRICS_FILE).rows
     losses = {name: float(value) for name, value in row.items() if name.startswith("loss_")}
     assert len(losses) >= 2, "of the policy and of the values"
     assert all(map(math.isfinite, losses.values()))

@@ -15,11 +15,11 @@ import pytest
 import torch
 
 from izoo import evaluate, train
-from izoo.algos.registry import make_algorithm
+from izoo.algos.learners.registry import make_algorithm
 from izoo.errors import IzooError
 from izoo.results import ray_cluster as cluster
 from izoo.results import read_table
-from izoo.training import runs
+from izoo.training import run_folder
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
@@ -84,13 +84,13 @@ def run(command: str, words: list[str], address: str) -> None:
 def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     run("izoo.train", [*TOY, "total_frames=400", f"run_dir={run_dir}"], address)
-    with (run_dir / runs.METRICS_FILE).open(newline="") as file:
+    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
         table = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in table] == [200, 400]
     assert int(table[-1]["episodes"]) == 4, "both workers have ended two episodes of 100 steps"
-    weights = runs.load_algorithm(run_dir)[0].state_dict()["policy"]
+    weights = run_folder.load_algorithm(run_dir)[0].state_dict()["policy"]
     torch.manual_seed(0)
-    options = runs.read_config(run_dir)
+    options = run_folder.read_config(run_dir)
     fresh = make_algorithm(options.algo, options.action, options.env)
     assert any(not torch.equal(weights[key], value) for key, value in fresh.state_dict()["policy"].items())
     words = [f"run={run_dir}", "num_contexts=1", "num_workers=2"]

@@ -15,16 +15,16 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo import train
-from izoo.algos.base import ACTION, MASK
+from izoo.algos.learners.base import ACTION, MASK
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
-from izoo.training import checkpoint, loop, runs
+from izoo.training import checkpoint, loop, run_folder
+from izoo.training.command_replay import EpisodePast, Pasts
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
-from izoo.training.past import EpisodePast, Pasts
 
 TOY = [
     *(
@@ -131,11 +131,11 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
         "validation.every_batches=0",
     ]
     stored = compose_config("train", TrainConfig, words)
-    runs.write_config(tmp_path, stored)
+    run_folder.write_config(tmp_path, stored)
     given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
     names = frozenset(word.partition("=")[0] for word in given)
     found, state, _ = loop._resumed(compose_config("train", TrainConfig, given), names, tmp_path)
-    assert state is None and found == runs.read_config(tmp_path)
+    assert state is None and found == run_folder.read_config(tmp_path)
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
 
@@ -157,11 +157,11 @@ def test_a_refused_resumption_leaves_the_run_as_it_was(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
-    runs.write_config(tmp_path, compose_config("train", TrainConfig, search))
-    before = (tmp_path / runs.CONFIG_FILE).read_bytes()
+    run_folder.write_config(tmp_path, compose_config("train", TrainConfig, search))
+    before = (tmp_path / run_folder.CONFIG_FILE).read_bytes()
     assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
     assert message in capsys.readouterr().err
-    assert (tmp_path / runs.CONFIG_FILE).read_bytes() == before
+    assert (tmp_path / run_folder.CONFIG_FILE).read_bytes() == before
 
 
 DENSE = procedural_context(adoption=1.0, inflow_vph_per_lane=900.0, lane_length_m=120.0)
@@ -261,4 +261,4 @@ def test_another_number_of_workers_leaves_the_episodes_in_progress_out(tmp_path:
     state = checkpoint.load(checkpoint.find(run_dir))
     assert state["first_episode"] == 4, "two workers had reached the episodes 2 and 3"
     assert [entry["episode"] for entry in state["pasts"]] == [1]
-    assert runs.read_config(run_dir).num_workers == 1
+    assert run_folder.read_config(run_dir).num_workers == 1

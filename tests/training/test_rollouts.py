@@ -15,11 +15,11 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, RewardScaling, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos.action import ResidualAction
-from izoo.algos.base import ACTION, MASK
-from izoo.algos.ddpg_config import DDPGConfig
-from izoo.algos.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.algos.registry import make_algorithm
+from izoo.algos.actions.action_modes import ResidualAction
+from izoo.algos.learners.base import ACTION, MASK
+from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE

@@ -14,7 +14,7 @@ from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.playing import Setup
 from izoo.results.rollout import evaluated
 from izoo.results.selection import EpisodeSeeds, choose_contexts
-from izoo.training import runs
+from izoo.training import run_folder
 from izoo.training.validation import VALIDATION_SEED, held_out
 
 EASY = ["contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=60"]
@@ -30,7 +30,7 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
     words += ["validation.simulator=twin"]
     monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
     assert train.main([*words, f"run_dir={run_dir}"]) == 0
-    config = runs.read_config(run_dir)
+    config = run_folder.read_config(run_dir)
     assert (config.simulator, config.num_envs, config.twin.threads) == ("twin", 8, 2)
     assert len((run_dir / "validation.csv").read_text().splitlines()) == 2
     (context,) = choose_contexts(held_out(config.contexts), 1, VALIDATION_SEED)

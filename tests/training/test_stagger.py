@@ -6,14 +6,14 @@ import contextlib
 
 import torch
 
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.drivers.scripted import UncommandedDriver
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.mdp.frame import TOTALS
+from izoo.training.batch_statistics import episode_stats
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS, random_phases
-from izoo.training.episodes import episode_stats
 
 WORDS = [
     *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=65", "env.hold_s=2", "simulator=twin"),

@@ -10,7 +10,7 @@ import torch
 
 from izoo import collect, train
 from izoo.conf.train_options import CollectConfig
-from izoo.training import checkpoint, runs
+from izoo.training import checkpoint, run_folder
 from izoo.training.offline import make_policy
 
 TOY = [
@@ -40,7 +40,7 @@ def test_it_begins_there_with_whatever_value_function(trained: Path, tmp_path: P
     for name, leaf in weights(trained).items():
         torch.testing.assert_close(weights(begun)[name], leaf)
     assert not all(torch.allclose(weights(anew)[name], leaf) for name, leaf in weights(trained).items())
-    assert runs.read_config(begun).start == str(trained)
+    assert run_folder.read_config(begun).start == str(trained)
 
 
 def test_a_run_that_stopped_before_its_first_checkpoint_begins_there_again(trained: Path, tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_what_collects_is_the_policy_and_not_its_search(tmp_path: Path) -> None:
     words = [word for word in TOY if not word.startswith(("algo.", "num_envs"))]
     run_dir = tmp_path / "run"
     assert train.main([*words, *search, f"run_dir={run_dir}"]) == 0
-    config = CollectConfig(policy=str(run_dir), env=runs.read_config(run_dir).env)
+    config = CollectConfig(policy=str(run_dir), env=run_folder.read_config(run_dir).env)
     assert not make_policy(config).training
 
 

@@ -19,7 +19,7 @@ import pytest
 import torch
 
 from izoo import evaluate, train
-from izoo.commands.evaluating import resolve
+from izoo.cli.evaluate import resolve
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
@@ -30,7 +30,7 @@ from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.results.rollout import DRAIN_S
-from izoo.training import checkpoint, runs, validation
+from izoo.training import checkpoint, run_folder, validation
 from izoo.training.validation import CONTEXTS, Validator, shown_worse
 
 TOY = [
@@ -71,7 +71,7 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
     assert best["frames"] == int(table[highest]["frames"])
     assert [row["best"] for row in table].count("1") >= 1 and table[0]["best"] == "1"
     assert not checkpoint.candidates(run_dir)
-    assert (run_dir / runs.CURVE_FILE).stat().st_size > 0
+    assert (run_dir / run_folder.CURVE_FILE).stat().st_size > 0
 
 
 @pytest.mark.slow
@@ -89,7 +89,9 @@ def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
 def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:
     words = [*TOY, "collector=single", "validation.every_batches=0", "total_frames=1000"]
     assert train.main([*words, f"run_dir={tmp_path / 'run'}"]) == 0
-    with_it, without = (runs.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run"))
+    with_it, without = (
+        run_folder.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run")
+    )
     assert all(torch.equal(with_it[key], without[key]) for key in with_it)
     assert not (tmp_path / "run" / validation.VALIDATION_FILE).exists()
     with pytest.raises(IzooError, match="has no best checkpoint"):
@@ -97,7 +99,7 @@ def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -
 
 
 def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> None:
-    trained = runs.read_config(run_dir).env
+    trained = run_folder.read_config(run_dir).env
     assert trained.horizon_s < EnvConfig().horizon_s
     full = resolve(EvaluateConfig(run=str(run_dir)), frozenset()).env
     whole = EnvConfig()
@@ -196,7 +198,7 @@ def test_the_process_ends_with_the_run(run_dir: Path, tmp_path: Path) -> None:
     """Also where the run is killed: the socket to it closes."""
     parent, child = socket.socketpair()
     paths = f"{str(checkpoint.find(run_dir))!r}, {str(tmp_path / 'r')!r}"
-    call = f"from izoo.training.validating import main; main({child.fileno()}, {paths})"
+    call = f"from izoo.training.validation_worker import main; main({child.fileno()}, {paths})"
     with child:
         process = start_process(call, child.fileno())
     parent.close()

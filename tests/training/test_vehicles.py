@@ -13,22 +13,22 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from izoo import train
-from izoo.algos.action import SpeedAction
-from izoo.algos.base import MASK, REWARD
-from izoo.algos.decisions import Decisions, shaped
-from izoo.algos.ppo import PPO
-from izoo.algos.ppo_config import PPOConfig
-from izoo.algos.registry import make_algorithm
-from izoo.algos.scripted import UncommandedDriver
+from izoo.algos.actions.action_modes import SpeedAction
+from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.learners.base import MASK, REWARD
+from izoo.algos.learners.decisions import Decisions, shaped
+from izoo.algos.learners.ppo import PPO
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.errors import IzooError
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
+from izoo.training.baseline_episodes import Paired, StillPaid
 from izoo.training.collectors import BatchSource, check_collector
-from izoo.training.paired import Paired, StillPaid
-from izoo.training.records import MetricsTable
-from izoo.training.runs import METRICS_FILE
+from izoo.training.loggers import MetricsTable
+from izoo.training.run_folder import METRICS_FILE
 
 SMALL = [
     *("contexts=pcg_easy", "contexts.adoption=0.5", "contexts.inflow_vph_per_lane=500", "env.horizon_s=160"),

@@ -10,9 +10,9 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo import train
-from izoo.algos.base import ACTION, MASK, OBSERVATION, REWARD
-from izoo.algos.cmaes import CMAES
-from izoo.algos.masked_gae import TEAM_REWARD
+from izoo.algos.learners.base import ACTION, MASK, OBSERVATION, REWARD
+from izoo.algos.learners.cmaes import CMAES
+from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 

@@ -14,14 +14,14 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import collect, evaluate, train, zoo
-from izoo.algos.action import AdviseAction
-from izoo.algos.ppo_config import PPOConfig
-from izoo.algos.registry import make_algorithm
-from izoo.benchmarks.generalization_options import GeneralizationConfig, parse_entry
-from izoo.benchmarks.plan import evaluation_env
+from izoo.algos.actions.action_modes import AdviseAction
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
+from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig, parse_entry
+from izoo.benchmarks.campaign.task_plan import evaluation_env
 from izoo.benchmarks.twin import LadderConfig, env_of
-from izoo.commands.entries import TRAIN
-from izoo.commands.zoo_policies import ZOO, _changed
+from izoo.cli.entries import TRAIN
+from izoo.cli.zoo import ZOO, _changed
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
@@ -33,7 +33,7 @@ from izoo.report import __main__ as report
 from izoo.results import read_table
 from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import read_manifest
-from izoo.zoo import shelf
+from izoo.zoo import catalog
 from tests.report.made_tables import folder, table
 
 CONFIG = TrainConfig(
@@ -125,7 +125,7 @@ def test_every_shipped_policy_loads_and_has_its_card() -> None:
         for heading in ("Trained", "Evaluated", "Intended use and limits", "Licence"):
             assert f"\n## {heading}\n" in card, f"{name}: {heading}"
         assert "Not yet." not in card
-        assert shelf.weights(name).stat().st_size < 700_000
+        assert catalog.weights(name).stat().st_size < 700_000
         with pytest.raises(IzooError, match="other observations"):
             as_policy(f"zoo:{name}", EnvConfig(observed=tuple(trained.env.observed)[:-1]))
 
@@ -156,9 +156,9 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     card = (tmp_path / "mine.md").read_text()
     assert "python -m izoo.train action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
     assert str(run.parent) not in card, "a card names no folder of a machine"
-    from izoo.training import runs
+    from izoo.training import run_folder
 
-    there, trained = runs.load_policy(run), zoo.read(out)
+    there, trained = run_folder.load_policy(run), zoo.read(out)
     seen = torch.rand(4, 8, len(observation_names(trained.env)))
     from tensordict import TensorDict
 

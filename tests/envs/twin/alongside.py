@@ -1,6 +1,7 @@
 """The twin driven alongside SUMO: after every step vehicles that differ are put where SUMO has them.
 
-A free comparison (:mod:`izoo.benchmarks.oracle`) ends with the first departure, since everything after it may follow
+A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the first departure, since everything
+after it may follow
 from it. Here each difference is one step old, so that a single episode shows all of its causes, and what share of the
 steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET INTERSECTION`` lists them.
 """
@@ -14,9 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.benchmarks.oracle import Case, Trace, play_sumo
-from izoo.envs.twin.advising import clear_memories
-from izoo.envs.twin.arrays import (
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, play_sumo
+from izoo.envs.twin.driving.lane_queues import lay_tail, place, take_out
+from izoo.envs.twin.lane_change.cooperation import clear_memories
+from izoo.envs.twin.lane_change.downstream_occupancy import look_behind_junction
+from izoo.envs.twin.net.best_lanes import find_variant
+from izoo.envs.twin.net.reader import twin_traffic
+from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.twin.runtime.layout import (
     ACCEL,
     ARRIVED,
     CONFLICT_MS,
@@ -47,12 +53,7 @@ from izoo.envs.twin.arrays import (
     open_state,
     open_traffic,
 )
-from izoo.envs.twin.best_lanes import find_variant
-from izoo.envs.twin.compiled import compiled
-from izoo.envs.twin.order import lay_tail, place, take_out
-from izoo.envs.twin.outlook import look_behind_junction
-from izoo.envs.twin.twin_episode import TwinEpisode
-from izoo.envs.twin.whole_net import twin_traffic
+from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import read_road
 

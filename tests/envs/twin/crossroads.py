@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import sumo
 
-from izoo.benchmarks.oracle import Case
-from izoo.envs.twin.whole_net import read_twin_world
+from izoo.benchmarks.fidelity.single_vehicle import Case
+from izoo.envs.twin.net.reader import read_twin_world
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import PAPER_CV, Traffic
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.oracle import first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import first_departure, play_sumo, play_twin
 from tests.envs.twin.crossroads import build_crossroads, meeting
 
 pytestmark = pytest.mark.slow

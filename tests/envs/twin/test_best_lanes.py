@@ -10,9 +10,9 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import import_libsumo, sumo_arguments
-from izoo.envs.twin.arrays import LANE_INSIDE, LINK_NEXT, TwinNet
-from izoo.envs.twin.lights import is_major
-from izoo.envs.twin.whole_net import read_twin_world, twin_traffic
+from izoo.envs.twin.driving.traffic_lights import is_major
+from izoo.envs.twin.net.reader import read_twin_world, twin_traffic
+from izoo.envs.twin.runtime.layout import LANE_INSIDE, LINK_NEXT, TwinNet
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes

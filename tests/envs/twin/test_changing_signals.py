@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Case, Trace, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, first_departure, play_sumo, play_twin
 from izoo.contexts.source import ContextList
 from tests.envs.twin.alongside import differences
 from tests.envs.twin.crossroads import build_crossroads, meeting

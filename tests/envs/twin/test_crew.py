@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from izoo.envs.twin.crew import Crew
+from izoo.envs.twin.runtime.thread_pool import Crew
 
 
 @pytest.fixture

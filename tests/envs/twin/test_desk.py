@@ -6,9 +6,9 @@ import itertools
 
 import numpy as np
 
-from izoo.envs.twin.arrays import STATE
-from izoo.envs.twin.compiled import LINE_BYTES
-from izoo.envs.twin.desk import Desk, zeros
+from izoo.envs.twin.runtime.compiled import LINE_BYTES
+from izoo.envs.twin.runtime.layout import STATE
+from izoo.envs.twin.runtime.scratch import Desk, zeros
 
 SHAPES = {"clock": 8, "floats": (5, 16), "link_letter": 3, "ints": (5, 32)}
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from izoo.envs.twin.following import fourth_power
+from izoo.envs.twin.driving.car_following import fourth_power
 
 
 def test_fourth_powers_are_those_of_the_c_library_but_for_one_of_a_thousand() -> None:

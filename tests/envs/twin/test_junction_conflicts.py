@@ -10,8 +10,8 @@ from defusedxml import ElementTree
 
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
-from izoo.envs.twin.arrays import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
-from izoo.envs.twin.conflicts import (
+from izoo.envs.twin.junction.foes import named_before
+from izoo.envs.twin.net.conflicts import (
     CONFLICT_BEHIND,
     CONFLICT_FOE_BEHIND,
     CONFLICT_FOE_YIELDS,
@@ -20,8 +20,8 @@ from izoo.envs.twin.conflicts import (
     CONFLICT_YIELDS,
     NOWHERE,
 )
-from izoo.envs.twin.inside import named_before
-from izoo.envs.twin.whole_net import TwinWorld, read_twin_world
+from izoo.envs.twin.net.reader import TwinWorld, read_twin_world
+from izoo.envs.twin.runtime.layout import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
 from izoo.networks.road import read_road
 from tests.envs.twin.crossroads import build_crossroads
 

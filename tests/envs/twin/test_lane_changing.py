@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.twin.arrays import LANE_EDGE, LANE_INSIDE
+from izoo.envs.twin.runtime.layout import LANE_EDGE, LANE_INSIDE
 
 pytestmark = pytest.mark.slow
 HORIZON_S = 300.0

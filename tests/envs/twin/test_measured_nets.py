@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.catalogue import Scenario, build
 from izoo.networks.dataset.intersections import load_dataset
 from tests.envs.twin.alongside import differences

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Departure, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Departure, first_departure, play_sumo, play_twin
 from tests.envs.twin.crossroads import build_crossroads, meeting
 
 pytestmark = pytest.mark.slow

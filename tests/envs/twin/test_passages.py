@@ -7,11 +7,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Case, Trace, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, play_sumo, play_twin
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.twin.arrays import LANE_EDGE, LANE_INSIDE, LINK_DIRECTION, LINK_PROGRAM, ROUTE
-from izoo.envs.twin.twin_episode import TwinEpisode
-from izoo.envs.twin.whole_net import twin_traffic
+from izoo.envs.twin.net.reader import twin_traffic
+from izoo.envs.twin.runtime.layout import LANE_EDGE, LANE_INSIDE, LINK_DIRECTION, LINK_PROGRAM, ROUTE
+from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.road import read_road
 
 pytestmark = pytest.mark.slow

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.catalogue import Scenario, build
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList
-from izoo.envs.twin.arrays import PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS
-from izoo.envs.twin.whole_net import read_twin_world
+from izoo.envs.twin.net.reader import read_twin_world
+from izoo.envs.twin.runtime.layout import PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from izoo.benchmarks.oracle import Case, Trace, first_departure, play_sumo, play_twin, waves
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, first_departure, play_sumo, play_twin, waves
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.networks.net.build import build_net

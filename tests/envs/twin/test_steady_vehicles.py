@@ -10,7 +10,7 @@ import torch
 from izoo.contexts.procedural import procedural_context
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.envs.mdp.state import ACCEL, EMISSION, GRADE, MOVES_CLASS, SPEED
+from izoo.envs.mdp.columns import ACCEL, EMISSION, GRADE, MOVES_CLASS, SPEED
 from tests.envs.worlds import steer
 
 INPUTS = [SPEED, ACCEL, GRADE]

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from izoo.benchmarks.oracle import Case, first_departure, play_sumo, play_twin
+from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin
 from izoo.contexts.context import Context
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
-from izoo.envs.twin.arrays import DROPPED, FLEET_DECEL, FLEET_FROM_MS, FLEET_MIN_GAP
-from izoo.envs.twin.twin_episode import TwinEpisode
-from izoo.envs.twin.whole_net import twin_traffic
+from izoo.envs.twin.net.reader import twin_traffic
+from izoo.envs.twin.runtime.layout import DROPPED, FLEET_DECEL, FLEET_FROM_MS, FLEET_MIN_GAP
+from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import write_routes
 from tests.envs.twin.crossroads import build_crossroads, meeting

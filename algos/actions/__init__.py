@@ -1,0 +1,1 @@
+"""What the action of a policy stands for."""

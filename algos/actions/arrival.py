@@ -1,0 +1,122 @@
+"""Actions that say when to arrive at the stop line: the option ``action=arrive``.
+
+A learned policy says how late in a green a vehicle is to arrive, and how much slower than the limit it is to drive
+behind the line; what that comes to is a pair of desired speeds, one before and one behind the line.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+
+from izoo.algos.drivers.scripted import greens
+from izoo.algos.learners import base
+from izoo.contexts.features import feature
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M
+from izoo.errors import IzooError
+
+LATENESS = ("agents", "lateness")
+"""``[*B, A, 2]`` in [0, 1]: what the policy said."""
+
+
+class Arrival(nn.Module):
+    """Desired speeds of lateness: 0 is as early as possible, and unhindered behind the line; 1 is as late as possible.
+
+    A vehicle aims for the first green in which it can arrive, driving at the limit at most, and there for its share of
+    the green. It knows of no queue: that is for the policy to learn.
+
+    Args:
+        config: settings of the environment; the features ``green_s``, ``red_s`` and ``speed_limit_mps`` must be
+            observed.
+        slowest: no desired speed is a smaller share of the limit.
+    """
+
+    def __init__(self, config: EnvConfig, slowest: float) -> None:
+        super().__init__()
+        self.slowest = slowest
+        names = observation_names(config)
+        missing = [name for name in ("green_s", "red_s", "speed_limit_mps") if f"context_{name}" not in names]
+        if missing:
+            raise IzooError(f"action=arrive needs {', '.join(missing)} in the observation; add it to env.observed.")
+        self.columns = {name: column for column, name in enumerate(names)}
+
+    def forward(self, observation: Tensor, lateness: Tensor) -> Tensor:
+        """Return shares of the limit before and behind the stop line, ``[*B, A, 2]``.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            lateness: ``[*B, A, 2]``.
+        """
+        limit = observation[..., self.columns["context_speed_limit_mps"]] * feature("speed_limit_mps").scale
+        distance = -observation[..., self.columns["stop_line_distance"]] * DISTANCE_SCALE_M
+        free_s = distance / limit.clamp_min(1.0)
+        arrival_s = self.arrival(observation, free_s, lateness[..., 0])
+        before = torch.where(free_s > 0.0, free_s / arrival_s.clamp_min(0.1), torch.ones_like(free_s))
+        behind = 1.0 - (1.0 - self.slowest) * lateness[..., 1]
+        return torch.stack([before, behind], -1).clamp(self.slowest, 1.0)
+
+    def arrival(self, observation: Tensor, free_s: Tensor, late: Tensor) -> Tensor:
+        """Return in how many seconds vehicles are to arrive, ``[*B, A]``.
+
+        Args:
+            observation: ``[*B, A, F]``.
+            free_s: ``[*B, A]`` seconds to the stop line at the limit.
+            late: ``[*B, A]`` share of the green that is to have gone by.
+        """
+        starts, length = greens(observation, self.columns)
+        found = torch.full_like(free_s, torch.inf)
+        for start in starts:
+            aim = torch.maximum(start + late * length, free_s)
+            found = torch.where(torch.isinf(found) & (aim <= start + length), aim, found)
+        return torch.where(torch.isinf(found), free_s, found)
+
+
+class ArrivingPolicy(TensorDictModuleBase):
+    """A learned policy whose action becomes :data:`LATENESS`, and the desired speeds that it stands for the action.
+
+    Args:
+        learned: writes ``("agents", "action")`` ``[*B, A, 2]``.
+        arrival: makes speeds of it.
+    """
+
+    def __init__(self, learned: TensorDictModuleBase, arrival: Arrival) -> None:
+        super().__init__()
+        self.learned, self.arrival = learned, arrival
+        self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION]))
+        self.out_keys = [*learned.out_keys, LATENESS]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write lateness and speeds, and what else the learned policy writes."""
+        lateness = self.learned(tensordict).get(base.ACTION)
+        speeds = self.arrival(tensordict.get(base.OBSERVATION), lateness)
+        return tensordict.set(LATENESS, lateness).set(base.ACTION, speeds)
+
+
+class Arriving:
+    """An algorithm whose actions say when to arrive; see :class:`izoo.algos.learners.base.Algorithm`.
+
+    Args:
+        learned: the algorithm, built for actions ``[0, 1]^2``.
+        arrival: makes speeds of what its policy emits.
+    """
+
+    def __init__(self, learned: base.Algorithm, arrival: Arrival) -> None:
+        self.learned, self.policy = learned, ArrivingPolicy(learned.policy, arrival)
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Hand the batch on with the lateness in the place of the action; the batch itself stays as it is."""
+        return self.learned.update(batch.copy().set(base.ACTION, batch.get(LATENESS)), progress)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the learned algorithm's state."""
+        return self.learned.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.learned.load_state_dict(state)

@@ -1,0 +1,1 @@
+"""Algorithms, each with its hyper-parameters."""

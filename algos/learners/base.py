@@ -1,0 +1,127 @@
+"""What every algorithm has in common: the keys it reads, its networks, and the face it shows the training loop."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+OBSERVATION = ("agents", "observation")
+MASK = ("agents", "mask")
+DECIDES = ("agents", "decides")
+"""``[*B, A]`` bool: agents whose action is a decision; absent where everyone in the mask decides (:func:`deciding`)."""
+NUMBER = ("agents", "number")
+"""``[*B, A]`` int64: the vehicle's number in the episode's demand."""
+ACTION = ("agents", "action")
+LOG_PROB = ("agents", "action_log_prob")
+GUIDED = ("agents", "guided")
+"""``[*B, A]`` bool: agents for whom an action below 0 means something
+(:class:`izoo.algos.networks.censored_normal.RestingNormal`)."""
+LOC, SCALE = ("agents", "loc"), ("agents", "scale")
+VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
+ACTION_VALUE = ("agents", "state_action_value")
+POTENTIAL = ("agents", "potential")
+"""``[*B, A, 1]``: what the same vehicle is still paid where nobody commands
+(:func:`izoo.algos.learners.decisions.shaped`)."""
+REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
+
+
+Keys = tuple[str | tuple[str, ...], ...]
+"""Keys of a TensorDict."""
+
+
+class Algorithm(Protocol):
+    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
+
+    One that also has ``reads``, of :data:`Keys`, learns from these keys of a batch alone, and others may be missing
+    (:func:`reads`).
+    """
+
+    policy: TensorDictModuleBase
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from a batch ``[N, T]`` of consecutive steps.
+
+        Args:
+            batch: what the collector gathered; ``N`` environments, ``T`` steps.
+            progress: share of the run that is over, in [0, 1].
+
+        Returns:
+            Scalars to log, each over valid agent-steps alone.
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that learning needs to go on: tensors, numbers, strings and containers of them."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        ...
+
+
+def reads(algorithm: Algorithm) -> Keys | None:
+    """Return the keys of a batch that an algorithm learns from; ``None``: any of them."""
+    return getattr(algorithm, "reads", None)
+
+
+def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
+    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those who decide, or all that are there.
+
+    Args:
+        batch: of single steps, or of whole decisions (:class:`izoo.algos.learners.decisions.Decisions`).
+        mask: key of who is there; ``None`` is returned where it is missing.
+    """
+    there, decides = batch.get(mask, None), batch.get(DECIDES, None)
+    return there if decides is None or there is None else there & decides
+
+
+def explores() -> bool:
+    """Return whether TorchRL's exploration type asks policies to draw their actions."""
+    return exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float) -> nn.Sequential:
+    """Return a fully connected network with orthogonal weights and zero biases.
+
+    Args:
+        inputs, hidden, outputs: widths.
+        activation: one of :data:`ACTIVATIONS`.
+        last_gain: gain of the last layer; small values make the initial output nearly independent of the input.
+    """
+    layers: list[nn.Module] = []
+    widths = [inputs, *hidden]
+    for before, after in itertools.pairwise(widths):
+        linear = nn.Linear(before, after)
+        nn.init.orthogonal_(linear.weight, gain=2.0**0.5)
+        nn.init.zeros_(linear.bias)
+        layers += [linear, ACTIVATIONS[activation]()]
+    last = nn.Linear(widths[-1], outputs)
+    nn.init.orthogonal_(last.weight, gain=last_gain)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*layers, last)
+
+
+def next_values(values: Tensor, boundary: Tensor, boundary_values: Tensor) -> Tensor:
+    """Return the value of each step's successor.
+
+    The successor of a step is the same slot one step later, so only the steps of ``boundary`` (the end of the batch,
+    or of an agent's life) need a value of their own.
+
+    Args:
+        values: ``[N, T, A, 1]`` values of the observations.
+        boundary: ``[N, T, A]`` bool, steps whose successor is not the next entry of the batch.
+        boundary_values: ``[boundary.sum(), 1]`` their successors' values.
+    """
+    shifted = torch.zeros_like(values)
+    shifted[:, :-1] = values[:, 1:]
+    shifted[boundary] = boundary_values
+    return shifted

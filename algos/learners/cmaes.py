@@ -1,0 +1,214 @@
+"""CMA-ES over linear policies: no gradients, no credit to assign, whole episodes compared with each other.
+
+The policies of a generation play the same contexts with the same seeds, so that what tells two of them apart is their
+driving and not the traffic that they met: differences that policy gradients lose in the noise of single actions are
+plain in the returns of whole teams (common random numbers). One return belongs to a whole fleet, so what a vehicle
+does for those behind it counts by itself.
+
+The strategy is Hansen's (arXiv 1604.00772), by the library ``cma``; linear policies for control by random search:
+Mania et al., arXiv 1803.07055.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cma
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from izoo.algos.actions.action_modes import Rest
+from izoo.algos.learners import base
+from izoo.algos.learners.cmaes_config import CMAESConfig
+from izoo.algos.losses.masked_gae import TEAM_REWARD
+from izoo.errors import IzooError
+
+MOST = 2.0
+"""Observations are cut off here: some count far away as very large."""
+FULL = 3.0
+"""Of this the tanh is 0.995."""
+
+
+class LinearPolicies(TensorDictModuleBase):
+    """A population of linear policies while exploring in training mode, and their mean otherwise.
+
+    Environments are shared out among the policies in equal blocks, in order. An agent's action is a tanh of
+    ``x = weights . observation + bias``, stretched to the bounds. Where an action of 0 is doing nothing, so is every
+    ``x`` within ``band`` of 0, and weights of 0 are; elsewhere they ask for full throttle, which the simulator's own
+    driver bounds.
+
+    Args:
+        features: length ``F`` of an observation.
+        low, high: bounds of the action.
+        population: policies, of ``F + 1`` weights each.
+        band: see above; ``None``: no action is doing nothing.
+    """
+
+    mean: Tensor
+    candidates: Tensor
+    quiet_band = 0.0
+    kinds = 1
+    reads: base.Keys = ()
+    """What :meth:`kind_of` looks at."""
+
+    def __init__(self, features: int, low: float, high: float, population: int, band: float | None) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
+        self.middle, self.half, self.band = (high + low) / 2, (high - low) / 2, band
+        self.register_buffer("mean", torch.zeros(features + 1))
+        self.register_buffer("candidates", torch.zeros(population, features + 1))
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions ``[*B, A, 1]``, 0 in empty slots.
+
+        Raises:
+            IzooError: while exploring, the environments cannot be shared out evenly.
+        """
+        seen, mask = tensordict.get(base.OBSERVATION).clamp(-MOST, MOST), tensordict.get(base.MASK)
+        weights = own_numbers(self, mask)
+        raw = torch.matmul(seen, weights[:, :-1, None]).squeeze(-1) + weights[:, -1:]
+        raw = raw.view(mask.shape)
+        raw = raw + FULL if self.band is None else raw.sign() * (raw.abs() - self.band).clamp_min(0.0)
+        action = self.middle + self.half * torch.tanh(raw)
+        return tensordict.set(base.ACTION, torch.where(mask, action, 0.0).unsqueeze(-1))
+
+    def kind_of(self, batch: TensorDictBase) -> Tensor:
+        """Return zeros ``[N]``: all contexts are of one kind."""
+        return torch.zeros(batch.shape[0], dtype=torch.int64)
+
+
+def own_numbers(policies: Any, mask: Tensor) -> Tensor:
+    """Return whose numbers act in each environment, ``[N, ...]``: the candidates' while exploring, or the mean's.
+
+    Args:
+        policies: a module with ``candidates`` ``[P, ...]`` and ``mean`` ``[...]``.
+        mask: ``[N, A]`` or ``[A]``; the environments are shared out among the candidates in equal blocks, in order.
+
+    Raises:
+        IzooError: they cannot be shared out evenly.
+    """
+    if not (policies.training and base.explores()):
+        return policies.mean.unsqueeze(0)
+    count, envs = len(policies.candidates), mask.shape[0] if mask.ndim > 1 else 1
+    if mask.ndim < 2 or envs % count:
+        raise IzooError(f"{count} policies cannot share {envs} environments evenly; give a multiple of {count}.")
+    return policies.candidates.repeat_interleave(envs // count, dim=0)
+
+
+class CMAES:
+    """CMA-ES; see :class:`izoo.algos.learners.base.Algorithm`. It learns from batches of whole episodes.
+
+    Attributes:
+        reads: what it learns from: not the observations, which are nearly all that a batch holds.
+
+    Args:
+        config: hyper-parameters.
+        features: length of an observation.
+        low, high: bounds of the action: an acceleration in m/s^2, or advice.
+        device: where the weights live.
+        rest: that an action of 0 is doing nothing; a policy whose weights are 0 then does nothing.
+    """
+
+    def __init__(
+        self,
+        config: CMAESConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Rest | None = None,
+    ) -> None:
+        band = None if rest is None else config.initial_spread
+        self._start(config, LinearPolicies(features, low, high, config.population, band).to(device))
+
+    def _start(self, config: Any, policy: Any) -> None:
+        """Begin to search the numbers of a module like :class:`LinearPolicies`."""
+        self.config, self.policy = config, policy
+        self.reads: base.Keys = (("next", TEAM_REWARD), ("next", "done"), *policy.reads)
+        self.seed = int(torch.randint(2**31 - 1, ()))
+        self.returns: list[np.ndarray] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        width = self.policy.mean.shape[-1]
+        self.strategies = []
+        for kind in range(self.policy.kinds):
+            generator = np.random.default_rng([self.seed, kind] if kind else self.seed)
+            options = {
+                "popsize": self.config.population,
+                "randn": lambda *shape, generator=generator: generator.standard_normal(shape),
+                "seed": math.nan,  # the library's own would be numpy's global one
+                "verbose": -9,
+            }
+            self.strategies.append(cma.CMAEvolutionStrategy(np.zeros(width), self.config.initial_spread, options))
+        self._asked = [strategy.ask() for strategy in self.strategies]
+        self._show()
+
+    def _show(self) -> None:
+        asked = np.stack([np.array(each) for each in self._asked], axis=1)
+        means = np.stack([strategy.mean for strategy in self.strategies])
+        self.policy.candidates.copy_(torch.from_numpy(asked).view_as(self.policy.candidates))
+        self.policy.mean.copy_(torch.from_numpy(means).view_as(self.policy.mean))
+
+    def _tell(self, returns: np.ndarray) -> None:
+        """Take what each kind's candidates were paid, ``[kinds, population]``; NaN where no context was of its kind."""
+        self.returns.append(returns)
+        for kind, (strategy, paid) in enumerate(zip(self.strategies, returns, strict=True)):
+            if not np.isnan(paid).any():
+                strategy.tell(self._asked[kind], list(-paid))
+                self._asked[kind] = strategy.ask()
+        self._show()
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from a generation: whole episodes ``[N, T]`` with the team's rewards, environments in blocks.
+
+        Raises:
+            IzooError: the episodes are not whole.
+        """
+        reward, done = batch.get(("next", TEAM_REWARD)).squeeze(-1), batch.get(("next", "done")).squeeze(-1)
+        if not (done[:, -1].all() and not done[:, :-1].any()):
+            raise IzooError(
+                "CMA-ES compares whole episodes: a batch must hold one of each environment, from its start."
+            )
+        population = self.config.population
+        # Contexts in which driving makes little difference shall not be drowned by those where it makes much: what
+        # counts is the difference to how the generation fares in the same context.
+        returns = reward.double().sum(1).view(population, -1)
+        relative = (returns - returns.mean(0)) / returns.mean(0).abs().clamp_min(1e-9)
+        if self.config.most_difference is not None:
+            relative = relative.clamp(-self.config.most_difference, self.config.most_difference)
+        kinds = self.policy.kind_of(batch).view(population, -1)[0]
+        fitness = np.full((self.policy.kinds, population), np.nan)
+        for kind in range(self.policy.kinds):
+            if (kinds == kind).any():
+                fitness[kind] = relative[:, kinds == kind].mean(1).cpu().numpy()
+        self._tell(fitness)
+        told = fitness[~np.isnan(fitness).any(1)]
+        return {
+            "return_spread": float(told.std(1).mean()) if len(told) else 0.0,
+            "return_best": float(told.max(1).mean()) if len(told) else 0.0,
+            "search_spread": float(np.mean([strategy.sigma for strategy in self.strategies])),
+            "weights_norm": float(self.policy.mean.norm()),
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the seed and what each generation was told: the search is played again from these."""
+        told = np.array(self.returns).reshape(-1, self.policy.kinds, self.config.population)
+        return {"policy": self.policy.state_dict(), "seed": self.seed, "returns": torch.from_numpy(told)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        returns = state["returns"].numpy()
+        wanted = (self.policy.kinds, self.config.population)
+        if returns.ndim != 3 or returns.shape[1:] != wanted:
+            raise ValueError(f"generations of {list(returns.shape)[1:]} policies, not {list(wanted)}")
+        self.seed, self.returns = int(state["seed"]), []
+        self._begin()
+        for told in returns:
+            self._tell(told)
+        self.policy.load_state_dict(state["policy"])

@@ -1,0 +1,267 @@
+"""Deep deterministic policy gradient for interchangeable agents: one actor and one critic, shared by every CV.
+
+Each agent transition is an independent sample: the critic sees one agent's observation and acceleration. Valid
+transitions are stored flat (:mod:`izoo.algos.learners.replay`), and TorchRL's own loss works on them, so that losses
+and logs see no padding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.modules import ValueOperator
+from torchrl.objectives import LossModule, SoftUpdate
+
+from izoo.algos.actions.action_modes import Rest
+from izoo.algos.learners import base
+from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.replay import ERROR, Replay, transitions
+from izoo.algos.losses.losses import MaskedDDPGLoss
+from izoo.algos.networks import compiled_mlp
+from izoo.algos.networks.set_networks import spread_out
+from izoo.errors import check_range
+
+
+class Squash(nn.Module):
+    """Maps any number into ``(low, high)`` by a tanh."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__()
+        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
+
+    def forward(self, raw: Tensor) -> Tensor:
+        """Return accelerations of the same shape, m/s^2."""
+        return torch.tanh(raw) * self.half_width + self.middle
+
+
+class ActionValue(nn.Module):
+    """Q(o, a) of one agent's own observation and action, which enters scaled to [-1, 1]."""
+
+    def __init__(self, features: int, low: float, high: float, config: DDPGConfig, size: int = 1) -> None:
+        super().__init__()
+        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
+        self.network = base.mlp(features + size, config.hidden, 1, config.activation, last_gain=1.0)
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Return values ``[*B, 1]`` of observations ``[*B, F]`` and actions ``[*B, D]``."""
+        return self.network(torch.cat([observation, (action - self.middle) / self.half_width], dim=-1))
+
+
+def make_actor(
+    features: int, low: float, high: float, config: DDPGConfig, rest: Rest | None = None, size: int = 1
+) -> TensorDictModule:
+    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with ``rest``, from 0 on."""
+    initial = config.initial_accel_mps2 if rest is None else 0.0
+    check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
+    network = base.mlp(features, config.hidden, size, config.activation, last_gain=0.01)
+    middle, half = (high + low) / 2, (high - low) / 2
+    with torch.no_grad():
+        network[-1].bias[:] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
+    squashed = nn.Sequential(network, Squash(low, high))
+    return TensorDictModule(squashed, in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
+
+
+class ExploringPolicy(TensorDictModuleBase):
+    """The actor with Ornstein-Uhlenbeck noise for collection; without, where TorchRL's exploration type says so.
+
+    Noise is drawn from torch's default generator, which the training loop seeds (in each worker process differently)
+    and checkpoints. Each vehicle has a process of its own: an empty slot forgets.
+
+    Args:
+        actor: from :func:`make_actor`; shared, not copied.
+        low, high: bounds of the action.
+        config: hyper-parameters.
+        rest: that actions around 0 are doing nothing: :attr:`quiet_band`. What is stored and learned from is the action
+            itself, so that the critic's gradient leads out of the band.
+    """
+
+    noise_factor: Tensor
+    uniform: Tensor
+
+    def __init__(
+        self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig, rest: Rest | None = None
+    ) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
+        self.network = actor.module
+        self.size = self.network[0][-1].out_features
+        self.arrays = compiled_mlp.Arrays(self.network)
+        self.low, self.high = float(low), float(high)
+        self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
+        stationary = self.sigma / math.sqrt(max(1.0 - (1.0 - self.theta) ** 2, 1e-3))
+        self.quiet_band = 0.0 if rest is None else min(rest.band(stationary), 0.5 * self.high)
+        # Buffers, so that collectors in other processes receive them with the weights.
+        self.register_buffer("noise_factor", torch.tensor(1.0))
+        self.register_buffer("uniform", torch.tensor(config.random_frames > 0))
+        self.noise = torch.zeros(0)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions ``[*B, A, D]`` into ``tensordict``; the actor's are 0 in empty slots."""
+        agents = tensordict.get("agents")
+        mask = agents.get("mask")
+        action = self.mean(agents.get("observation"), mask)
+        if base.explores():
+            action = self._explore(action, mask.unsqueeze(-1))
+        agents._set_str("action", action, validated=True, inplace=False, non_blocking=False)  # its shape is right
+        return tensordict
+
+    def mean(self, observation: Tensor, mask: Tensor) -> Tensor:
+        """Return the actor's actions ``[*B, A, D]``, compiled on the CPU where no gradient is asked for."""
+        if self.size > 1 or not compiled_mlp.compilable(observation):
+            return spread_out(self.network(observation[mask]), mask)
+        out, own = np.empty(mask.numel(), np.float32), self.arrays
+        compiled_mlp.act_squashed(
+            observation.reshape(-1, observation.shape[-1]).numpy(),
+            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
+            *own.layers(),
+            own.activation,
+            (self.low, self.high),
+            out,
+        )
+        return torch.from_numpy(out).view(*mask.shape, 1)
+
+    def _explore(self, action: Tensor, mask: Tensor) -> Tensor:
+        if self.noise.shape != action.shape:
+            self.noise = torch.zeros_like(action)
+        self.noise.mul_(1.0 - self.theta).add_(torch.randn_like(action), alpha=self.sigma).masked_fill_(~mask, 0.0)
+        if self.uniform:
+            return self.low + (self.high - self.low) * torch.rand_like(action)
+        return torch.addcmul(action, self.noise, self.noise_factor).clamp_(self.low, self.high)
+
+
+class DDPG:
+    """The algorithm: actor, critic, replay, optimiser and update; see :class:`izoo.algos.learners.base.Algorithm`.
+
+    Args:
+        config: hyper-parameters.
+        features: length ``F`` of an observation.
+        low, high: bounds of the action: an acceleration in m/s^2, a share of the speed limit, or advice.
+        device: where the networks and the replay live.
+        rest: that an action of 0 is doing nothing.
+        size: numbers of an action.
+    """
+
+    critic_name = "value"
+    """What TorchRL's loss calls its critics."""
+
+    def __init__(
+        self,
+        config: DDPGConfig,
+        features: int,
+        low: float,
+        high: float,
+        device: torch.device | str = "cpu",
+        rest: Rest | None = None,
+        size: int = 1,
+    ) -> None:
+        self.config, self.size = config, size
+        self.actor = make_actor(features, low, high, config, rest, size).to(device)
+        self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
+        self.untrained_output = self.actor.module[0][-1].bias[0].item()
+        self.loss = self.make_loss(features, low, high).to(device)
+        self.loss.set_keys(priority=ERROR)
+        self.target_update = SoftUpdate(self.loss, tau=config.tau)
+        self.parameters = {
+            "actor": list(self.loss.actor_network_params.values(True, True)),
+            "critic": list(getattr(self.loss, f"{self.critic_name}_network_params").values(True, True)),
+        }
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": self.parameters["actor"], "lr": config.actor_lr},
+                {"params": self.parameters["critic"], "lr": config.critic_lr},
+            ],
+            weight_decay=config.weight_decay,
+            fused=True,
+        )
+        self.replay = Replay(
+            config.replay_rows, config.minibatch_rows, config.priority_alpha, config.priority_beta, device
+        )
+        self.frames = self.frames_held = 0
+
+    def make_critic(self, features: int, low: float, high: float) -> ValueOperator:
+        """Return a network of action values, on flat rows."""
+        network = ActionValue(features, low, high, self.config, self.size)
+        return ValueOperator(network, in_keys=[base.OBSERVATION, base.ACTION], out_keys=[base.ACTION_VALUE])
+
+    def make_loss(self, features: int, low: float, high: float) -> LossModule:
+        """Return the loss of ``actor`` and a critic of its own."""
+        self.critic = self.make_critic(features, low, high)
+        return MaskedDDPGLoss(self.actor, self.critic, loss_function=self.config.value_loss, gamma=self.config.gamma)
+
+    def moves_actor(self) -> bool:
+        """Whether this gradient step moves the actor and the target networks, too; asked once in each."""
+        return True
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Store a batch ``[N, T]`` and learn from the replay; see :class:`izoo.algos.learners.base.Algorithm`."""
+        self.frames += batch.numel()
+        self.frames_held += batch.numel()
+        share = self.config.rows_per_frame
+        limit = None if share is None else math.ceil(share * batch.numel())
+        self.replay.add(transitions(batch, self.config.reward_scale, self.config.n_step, self.config.gamma, limit))
+        stats = {"replay_rows": float(len(self.replay)), "noise_factor": float(self.policy.noise_factor)}
+        if self.frames_held >= self.config.learning_starts and len(self.replay) > 0:
+            stats.update(self._learn(max(1, round(batch.numel() * self.config.updates_per_frame))))
+        self._anneal(progress)
+        return stats
+
+    def _learn(self, steps: int) -> dict[str, float]:
+        found: dict[str, list[Tensor]] = {}
+        for _ in range(steps):
+            for key, value in self.gradient_step(self.replay.sample()).items():
+                found.setdefault(key, []).append(value)
+        return {key: float(torch.stack(values).mean()) for key, values in found.items()}
+
+    def gradient_step(self, minibatch: TensorDictBase) -> dict[str, Tensor]:
+        """Move the networks, then their targets, by one minibatch of transitions; returns what to log."""
+        losses = self.loss(minibatch)
+        self.optimiser.zero_grad()
+        parts, moved, moves_actor = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"], self.moves_actor()
+        if moves_actor:
+            output = self.actor.module[0](minibatch.get(base.OBSERVATION))
+            distance = (output - self.untrained_output).square().mean()
+            parts |= {"loss_actor": losses["loss_actor"], "loss_saturation": self.config.saturation_coeff * distance}
+            moved.append("actor")
+        torch.stack(list(parts.values())).sum().backward()
+        logged = {key: value.detach() for key, value in parts.items()}
+        logged["value"] = losses["pred_value"].detach().mean()
+        for name in moved:
+            bound = self.config.max_grad_norm or math.inf
+            logged[f"{name}_grad_norm"] = nn.utils.clip_grad_norm_(self.parameters[name], bound)
+        self.optimiser.step()
+        if moves_actor:
+            self.target_update.step()
+        self.replay.learned(minibatch)
+        return logged
+
+    def _anneal(self, progress: float) -> None:
+        share = progress if self.config.noise_frames is None else self.frames / self.config.noise_frames
+        self.policy.noise_factor.fill_(1.0 - (1.0 - self.config.noise_final) * min(share, 1.0))
+        self.policy.uniform.fill_(self.frames < self.config.random_frames)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return weights, targets, optimiser state, exploration and, if asked for, the replay."""
+        return {
+            "policy": self.policy.state_dict(),
+            "loss": dict(self.loss.state_dict()),
+            "optimiser": self.optimiser.state_dict(),
+            "noise": self.policy.noise.clone(),
+            "frames": self.frames,
+            "replay": self.replay.state_dict() if self.config.save_replay else {},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.policy.load_state_dict(state["policy"])
+        self.loss.load_state_dict(state["loss"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.policy.noise = state["noise"].clone()  # the policy changes it in place
+        self.frames = state["frames"]
+        self.replay.load_state_dict(state["replay"])
+        self.frames_held = self.frames if state["replay"] else 0

@@ -1,0 +1,48 @@
+"""TD3 (Fujimoto et al., arXiv 1802.09477): DDPG with three changes.
+
+There are two critics, of which the lesser counts; noise is added to the target's action; and the actor moves less often
+than the critics. Everything else, replay and exploration included, is :mod:`izoo.algos.learners.ddpg`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from izoo.algos.learners.ddpg import DDPG
+from izoo.algos.learners.ddpg_config import TD3Config
+from izoo.algos.losses.losses import MaskedTD3Loss
+
+
+class TD3(DDPG):
+    """DDPG with the three changes; the arguments are the same."""
+
+    config: TD3Config
+    critic_name = "qvalue"
+    gradient_steps = 0
+
+    def make_loss(self, features: int, low: float, high: float) -> MaskedTD3Loss:
+        """Return the loss of ``actor`` and two critics of its own."""
+        config = self.config
+        return MaskedTD3Loss(
+            self.actor,
+            [self.make_critic(features, low, high) for _ in range(2)],
+            bounds=(low, high),
+            target_noise=config.target_noise,
+            target_noise_clip=config.target_noise_clip,
+            loss_function=config.value_loss,
+            gamma=config.gamma,
+        )
+
+    def moves_actor(self) -> bool:
+        """Whether it is this gradient step's turn to move the actor and the targets."""
+        self.gradient_steps += 1
+        return self.gradient_steps % self.config.policy_delay == 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what DDPG does, and how many gradient steps were made."""
+        return {**super().state_dict(), "gradient_steps": self.gradient_steps}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        super().load_state_dict(state)
+        self.gradient_steps = int(state["gradient_steps"])

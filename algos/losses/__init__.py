@@ -1,0 +1,1 @@
+"""Losses for agents that come and go."""

@@ -1,0 +1,195 @@
+"""Tanh-squashed normal policies over accelerations and advice: parts that algorithms with a stochastic policy share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from izoo.algos.actions.action_modes import Rest
+from izoo.algos.learners import base
+from izoo.algos.networks import compiled_mlp
+from izoo.algos.networks.censored_normal import RestingNormal
+from izoo.errors import check_range
+
+_LOG_2, _HALF_LOG_2_PI = math.log(2.0), 0.5 * math.log(2.0 * math.pi)
+
+
+def normal_parameters(
+    last: nn.Linear,
+    low: float,
+    high: float,
+    initial_accel_mps2: float,
+    initial_spread: float,
+    rest: Rest | None = None,
+) -> NormalParamExtractor:
+    """Return what turns a network's outputs, two for each number of an action, into median and spread before the tanh.
+
+    Args:
+        last: the network's last layer, with zero biases; its bias is set so that the untrained median is as wanted.
+        low, high: bounds of the action: an acceleration in m/s^2, or a share of the speed limit.
+        initial_accel_mps2: median action of the untrained policy.
+        initial_spread: its standard deviation before the tanh.
+        rest: replaces the last two where actions are advice; the untrained median is doing nothing.
+    """
+    if rest is not None:
+        return NormalParamExtractor(scale_mapping=f"biased_softplus_{rest.spread}", scale_lb=0.01)
+    check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
+    with torch.no_grad():
+        last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
+    return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
+
+
+def tanh_normal(
+    network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float, rest: Rest | None = None
+) -> ProbabilisticActor:
+    """Return the policy over actions in ``[low, high]`` whose ``(loc, scale)`` ``network`` returns.
+
+    With ``rest``, actions are advice, and 0 is doing nothing.
+    """
+    parameters = {"loc": base.LOC, "scale": base.SCALE}
+    if rest is not None and rest.two_sided:
+        parameters["guided"] = base.GUIDED
+    return ProbabilisticActor(
+        TensorDictModule(network, in_keys=list(in_keys), out_keys=[base.LOC, base.SCALE]),
+        in_keys=parameters,
+        out_keys=[base.ACTION],
+        distribution_class=TanhNormal if rest is None else RestingNormal,
+        distribution_kwargs={"low": low, "high": high} if rest is None else {"bound": high, "dead": rest.dead},
+        return_log_prob=True,
+        log_prob_key=base.LOG_PROB,
+    )
+
+
+class SamplingPolicy(TensorDictModuleBase):
+    """The policy of a :func:`tanh_normal` actor, for collection: same parameters and distribution, less overhead.
+
+    Empty slots, where there is a mask, get ``loc`` 0, ``scale`` 1, action 0 and log-probability 0. It samples, or takes
+    the median, as TorchRL's exploration type says.
+
+    Args:
+        actor: whose network is shared.
+        low, high: bounds of the action.
+        rest: where actions are advice.
+        size: numbers of an action.
+    """
+
+    quiet_band = 0.0
+    """Actions smaller than this are still to be taken for doing nothing."""
+
+    def __init__(
+        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+    ) -> None:
+        super().__init__()
+        self.in_keys, self.size = [base.OBSERVATION], size
+        self.dead = -1.0 if rest is None else rest.dead
+        self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
+        self.network = actor[0].module
+        self.bounds = (float(low), float(high))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write loc, scale, action ``[*B, A, D]`` and log-probability ``[*B, A]`` into ``tensordict``."""
+        agents = tensordict.get("agents")
+        observation, mask = agents.get("observation"), agents.get("mask", None)
+        if mask is None:
+            mask = torch.ones(observation.shape[:-1], dtype=torch.bool, device=observation.device)
+        shape = mask.shape if self.size == 1 else (*mask.shape, self.size)
+        draw = torch.randn if base.explores() else torch.zeros
+        noise = draw(shape, dtype=observation.dtype, device=observation.device)
+        if self.size > 1:
+            for key, value in self._vectors(observation, mask, noise).items():
+                agents.set(key, value)
+            return tensordict
+        loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("guided", None)).unbind(0)
+        one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
+        for key, value in (*one.items(), ("action_log_prob", log_prob)):
+            agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
+        return tensordict
+
+    def _vectors(self, observation: Tensor, mask: Tensor, noise: Tensor) -> dict[str, Tensor]:
+        """Return by name what actions of several numbers need; ``noise`` is ``[*B, A, D]``."""
+        found = squashed_sample(*self.parameters_of(observation, mask), noise[mask], *self.bounds)
+        padded = observation.new_zeros((4, *noise.shape))
+        padded[1].fill_(1.0)
+        padded[:, mask] = found
+        loc, scale, action, log_prob = padded.unbind(0)
+        return {"loc": loc, "scale": scale, "action": action, "action_log_prob": log_prob.sum(-1)}
+
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``.
+
+        Args:
+            observation, mask: ``[*B, A, F]`` and ``[*B, A]``.
+            noise: ``[*B, A]`` standard normal.
+            guided: ``[*B, A]`` bool: negative advice means something.
+        """
+        loc, scale = self.parameters_of(observation, mask)
+        if self.dead >= 0.0:
+            distribution = RestingNormal(
+                loc, scale, self.bounds[1], self.dead, None if guided is None else guided[mask]
+            )
+            action = distribution.advice(torch.addcmul(loc, scale, noise[mask].unsqueeze(-1)))
+            parts = (loc.squeeze(-1), scale.squeeze(-1), action.squeeze(-1), distribution.log_prob(action))
+            sample = torch.stack(parts)
+        else:
+            sample = squashed_sample(loc.squeeze(-1), scale.squeeze(-1), noise[mask], *self.bounds)
+        padded = observation.new_zeros((4, *mask.shape))
+        padded[1].fill_(1.0)
+        padded[:, mask] = sample
+        return padded
+
+    def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return median and spread before the tanh, ``[n, D]`` each, of the ``n`` agents of ``[*B, A, F]``."""
+        return self.network(observation[mask])
+
+
+class CompiledPolicy(SamplingPolicy):
+    """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
+
+    def __init__(
+        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+    ) -> None:
+        super().__init__(actor, low, high, rest, size)
+        self.arrays = compiled_mlp.Arrays(self.network)
+        (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
+        mapping = extract.scale_mapping
+        self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+        """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
+        if not compiled_mlp.compilable(observation):
+            return super().sample(observation, mask, noise, guided)
+        flags = np.zeros(mask.numel(), np.uint8) if guided is None else guided.reshape(-1).numpy().view(np.uint8)
+        out, own = np.empty((4, mask.numel()), np.float32), self.arrays
+        compiled_mlp.act(
+            observation.reshape(-1, observation.shape[-1]).numpy(),
+            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
+            *own.layers(),
+            own.activation,
+            self.spread,
+            self.bounds,
+            self.dead,
+            flags,
+            noise.reshape(-1).numpy(),
+            out,
+        )
+        return torch.from_numpy(out).view(4, *mask.shape)
+
+
+def squashed_sample(loc: Tensor, scale: Tensor, noise: Tensor, low: float, high: float) -> Tensor:
+    """Return ``loc``, ``scale``, the action ``tanh(loc + scale * noise)`` on ``[low, high]`` and its log-probability.
+
+    All of one shape ``[*M]``; the result is ``[4, *M]``, and log-probabilities are those of single numbers.
+    """
+    half = (high - low) / 2
+    raw = torch.addcmul(loc, scale, noise)
+    # log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)), which does not lose precision far from 0.
+    slope = 2.0 * (_LOG_2 - raw - nn.functional.softplus(-2.0 * raw))
+    log_prob = -0.5 * noise.square() - scale.log() - slope - (_HALF_LOG_2_PI + math.log(half))
+    return torch.stack([loc, scale, torch.tanh(raw) * half + (high + low) / 2, log_prob])

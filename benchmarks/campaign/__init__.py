@@ -1,0 +1,1 @@
+"""Jobs over tasks, algorithms and seeds."""

@@ -1,0 +1,251 @@
+"""The sums and counts that an environment reports for an episode, and what a step adds to them, in compiled code.
+
+An environment emits *sums and counts* (``("metrics", "approach", name)`` of shape ``[*B, P]``, one entry per incoming
+approach), never means, so that they can be added over approaches and episodes without weights going wrong. Figures are
+made of them in one place, :mod:`izoo.metrics.figures`. Where an episode is played out after its horizon, they are those
+of the horizon, but for the ``cohort`` ones, which go on to the end.
+
+A vehicle is *counted* unless it was in the controlled region during warm-up. It belongs to the approach it came from.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.columns import (
+    ACCEL,
+    AGENT,
+    APPROACH,
+    COHORT,
+    COUNTED,
+    CROSSED,
+    DELAY,
+    EMISSION,
+    ENTRY_M,
+    EXIT,
+    IS_CV,
+    JUNCTION_M,
+    LOCATION,
+    MIN_TTC,
+    PATH_POSITION,
+    PREV_ACCEL,
+    SPEED,
+    SUM_ACCEL,
+    SUM_EMISSION,
+    SUM_JERK,
+    SUM_STEPS,
+    SUM_STOPPED,
+    TTC,
+)
+from izoo.envs.mdp.reward import TTC_CAP_S
+from izoo.networks.clock import RED
+from izoo.networks.road import APPROACHING
+
+APPROACH_METRICS: tuple[str, ...] = (
+    "entered",  # counted vehicles that entered the controlled region
+    "crossed",  # counted vehicles that crossed the stop line: the throughput
+    "crossed_hdv",  # those of them that were human-driven
+    "emission_g",  # CO2 from entering to crossing, over counted vehicles that crossed
+    "emission_hdv_g",  # the same over human-driven vehicles alone
+    "region_emission_g",  # CO2 of all counted vehicles over the whole region, crossed or not
+    "unfinished",  # counted vehicles that had not crossed at the end
+    "unfinished_emission_g",  # their CO2
+    "vehicle_steps",  # steps from entering to crossing, over counted vehicles that crossed
+    "travel_time_s",  # the same in seconds
+    "region_time_s",  # seconds in the region, over all counted vehicles
+    "distance_m",  # metres driven from entering to crossing, over counted vehicles that crossed
+    "stopped_time_s",  # seconds below 1 m/s from entering to crossing, over counted vehicles that crossed
+    "abs_accel_sum",  # sum of |a| in m/s^2 over steps from entering to crossing (comfort)
+    "abs_jerk_sum",  # sum of |a_t - a_{t-1}| / dt in m/s^3 over the same steps
+    "min_ttc_sum_s",  # minimum time to collision, at most 10 s, summed over crossed vehicles that ever closed in
+    "min_ttc_vehicles",  # how many those are
+    "waiting",  # vehicles of this approach that still wait to enter the network at the end (spill-back)
+    "collisions_cv",  # collisions whose rear vehicle is a CV
+    "collisions_hdv",  # collisions whose rear vehicle is human-driven
+    "agent_steps",  # steps of CVs that held an agent slot
+    "deferred_steps",  # those of them left to SUMO: asked for, NaN action, slowed for a lane change, or inside
+    "nan_actions",  # those of them whose action was NaN
+    "lane_change_deferred",  # those of them left to SUMO because it slowed the CV for a lane change
+    "junction_deferred",  # those of them left to SUMO because the CV was inside the junction
+    "unslotted_steps",  # steps of CVs that found no free agent slot and were driven by IDM
+    "red_crossings_cv",  # CVs that crossed the stop line on red where turning right on red is not legal
+    "red_crossings_hdv",  # human-driven vehicles that did
+    "due",  # vehicles whose departure was due by the end: dropped + waiting + outside + early + entered
+    "dropped",  # those that the simulator dropped because they could not enter the network safely
+    "outside",  # those under way to the region at the end
+    "early",  # those that were in the region, or had left it, when the warm-up ended
+    "cohort",  # vehicles that are scheduled to depart between warm-up and horizon: the same ones under every policy
+    "cohort_left",  # those of them that had left the region when the episode ended
+    "cohort_region_co2_g",  # what the cohort burned in the region: approach, junction and exit
+    "cohort_blocked_co2_g",  # what it would have burned standing outside, while blocked
+    "cohort_region_delay_s",  # time that it lost in the region against driving at the limit
+    "cohort_blocked_s",  # time for which it was blocked outside: it could have come, at the limit, and had not
+)
+"""Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
+
+DEMAND: tuple[str, ...] = ("dropped", "waiting", "outside", "entered")
+"""The parts of the demand of the measured time, by approach: every vehicle that was due, but for the early ones."""
+
+KEPT_OUT: tuple[str, ...] = ("waiting", "outside")
+"""Those of them that have not come to the region yet: what they burn is not counted."""
+
+EPISODE_METRICS: tuple[str, ...] = (
+    "steps",  # control steps since warm-up
+    "return",  # mean over agent-steps of the reward, summed over the episode (see the environment's docstring)
+    "reward_sum",  # sum of the reward over all valid agent-steps
+    "agent_steps",  # valid agent-steps
+    "unslotted",  # CVs that found no free agent slot
+    "collisions",  # all collisions in the controlled region
+    "still_s",  # for how long, until now, no vehicle of a non-empty region has moved
+    "gridlock",  # 1 if no vehicle of a non-empty region moved for 180 s or longer
+    "vehicle_steps",  # vehicles in the region, summed over steps
+)
+"""Names of the per-episode numbers ``("metrics", "episode", name)`` of shape ``[*B, 1]``."""
+
+METRIC = {name: column for column, name in enumerate(APPROACH_METRICS)}
+EPISODE_METRIC = {name: column for column, name in enumerate(EPISODE_METRICS)}
+
+GRIDLOCK_S = 180.0
+"""The region is in gridlock when none of its vehicles has moved for this long."""
+MOVING_MPS = 0.1
+STOPPED_MPS = 1.0
+"""A vehicle slower than this is stopped, in the metrics (the reward has its own ``tau_mps``, equal by default)."""
+
+_ENTERED = METRIC["entered"]
+_CROSSED = METRIC["crossed"]
+_CROSSED_HDV = METRIC["crossed_hdv"]
+_EMISSION_G = METRIC["emission_g"]
+_EMISSION_HDV_G = METRIC["emission_hdv_g"]
+_REGION_EMISSION_G = METRIC["region_emission_g"]
+_UNFINISHED = METRIC["unfinished"]
+_UNFINISHED_EMISSION_G = METRIC["unfinished_emission_g"]
+_VEHICLE_STEPS = METRIC["vehicle_steps"]
+_TRAVEL_TIME_S = METRIC["travel_time_s"]
+_REGION_TIME_S = METRIC["region_time_s"]
+_DISTANCE_M = METRIC["distance_m"]
+_STOPPED_TIME_S = METRIC["stopped_time_s"]
+_ABS_ACCEL = METRIC["abs_accel_sum"]
+_ABS_JERK = METRIC["abs_jerk_sum"]
+_MIN_TTC_SUM_S = METRIC["min_ttc_sum_s"]
+_MIN_TTC_VEHICLES = METRIC["min_ttc_vehicles"]
+_RED_CROSSINGS_CV = METRIC["red_crossings_cv"]
+_RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
+_UNSLOTTED_STEPS = METRIC["unslotted_steps"]
+_COHORT_CO2_G = METRIC["cohort_region_co2_g"]
+_COHORT_DELAY_S = METRIC["cohort_region_delay_s"]
+_STEPS = EPISODE_METRIC["steps"]
+_RETURN = EPISODE_METRIC["return"]
+_REWARD_SUM = EPISODE_METRIC["reward_sum"]
+_EPISODE_AGENT_STEPS = EPISODE_METRIC["agent_steps"]
+_EPISODE_VEHICLE_STEPS = EPISODE_METRIC["vehicle_steps"]
+_STILL_S = EPISODE_METRIC["still_s"]
+_GRIDLOCK = EPISODE_METRIC["gridlock"]
+
+
+@compiled(borrows=True)
+def account(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
+    """Add the step to every vehicle's sums; book a vehicle's sums to its approach when it crosses the stop line.
+
+    ``colour`` and ``legal`` ``[P, Q]`` are the signal that vehicles drove by in the step.
+    """
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        p = ints[r, APPROACH]
+        counted = flags[r, COUNTED]
+        if counted:
+            sums[p, _REGION_EMISSION_G] += floats[r, EMISSION]
+            sums[p, _REGION_TIME_S] += step_s
+        if flags[r, CROSSED]:
+            continue
+        floats[r, SUM_EMISSION] += floats[r, EMISSION]
+        floats[r, SUM_STEPS] += 1
+        floats[r, SUM_STOPPED] += floats[r, SPEED] < STOPPED_MPS
+        floats[r, SUM_ACCEL] += abs(floats[r, ACCEL])
+        floats[r, SUM_JERK] += abs(floats[r, ACCEL] - floats[r, PREV_ACCEL]) / step_s
+        floats[r, MIN_TTC] = min(floats[r, MIN_TTC], floats[r, TTC])
+        if ints[r, LOCATION] == APPROACHING:
+            continue
+        flags[r, CROSSED] = 1
+        on_red = colour[p, ints[r, EXIT]] == RED and not legal[p, ints[r, EXIT]]
+        if counted:
+            _book_crossing(r, p, floats, flags, step_s, on_red, sums)
+
+
+@compiled(borrows=True)
+def account_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Add what the cohort burned and lost in the step, which is counted until an episode's end."""
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if flags[r, COHORT]:
+            sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
+            sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
+
+
+@compiled(borrows=True)
+def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
+    sums[p, _CROSSED] += 1
+    sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
+    sums[p, _VEHICLE_STEPS] += floats[r, SUM_STEPS]
+    sums[p, _TRAVEL_TIME_S] += floats[r, SUM_STEPS] * step_s
+    sums[p, _DISTANCE_M] += floats[r, PATH_POSITION] - floats[r, ENTRY_M]
+    sums[p, _STOPPED_TIME_S] += floats[r, SUM_STOPPED] * step_s
+    sums[p, _ABS_ACCEL] += floats[r, SUM_ACCEL]
+    sums[p, _ABS_JERK] += floats[r, SUM_JERK]
+    if floats[r, MIN_TTC] < np.inf:
+        sums[p, _MIN_TTC_SUM_S] += min(floats[r, MIN_TTC], TTC_CAP_S)
+        sums[p, _MIN_TTC_VEHICLES] += 1
+    if flags[r, IS_CV]:
+        sums[p, _RED_CROSSINGS_CV] += on_red
+    else:
+        sums[p, _RED_CROSSINGS_HDV] += on_red
+        sums[p, _CROSSED_HDV] += 1
+        sums[p, _EMISSION_HDV_G] += floats[r, SUM_EMISSION]
+
+
+@compiled(borrows=True)
+def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Start the sums of a vehicle that has just been given row ``r``."""
+    floats[r, SUM_EMISSION] = 0.0
+    floats[r, SUM_STEPS] = 0.0
+    floats[r, SUM_STOPPED] = 0.0
+    floats[r, SUM_ACCEL] = 0.0
+    floats[r, SUM_JERK] = 0.0
+    floats[r, JUNCTION_M] = 0.0
+    floats[r, MIN_TTC] = np.inf
+    if flags[r, COUNTED]:
+        sums[ints[r, APPROACH], _ENTERED] += 1
+
+
+@compiled(borrows=True)
+def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Report, at the horizon, the counted vehicles that have not crossed."""
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if flags[r, COUNTED] and not flags[r, CROSSED]:
+            sums[ints[r, APPROACH], _UNFINISHED] += 1
+            sums[ints[r, APPROACH], _UNFINISHED_EMISSION_G] += floats[r, SUM_EMISSION]
+
+
+@compiled(borrows=True)
+def sum_episode(rows, acting_row, floats, ints, flags, reward, step_s, sums, episode):  # type: ignore[no-untyped-def]
+    """Add the step to the episode's numbers ``episode [E]``, and CVs without a slot to their approach."""
+    agents, total, fastest = 0, 0.0, 0.0
+    for a in range(acting_row.shape[0]):
+        if acting_row[a] >= 0:
+            agents += 1
+            total += reward[a]
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        fastest = max(fastest, floats[r, SPEED])
+        if flags[r, IS_CV] and ints[r, AGENT] < 0:
+            sums[ints[r, APPROACH], _UNSLOTTED_STEPS] += 1
+    episode[_STEPS] += 1
+    episode[_REWARD_SUM] += total
+    episode[_EPISODE_AGENT_STEPS] += agents
+    episode[_EPISODE_VEHICLE_STEPS] += rows.shape[0]
+    if agents:
+        episode[_RETURN] += total / agents
+    episode[_STILL_S] = episode[_STILL_S] + step_s if rows.shape[0] and fastest < MOVING_MPS else 0.0
+    if episode[_STILL_S] >= GRIDLOCK_S:
+        episode[_GRIDLOCK] = 1.0

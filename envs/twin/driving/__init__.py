@@ -1,0 +1,1 @@
+"""Driving on the twin: lanes, links, signals, car following, insertion."""

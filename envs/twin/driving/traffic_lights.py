@@ -1,0 +1,73 @@
+"""What every link shows now."""
+
+from __future__ import annotations
+
+from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.twin.runtime.layout import (
+    LINK_PROGRAM,
+    LINK_SIGNAL,
+    LINK_STATE,
+    NOW_MS,
+    PHASE_BEGIN_MS,
+    PHASE_STATE,
+    PROGRAM_CYCLE_MS,
+    PROGRAM_FIRST_PHASE,
+    PROGRAM_OFFSET_MS,
+    PROGRAM_PHASES,
+    TwinNet,
+    TwinState,
+)
+
+RED, YELLOW, OFF_YELLOW = ord("r"), ord("y"), ord("Y")
+GREEN, PRIORITY_GREEN = ord("g"), ord("G")
+MINOR, EQUAL, STOP, ALLWAY_STOP = ord("m"), ord("="), ord("s"), ord("w")
+"""Letters of links, which their signal shows or which are their own where there is none."""
+UPPER_CASE, LOWER_CASE = ord("A"), ord("a")
+
+
+@compiled
+def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
+    """Set the letters of all signals to those of the coming step: SUMO begins it with every switch that falls in it."""
+    now_ms = state.clock[NOW_MS] + step_ms - 1
+    for program in range(net.program_ints.shape[0]):
+        if now_ms < state.program_switch_ms[program]:
+            continue
+        first = net.program_ints[program, PROGRAM_FIRST_PHASE]
+        cycle_ms = net.program_ints[program, PROGRAM_CYCLE_MS]
+        time_ms = (now_ms - net.program_ints[program, PROGRAM_OFFSET_MS]) % cycle_ms
+        phase, end_ms = first, cycle_ms
+        for k in range(first + 1, first + net.program_ints[program, PROGRAM_PHASES]):
+            if net.phase_ints[k, PHASE_BEGIN_MS] > time_ms:
+                end_ms = net.phase_ints[k, PHASE_BEGIN_MS]
+                break
+            phase = k
+        state.program_switch_ms[program] = now_ms + end_ms - time_ms
+        letters = net.phase_ints[phase, PHASE_STATE]
+        for k in range(net.program_first_link[program], net.program_first_link[program + 1]):
+            link = net.program_links[k]
+            state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
+
+
+def begin_signals(net: TwinNet, state: TwinState) -> None:
+    """Begin an episode: links without a signal show their own state for ever."""
+    own = net.link_ints[:, LINK_PROGRAM] < 0
+    state.link_letter[own] = net.link_ints[own, LINK_STATE]
+    state.program_switch_ms[:] = -1
+
+
+@compiled
+def stops_all(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` is red or yellow."""
+    return letter in (RED, YELLOW, OFF_YELLOW)
+
+
+@compiled
+def is_green(letter):  # type: ignore[no-untyped-def]
+    """Whether a signal shows green, with priority or without."""
+    return letter in (GREEN, PRIORITY_GREEN)
+
+
+@compiled
+def is_major(letter):  # type: ignore[no-untyped-def]
+    """Whether a link that shows ``letter`` has priority."""
+    return UPPER_CASE <= letter < LOWER_CASE

@@ -1,0 +1,1 @@
+"""Lane changing on the twin: LC2013, as SUMO's documentation and its outputs show it."""

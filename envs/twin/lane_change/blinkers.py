@@ -1,0 +1,41 @@
+"""Which way a vehicle blinks: where it wants to change to, or turns soon."""
+
+from __future__ import annotations
+
+from izoo.envs.twin.driving.car_following import desired_speed
+from izoo.envs.twin.lane_change.flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
+from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.twin.runtime.layout import CHANGE_STATE, LANE, LANE_LENGTH, LINK_DIRECTION, POSITION, VARIANT
+
+_RIGHT, _LEFT = 1, 2
+"""Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
+_AHEAD_S = 7.0
+"""A vehicle blinks before a turn that it would reach so soon at its desired speed."""
+_MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING
+_LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
+
+
+@compiled
+def blinkers(net, state, v):  # type: ignore[no-untyped-def]
+    """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
+
+    What it wished for after the step before comes first; nobody blinks to keep right. Who would go both ways blinks to
+    the left where it is about speed alone, otherwise to the right.
+    """
+    wishes = state.ints[v, CHANGE_STATE]
+    rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD
+    if leftward and not (rightward and wishes & _MORE_THAN_SPEED):
+        return _LEFT
+    if rightward and not wishes & RIGHT_KEEPING:
+        return _RIGHT
+    lane = state.ints[v, LANE]
+    left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
+    if left_m >= _AHEAD_S * desired_speed(net, state, v, lane):
+        return 0
+    link = net.best_link[state.ints[v, VARIANT], lane]
+    if link < 0:
+        return 0
+    turn = net.link_ints[link, LINK_DIRECTION]
+    if turn in _LEFT_TURNS:
+        return _LEFT
+    return _RIGHT if turn in _RIGHT_TURNS else 0

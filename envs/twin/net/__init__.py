@@ -1,0 +1,1 @@
+"""What the twin reads of a net before an episode: lanes, links, conflicts, routes."""

@@ -1,0 +1,1 @@
+"""How many episodes of the twin run in one process: memory, threads, batches."""

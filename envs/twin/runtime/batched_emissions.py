@@ -1,0 +1,191 @@
+"""CO2 of many environments' vehicles, class by class: in one call of the torch surrogate, or compiled.
+
+Vehicles that emit something else than in the step before are counted by class while they drive, and their inputs then
+written straight to where their class is worked on: for torch into the tiles in which
+:meth:`~izoo.emissions.moves.MovesSurrogate.tiled_rates` takes them. Nothing is sorted, and no tensor but those of the
+layers is made. The weights of a class are 18 kB, and those of all classes more than what is close to the processor.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from izoo.compiling import compiled
+from izoo.emissions.classes import CLASSES
+from izoo.emissions.kernel import emission_rate
+from izoo.emissions.moves import MovesSurrogate, tile_rows
+from izoo.emissions.weights import INPUTS
+from izoo.envs.mdp.columns import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
+from izoo.envs.mdp.state import MEMBERS
+from izoo.envs.twin.runtime.handles import world_at
+from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, WORLD_AT
+
+GROUP = 16
+"""So many environments are played side by side with the compiled surrogate: enough to use the weights of a class for
+several vehicles, and so few that what a step of them touches stays in the cache."""
+
+
+class Rows(NamedTuple):
+    """Working memory of the compiled surrogate.
+
+    Attributes:
+        chosen: ``[GROUP + 1, 7]`` int64, addresses of the environments that are played.
+        by_class: ``[C]`` int64, how many vehicles of each class emit something new.
+        place: ``[C]`` int64, the row of the next of them.
+        moves_class: ``[n]`` int64, class of each row.
+        inputs: ``[n, 5]`` float32, one row per vehicle.
+        rates_gps: ``[n]`` float32.
+    """
+
+    chosen: np.ndarray
+    by_class: np.ndarray
+    place: np.ndarray
+    moves_class: np.ndarray
+    inputs: np.ndarray
+    rates_gps: np.ndarray
+
+
+class Emitter:
+    """Computes the CO2 of a share of the environments; each thread has one.
+
+    Args:
+        module: the surrogates; computes where its weights are.
+
+    Attributes:
+        by_class: ``[C]`` int64, how many vehicles of each class emit something new; driving fills it.
+    """
+
+    def __init__(self, module: MovesSurrogate) -> None:
+        self._module, self._device = module, module.w1.device
+        self.by_class = np.zeros(len(CLASSES), np.int64)
+        self._place = np.zeros(len(CLASSES), np.int64)
+        self._inputs = np.zeros((0, INPUTS), np.float32)
+        self._tile_class = np.zeros(0, np.int64)
+        self._rates_gps = np.zeros(0, np.float32)
+        self._chosen = np.zeros((GROUP + 1, PARTS_BYTES + 1), np.int64)
+
+    def rows(self, vehicles: int) -> Rows:
+        """Return working memory for the compiled surrogate, of so many vehicles; what is not used takes no memory."""
+        if vehicles > len(self._rates_gps):
+            self._inputs, self._rates_gps = np.zeros((vehicles, INPUTS), np.float32), np.zeros(vehicles, np.float32)
+            self._tile_class = np.zeros(vehicles, np.int64)
+        return Rows(self._chosen, self.by_class, self._place, self._tile_class, self._inputs, self._rates_gps)
+
+    def emit(self, addresses: np.ndarray, like: Any) -> None:
+        """Write the CO2 of the environments at ``addresses`` into their tables."""
+        count = int(self.by_class.sum())
+        if count == 0:
+            return
+        tile = tile_rows(count)
+        most = count // tile + len(CLASSES)
+        if most * tile > len(self._inputs):
+            self._inputs = np.zeros((2 * most * tile, INPUTS), np.float32)
+        if most > len(self._tile_class):
+            self._tile_class = np.zeros(2 * most, np.int64)
+        tiles = lay_out(self.by_class, tile, self._place, self._tile_class)
+        gather(addresses, like, self._place, self._inputs)
+        with torch.inference_mode():
+            inputs = torch.from_numpy(self._inputs[: tiles * tile]).view(tiles, tile, INPUTS).to(self._device)
+            tile_class = torch.from_numpy(self._tile_class[:tiles]).to(self._device)
+            rates = self._module.tiled_rates(inputs, tile_class).view(-1).cpu().numpy()
+        lay_out(self.by_class, tile, self._place, self._tile_class)
+        scatter(addresses, like, self._place, rates)
+
+
+@compiled(borrows=True, nogil=True)
+def lay_out(by_class, tile, place, tile_class):  # type: ignore[no-untyped-def]
+    """Give every class as many tiles of ``tile`` rows as it needs; return how many tiles there are.
+
+    Args:
+        by_class: ``[C]`` vehicles per class.
+        place: ``[C]`` output, first row of each class.
+        tile_class: output, class of each tile.
+    """
+    tiles = 0
+    for c in range(by_class.shape[0]):
+        place[c] = tiles * tile
+        for _ in range((by_class[c] + tile - 1) // tile):
+            tile_class[tiles] = c
+            tiles += 1
+    return tiles
+
+
+@compiled(borrows=True)
+def burns_anew(tables, row):  # type: ignore[no-untyped-def]
+    """Whether a vehicle emits something else than in the step before."""
+    return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
+
+
+@compiled(borrows=True)
+def count_classes(world, by_class):  # type: ignore[no-untyped-def]
+    """Add the vehicles that emit something new to ``by_class``."""
+    tables = world.tables
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            by_class[tables.ints[row, MOVES_CLASS]] += 1
+
+
+@compiled(borrows=True)
+def emit_group(addresses, like, rows):  # type: ignore[no-untyped-def]
+    """Write the CO2 of some environments into their tables, as the compiled surrogate computes it.
+
+    Args:
+        addresses, like: as for :func:`~izoo.envs.twin.runtime.batch_step.drive_all`.
+        rows: a :class:`Rows` whose ``by_class`` is filled.
+    """
+    _, by_class, place, moves_class, inputs, rates_gps = rows
+    count = lay_out(by_class, 1, place, moves_class)
+    gather(addresses, like, place, inputs)
+    for at in range(count):
+        x = inputs[at]
+        rates_gps[at] = emission_rate(x[2], x[3], x[4], moves_class[at], x[0], x[1], like.surrogate)
+    lay_out(by_class, 1, place, moves_class)
+    scatter(addresses, like, place, rates_gps)
+
+
+@compiled(nogil=True)
+def gather(addresses, like, place, inputs):  # type: ignore[no-untyped-def]
+    """Write the inputs of all who emit something new to the next rows of their classes.
+
+    Args:
+        addresses, like: as for :func:`~izoo.envs.twin.runtime.batch_step.drive_all`.
+        place: ``[C]`` first row of each class; counts on.
+        inputs: ``[n, 5]`` float32 output.
+    """
+    for k in range(addresses.shape[0]):
+        _gather(world_at(addresses[k, WORLD_AT], like), place, inputs)
+
+
+@compiled(borrows=True)
+def _gather(world, place, inputs):  # type: ignore[no-untyped-def]
+    tables, temperature_c, humidity_pct = world.tables, world.rules.temperature_c, world.rules.humidity_pct
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            at = place[tables.ints[row, MOVES_CLASS]]
+            place[tables.ints[row, MOVES_CLASS]] += 1
+            inputs[at, 0], inputs[at, 1] = temperature_c, humidity_pct
+            inputs[at, 2], inputs[at, 3] = tables.floats[row, SPEED], tables.floats[row, ACCEL]
+            inputs[at, 4] = tables.floats[row, GRADE]
+
+
+@compiled(nogil=True)
+def scatter(addresses, like, place, rates_gps):  # type: ignore[no-untyped-def]
+    """Write CO2 in g of the step, from rates in the rows that :func:`gather` filled."""
+    for k in range(addresses.shape[0]):
+        _scatter(world_at(addresses[k, WORLD_AT], like), place, rates_gps)
+
+
+@compiled(borrows=True)
+def _scatter(world, place, rates_gps):  # type: ignore[no-untyped-def]
+    tables, step_s = world.tables, world.rules.step_s
+    for j in range(tables.cursor[MEMBERS]):
+        row = tables.members[j]
+        if burns_anew(tables, row):
+            at = place[tables.ints[row, MOVES_CLASS]]
+            place[tables.ints[row, MOVES_CLASS]] += 1
+            tables.floats[row, EMISSION] = rates_gps[at] * step_s

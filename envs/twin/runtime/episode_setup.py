@@ -1,0 +1,228 @@
+"""One environment's episode on the twin: the driving and the MDP's tables, side by side."""
+
+from __future__ import annotations
+
+import logging
+import zlib
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from izoo.emissions.kernel import KernelWeights
+from izoo.envs.backend import Play, entry_edges, episode_traffic
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.columns import NUMBER
+from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.frame import frame_fields
+from izoo.envs.twin.net.reader import TwinWorld, read_twin_world, twin_traffic
+from izoo.envs.twin.runtime.batch_step import warm_up_all
+from izoo.envs.twin.runtime.compiled import directory
+from izoo.envs.twin.runtime.handles import address_of, parts_at
+from izoo.envs.twin.runtime.layout import (
+    ACCEL,
+    AHEAD,
+    ARRIVED,
+    DRIVING,
+    DROPPED,
+    EDGE_FIRST_LANE,
+    EDGE_LANES,
+    LANE_BACK,
+    LANE_REGION,
+    LOST_TAILS,
+    MAX_TAIL_LANES,
+    NEXT_DEPARTURE,
+    NOW_MS,
+    ON_ROAD,
+    STATUS,
+    WAITING,
+    WORKING,
+)
+from izoo.envs.twin.runtime.prefetch import NET_AT, PARTS_BYTES, STATE_AT, no_ranges
+from izoo.envs.twin.runtime.region_view import GUESTS, READING, Guests
+from izoo.envs.twin.runtime.scratch import Desk
+from izoo.envs.twin.runtime.simulation import TwinEpisode
+from izoo.errors import IzooError
+from izoo.networks.clock import to_ms
+from izoo.networks.net.build import build_net
+from izoo.networks.road import RoadNet, read_road
+from izoo.traffic.sampling import Traffic
+
+_log = logging.getLogger("izoo")
+
+
+class Prepared(NamedTuple):
+    """An episode at the end of its warm-up; nothing of it is bound to an environment yet."""
+
+    play: Play
+    road: RoadNet
+    traffic: Traffic
+    names: TwinWorld
+    driving: TwinEpisode
+
+
+def prepare(config: EnvConfig, play: Play, desk: Desk) -> Prepared:
+    """Read the net, draw the traffic, and drive up to the beginning of control.
+
+    Args:
+        config: the environment's settings.
+        play: what is played.
+        desk: working memory of this thread.
+
+    Raises:
+        IzooError: the context cannot be simulated.
+    """
+    context = play.context
+    path = build_net(context.intersection)
+    road = read_road(path)
+    try:
+        names = read_twin_world(road, path)
+    except IzooError as error:
+        raise IzooError(f"context {context.name}: {error}") from error
+    traffic = episode_traffic(config, context, road, play.seed)
+    driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s), desk)
+    addresses = np.zeros((1, PARTS_BYTES + 1), np.int64)
+    addresses[0, NET_AT : STATE_AT + 1] = driving.addresses
+    warm_up_all(addresses, config.warmup_steps, driving.step_ms, no_ranges())
+    return Prepared(play, road, traffic, names, driving)
+
+
+class TwinRun:
+    """An episode that is being played in one environment.
+
+    Args:
+        config: the environment's settings.
+        frame: the arrays of its frame (:func:`izoo.envs.mdp.frame.map_frames`, one row).
+        weights: the emission surrogates.
+        prepared: what is played.
+        desk: working memory of the thread that will step it.
+
+    Attributes:
+        episode: the MDP's side.
+        driving: the twin's side.
+        addresses: ``[7]`` what :mod:`izoo.envs.twin.runtime.batch_step` reaches both by.
+    """
+
+    def __init__(
+        self, config: EnvConfig, frame: dict[str, np.ndarray], weights: KernelWeights, prepared: Prepared, desk: Desk
+    ) -> None:
+        play, road, traffic, names, driving = prepared
+        driving.move_to(desk)
+        self.config, self.play, self.driving = config, play, driving
+        # A row for every vehicle of the demand: compiled code cannot let tables grow. What is never used is never
+        # touched, so that it takes no memory.
+        self.episode = Episode(config, frame, weights, *play, road, traffic, capacity=len(traffic))
+        rows = len(self.episode.tables.flags)
+        edges = entry_edges(road, play.context.demand_approaches, config.step_s)
+        self._guests = Guests(
+            row_of=np.full(len(traffic), -1, np.int64),
+            entry_lanes=_lanes_of(edges, names),
+            begun_s=np.zeros(1),
+            **desk.spread(GUESTS, dict.fromkeys(READING, rows)),
+        )
+        self._directory = directory(self._guests, GUESTS)
+        self._early = np.zeros(len(traffic), np.uint8)
+        world = self.episode.world
+        self.addresses = (address_of(world), *driving.addresses, self._directory.ctypes.data, *parts_at(world))
+        self._enter_all(names, road)
+
+    def _enter_all(self, names: TwinWorld, road: RoadNet) -> None:
+        """Enter everybody who is in the region when the warm-up ends, and write the first frame."""
+        state, row_of = self.driving.state, self._guests.row_of
+        for lane in _lanes_of(dict.fromkeys(name.rsplit("_", 1)[0] for name in road.lane_ids), names).tolist():
+            v = int(state.lanes[lane, LANE_BACK])
+            while v >= 0:
+                row_of[v] = self.episode.enter(v, float(state.floats[v, ACCEL]), counted=False)
+                v = int(state.ints[v, AHEAD])
+        self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
+        self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
+        self.episode.begin(self._reading(), float(self._guests.begun_s[0]), np.flatnonzero(self._early).tolist())
+
+    def _reading(self) -> Reading:
+        """Return where the members are."""
+        vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
+        driving = self.driving
+        region = driving.net.lane_ints[driving.lane[vehicles], LANE_REGION].astype(np.int64)
+        signals = driving.signals[vehicles].astype(np.int64)
+        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
+
+    def end_step(self) -> None:
+        """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
+        self.episode.end_step(self._ending, self._everybody_left)
+        state = self.driving.state
+        if self.episode.over and state.clock[LOST_TAILS]:
+            _log.warning(
+                "context %s: the rear of a vehicle lay on more than %d lanes, or with more than as many others on one, "
+                "%d times; there the twin forgot it. Use simulator=sumo.",
+                self.play.context.name,
+                MAX_TAIL_LANES,
+                state.clock[LOST_TAILS],
+            )
+
+    def _everybody_left(self) -> bool:
+        """Whether no vehicle is on the road, waits to enter it, or is yet to depart."""
+        state = self.driving.state
+        on_road, departed = state.clock[[ON_ROAD, NEXT_DEPARTURE]]
+        return bool(on_road == 0 and departed == len(state.ints) and not (state.ints[:, STATUS] == WAITING).any())
+
+    def _ending(self) -> Ending:
+        """Say what became of the demand that did not reach the region."""
+        state = self.driving.state
+        status = state.ints[:, STATUS]
+        outside = (status == DRIVING) & (self._guests.row_of < 0)
+        masks = (status == DROPPED, status == WAITING, outside, self._early)
+        gone = (np.flatnonzero(mask).tolist() for mask in masks)
+        return Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone)
+
+    def _changing(self) -> list[np.ndarray]:
+        """Return every array that changes in the course of the episode."""
+        episode, guests, frame = self.episode, self._guests, self.episode.frame
+        clock = episode.clock
+        return [
+            *(array for name, array in self.driving.state._asdict().items() if name not in WORKING),
+            *episode.tables,
+            *episode.awaited,
+            *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
+            *(guests.row_of, guests.begun_s, self._early),
+            *(frame[field.name] for field in frame_fields(self.config)),
+        ]
+
+    def pack(self) -> np.ndarray:
+        """Return the state of the episode as compressed bytes, uint8."""
+        whole = b"".join(array.tobytes() for array in self._changing())
+        return np.frombuffer(zlib.compress(whole, 1), np.uint8)
+
+    def unzip(self, packed: np.ndarray) -> bytes:
+        """Return the bytes of a state that :meth:`pack` returned.
+
+        Raises:
+            IzooError: they are not as many as this episode has.
+        """
+        size = sum(array.nbytes for array in self._changing())
+        try:
+            whole = zlib.decompressobj().decompress(packed.tobytes(), size + 1)
+        except zlib.error:
+            whole = b""
+        if len(whole) != size:
+            raise IzooError(
+                f"the saved state does not fit episode {self.play.number} of the schedule: another version of izoo "
+                "saved it, or it is damaged. Begin anew with reset()."
+            )
+        return whole
+
+    def unpack(self, packed: np.ndarray) -> None:
+        """Go on from a state of the same episode."""
+        whole, at = self.unzip(packed), 0
+        for array in self._changing():
+            array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
+            at += array.nbytes
+        self.episode.go_on(float(self._guests.begun_s[0]))
+
+
+def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:
+    """Return the rows of the lanes of edges, int32: edge after edge, rightmost lane first."""
+    net = names.net.edge_ints
+    rows = {name: row for row, name in enumerate(names.edge_ids)}
+    found = [net[rows[edge], [EDGE_FIRST_LANE, EDGE_LANES]] for edge in edges]
+    lanes = [np.arange(first, first + count, dtype=np.int32) for first, count in found]
+    return np.concatenate(lanes) if lanes else np.empty(0, np.int32)

@@ -1,0 +1,156 @@
+"""Memory of the environments that come next, asked for while one is played.
+
+A step touches some sixty kilobytes, and the tables of a hundred environments do not stay in the cache. Read one after
+the other, as the step needs them, its lines come at the pace of the memory's latency; asked for ahead they are there.
+A few lines are asked for with each vehicle that is driven.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.compiling import compiled
+from izoo.envs.mdp.state import MEMBERS
+from izoo.envs.twin.runtime.compiled import LINE_BYTES, WORDS, fetch, fetch_line, place_of
+from izoo.envs.twin.runtime.handles import world_at
+from izoo.envs.twin.runtime.layout import (
+    NEXT_DEPARTURE,
+    ON_ROAD,
+    STATE,
+    TRAFFIC,
+    VEHICLE_FLOATS,
+    VEHICLE_INTS,
+    open_state,
+    open_traffic,
+)
+from izoo.envs.twin.runtime.region_view import GUESTS
+
+(WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT, PARTS_AT, PARTS_BYTES) = range(7)
+"""Columns of the addresses ``[N, 7]`` of environments: world, directories, the world's parts and their size."""
+_WORD_BYTES = 8
+_STATE_BYTES, _TRAFFIC_BYTES, _GUESTS_BYTES = (
+    len(kind.fields) * WORDS * _WORD_BYTES for kind in (STATE, TRAFFIC, GUESTS)
+)
+_STRAGGLERS = 8
+"""For so many vehicles that are where they are expected, one more is asked for."""
+
+
+RANGES = 24
+"""Rows of a list of ranges, ``[RANGES, 2]`` int64 with begin and end in each; the last row holds how many of them are
+done and how many there are, the one before it how many lines they have."""
+_DONE, LINES = RANGES - 1, RANGES - 2
+
+
+def no_ranges() -> np.ndarray:
+    """Return an empty list of ranges."""
+    return np.zeros((RANGES, 2), np.int64)
+
+
+@compiled
+def list_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-def]
+    """List what the environment after number ``k`` will need, and ask for where that of the one behind it is.
+
+    Args:
+        addresses: ``[n, 7]``.
+        k: the environment that is about to be played.
+        like: any of the worlds.
+        drives: whether vehicles will be driven.
+        ranges: output, for :func:`fetch_some`.
+    """
+    count = addresses.shape[0]
+    ranges[_DONE, 0] = ranges[_DONE, 1] = ranges[LINES, 0] = 0
+    if k == 0 and count > 1:
+        _fetch_directories(addresses, 1)
+    if k + 2 < count:
+        _fetch_directories(addresses, k + 2)
+    if k + 1 < count:
+        if drives:
+            _list_driving(addresses, k + 1, ranges)
+        _list_world(world_at(addresses[k + 1, WORLD_AT], like), ranges)
+
+
+@compiled
+def fetch_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-def]
+    """Ask at once for all that :func:`list_next` lists."""
+    list_next(addresses, k, like, drives, ranges)
+    fetch_some(ranges, ranges[LINES, 0])
+
+
+@compiled(borrows=True)
+def lines_for_each(ranges, count):  # type: ignore[no-untyped-def]
+    """Return how many lines to ask for at a time, to have all of them after ``count`` times."""
+    return ranges[LINES, 0] // max(1, count) + 1
+
+
+@compiled(borrows=True)
+def fetch_some(ranges, lines):  # type: ignore[no-untyped-def]
+    """Ask for the next ``lines`` of what is listed.
+
+    The processor has room for some dozens of requests and stands still when there are more, so they are best made
+    between other work.
+    """
+    k = ranges[_DONE, 0]
+    while lines > 0 and k < ranges[_DONE, 1]:
+        at, end = ranges[k, 0], ranges[k, 1]
+        while lines > 0 and at < end:
+            fetch_line(at)
+            at += LINE_BYTES
+            lines -= 1
+        ranges[k, 0] = at
+        if at >= end:
+            k += 1
+    ranges[_DONE, 0] = k
+
+
+@compiled(borrows=True)
+def _list(ranges, address, size):  # type: ignore[no-untyped-def]
+    k = ranges[_DONE, 1]
+    ranges[k, 0], ranges[k, 1] = address, address + size
+    ranges[_DONE, 1] = k + 1
+    ranges[LINES, 0] += (size + LINE_BYTES - 1) // LINE_BYTES
+
+
+@compiled(borrows=True)
+def _fetch_directories(addresses, k):  # type: ignore[no-untyped-def]
+    fetch(addresses[k, PARTS_AT], addresses[k, PARTS_BYTES])
+    fetch(addresses[k, STATE_AT], _STATE_BYTES)
+    fetch(addresses[k, TRAFFIC_AT], _TRAFFIC_BYTES)
+    fetch(addresses[k, GUESTS_AT], _GUESTS_BYTES)
+
+
+@compiled(borrows=True)
+def _list_driving(addresses, k, ranges):  # type: ignore[no-untyped-def]
+    """List lanes, signals, and the vehicles on the road: mostly those who departed last."""
+    state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
+    # These lie in one piece, see new_state.
+    _list(ranges, place_of(state.clock), place_of(state.floats) - place_of(state.clock))
+    on_road = state.clock[ON_ROAD] + state.clock[ON_ROAD] // _STRAGGLERS
+    first = max(0, state.clock[NEXT_DEPARTURE] - on_road)
+    count = state.clock[NEXT_DEPARTURE] - first
+    for place, row_bytes in (
+        (place_of(state.floats), _WORD_BYTES * VEHICLE_FLOATS),
+        (place_of(state.ints), _WORD_BYTES // 2 * VEHICLE_INTS),
+        (place_of(traffic.floats), _WORD_BYTES * traffic.floats.shape[1]),
+        (place_of(traffic.ints), _WORD_BYTES * traffic.ints.shape[1]),
+    ):
+        _list(ranges, place + first * row_bytes, count * row_bytes)
+
+
+@compiled(borrows=True)
+def _list_world(world, ranges):  # type: ignore[no-untyped-def]
+    """List the tables' rows that are taken, mostly the first ones, and what there is of every agent slot."""
+    tables, frame = world.tables, world.frame
+    rows = tables.cursor[MEMBERS] + tables.cursor[MEMBERS] // _STRAGGLERS
+    rows = min(rows, tables.flags.shape[0])
+    for table in (tables.floats, tables.terms):
+        _list(ranges, place_of(table), rows * table.strides[0])
+    _list(ranges, place_of(tables.ints), rows * tables.ints.strides[0])
+    _list(ranges, place_of(tables.flags), rows * tables.flags.strides[0])
+    for numbers in (tables.members, tables.order):
+        _list(ranges, place_of(numbers), rows * _WORD_BYTES)
+    for numbers in (tables.agent_row, tables.acting, tables.lane_start, frame.agent_vehicle):
+        _list(ranges, place_of(numbers), numbers.size * _WORD_BYTES)
+    _list(ranges, place_of(frame.action), frame.action.size * _WORD_BYTES // 2)
+    _list(ranges, place_of(frame.reward), frame.reward.size * _WORD_BYTES // 2)
+    for marks in (frame.defer, frame.mask, frame.agent_terminated, frame.agent_done):
+        _list(ranges, place_of(marks), marks.size)

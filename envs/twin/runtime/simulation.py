@@ -1,0 +1,89 @@
+"""One environment's traffic as an object: what holds the arrays that compiled code reaches by their addresses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from izoo.envs.twin.driving.step import new_state, step
+from izoo.envs.twin.runtime.compiled import directory
+from izoo.envs.twin.runtime.layout import (
+    COMMAND,
+    LANE,
+    NET,
+    POSITION,
+    SIGNALS,
+    SPEED,
+    STATE,
+    STATUS,
+    TOP_SPEED,
+    TRAFFIC,
+    WORKING,
+    TwinNet,
+    TwinState,
+    TwinTraffic,
+)
+from izoo.envs.twin.runtime.prefetch import no_ranges
+from izoo.envs.twin.runtime.scratch import Desk
+
+
+class TwinEpisode:
+    """An episode on the twin, from its first second.
+
+    Attributes:
+        net, traffic, state: the arrays; values may be changed, arrays never replaced.
+        addresses: where compiled code finds them (:mod:`izoo.envs.twin.runtime.compiled`), in this order.
+
+    Args:
+        step_ms: length of a step, 50 to 1000.
+        desk: working memory of the thread that steps it; by default its own.
+    """
+
+    def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500, desk: Desk | None = None) -> None:
+        self.net, self.traffic, self.step_ms = net, traffic, step_ms
+        self.state: TwinState = new_state(net, traffic, desk)
+        pairs = ((net, NET), (traffic, TRAFFIC), (self.state, STATE))
+        self._directories = [directory(tables, kind) for tables, kind in pairs]
+        self.addresses = [words.ctypes.data for words in self._directories]
+
+    def move_to(self, desk: Desk) -> None:
+        """Use the working memory of another thread from now on."""
+        shapes = {name: getattr(self.state, name).shape for name in WORKING}
+        self.state = self.state._replace(**desk.spread(STATE, shapes))
+        self._directories[-1][:] = directory(self.state, STATE)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        step(*self.addresses, self.step_ms, no_ranges())
+
+    def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
+        """Command speeds until further notice; NaN gives control back."""
+        self.state.floats[vehicles, COMMAND] = speeds_mps
+
+    def limit(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
+        """Set the maximum speed of vehicles."""
+        self.state.floats[vehicles, TOP_SPEED] = speeds_mps
+
+    @property
+    def status(self) -> np.ndarray:
+        """``[N]`` int32, one of :data:`~izoo.envs.twin.runtime.layout.NOT_YET` and those that follow it."""
+        return self.state.ints[:, STATUS]
+
+    @property
+    def lane(self) -> np.ndarray:
+        """``[N]`` int32, row of the net's lanes."""
+        return self.state.ints[:, LANE]
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """``[N]`` float64, front bumper on its lane."""
+        return self.state.floats[:, POSITION]
+
+    @property
+    def speed_mps(self) -> np.ndarray:
+        """``[N]`` float64."""
+        return self.state.floats[:, SPEED]
+
+    @property
+    def signals(self) -> np.ndarray:
+        """``[N]`` int32, SUMO's signal bits: 1 right, 2 left blinker."""
+        return self.state.ints[:, SIGNALS]

@@ -1,0 +1,306 @@
+"""Training episodes beside the same ones without the policy: driven by humans, and by CVs that nobody commands.
+
+On the twin such an episode costs little, and another run of the same seed finds it in the cache. So the learning curve
+can show what the policy changes, where raw returns and emissions rise and fall with the contexts that were drawn; and a
+learner can take the uncommanded episode's rewards from its own: the team's
+(:meth:`izoo.algos.learners.mappo.MAPPO.advantages`), or each vehicle's (:func:`izoo.algos.learners.decisions.shaped`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from izoo.algos.learners.base import MASK, NUMBER, POTENTIAL
+from izoo.algos.learners.mappo import TEAM_BASELINE
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts.source import Schedule
+from izoo.cores import usable_cores
+from izoo.envs.config import STEP, EnvConfig
+from izoo.envs.mdp.frame import TEAM_REWARD, TOTALS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import HUMAN, UNCOMMANDED
+from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Series
+from izoo.results.rollout import Play, Played, rollout
+from izoo.training.collectors import num_envs
+from izoo.training.environments import NUMBERS, split_totals
+
+BLOCK = 32
+"""Most episodes that are played at once."""
+PAID_EVERY_S = 2.0
+"""Time between two rewards of an uncommanded episode, where CVs do not decide in every step."""
+BLOCKS_KEPT = 64
+"""Blocks that stay in memory: a few MB, or some 100 MB with the rewards of all CVs."""
+RECORDED = {"team": (TEAM_REWARD,), "vehicle": (VEHICLE_SPANS, VEHICLE_REWARD)}
+"""What a control variate needs of an uncommanded episode."""
+COMPARED = {
+    UNCOMMANDED: {"co2_saved": "co2_saved", "delay_change_s": "delay_change_s"},
+    HUMAN: {"co2_saved_over_human": "co2_saved"},
+}
+"""Columns of ``metrics.csv`` and their figures: at the training horizon, mean over the compared episodes that ended in
+a batch."""
+
+
+@dataclass(frozen=True)
+class _Numbered(Play):
+    """An episode of a schedule; ``place`` counts those that are compared."""
+
+    place: int
+
+
+class Episode(NamedTuple):
+    """An episode that was played without the policy.
+
+    Attributes:
+        series: what was recorded (:data:`izoo.results.playing.RECORDS`).
+        sums: ``[M]``, :data:`~izoo.envs.mdp.metric_sums.APPROACH_METRICS` added over approaches.
+    """
+
+    series: Series
+    sums: NDArray[np.float64]
+
+
+class StillPaid:
+    """What each CV of an episode is still paid, from any time on.
+
+    Args:
+        series: that was recorded of the episode.
+        gamma: discount per decision.
+    """
+
+    def __init__(self, series: Series, gamma: float) -> None:
+        self.gamma = gamma
+        number, self.first, self.count = series[VEHICLE_SPANS].astype(np.int64).T
+        self.begin = np.cumsum(self.count) - self.count
+        self.place = np.full(int(number.max(initial=-1)) + 2, -1)  # the last one is of whoever does not come at all
+        self.place[number] = np.arange(len(number))
+        paid = series[VEHICLE_REWARD].astype(np.float64)
+        for begin, count in zip(self.begin, self.count, strict=True):
+            part = paid[begin : begin + count]
+            later = itertools.accumulate(part[::-1], lambda total, now: now + gamma * total)
+            part[:] = np.fromiter(later, np.float64, count)[::-1]
+        self.paid = np.append(paid, 0.0)
+
+    def of(self, number: NDArray[np.int64], decision: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return what the vehicles ``number [n]`` are paid from their ``decision [n]`` on."""
+        if not len(self.first):
+            return np.zeros(len(number), np.float32)
+        place = self.place[np.minimum(number, len(self.place) - 1)]
+        since = decision - self.first[place]
+        paid = self.paid[self.begin[place] + np.clip(since, 0, self.count[place] - 1)]
+        paid *= self.gamma ** np.maximum(-since, 0)
+        return np.where((place >= 0) & (since < self.count[place]), paid, 0.0).astype(np.float32)
+
+
+class Baseline:
+    """Every ``stride``-th episode of a schedule, without the policy; played in blocks, one prepared ahead.
+
+    Args:
+        config: options of the run.
+        schedule: its episodes.
+        driver: ``human`` or ``uncommanded``.
+        stride: numbers of the episodes are multiples of it.
+        cache: folder where they are kept; ``None``: in the user's cache.
+        record: what is recorded of them.
+
+    Attributes:
+        block: how many are played at once: so many that the run needs nearly all of the last block.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        schedule: Schedule,
+        driver: str,
+        stride: int,
+        cache: Path | None = None,
+        record: tuple[str, ...] = (),
+    ) -> None:
+        self.config, self.schedule, self.driver, self.stride, self.cache = config, schedule, driver, stride, cache
+        self.record, self.env = record, _by_step(config.env)
+        if config.env.decide == STEP:
+            episodes = num_envs(config) + config.total_frames / config.env.decisions
+            count = math.ceil(episodes / stride)
+            self.block = math.ceil(count / math.ceil(count / BLOCK))
+        else:  # how many episodes the run needs is not known, but the environments play as many at a time
+            self.block = math.ceil(num_envs(config) / stride)
+        self._blocks: dict[int, dict[int, Episode]] = {}
+        self._stream: Generator[Played, None, None] | None = None
+        self._following = -1
+
+    def episodes(self, numbers: Sequence[int]) -> dict[int, Episode]:
+        """Return the episodes of these numbers, multiples of the stride."""
+        places = {number: number // self.stride for number in numbers}
+        wanted = sorted({place // self.block for place in places.values()})
+        for block in wanted:
+            if block not in self._blocks:
+                self._blocks[block] = self._play(block)
+        for block in sorted(set(self._blocks) - set(wanted))[: max(len(self._blocks) - BLOCKS_KEPT, 0)]:
+            del self._blocks[block]
+        return {number: self._blocks[place // self.block][place] for number, place in places.items()}
+
+    def close(self) -> None:
+        """End the simulations."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _play(self, block: int) -> dict[int, Episode]:
+        if self._stream is None or self._following != block:
+            self.close()
+            twin = self.config.twin
+            self._stream = rollout(
+                self._plays(block * self.block),
+                {},
+                self.env,
+                simulator="twin",
+                executor="batch",
+                workers=usable_cores() if twin.threads is None else twin.threads,
+                record=self.record,
+                cache=self.cache,
+                progress=False,
+                side_by_side=self.block,
+                surrogate=twin.surrogate,
+            )
+        self._following = block + 1
+        found = {}
+        for play, rows, series in itertools.islice(self._stream, self.block):
+            sums = np.array([[row[name] for name in APPROACH_METRICS] for row in rows]).sum(0)
+            found[play.place] = Episode(series, sums)  # type: ignore[attr-defined]
+        return found
+
+    def _plays(self, first: int) -> Iterator[_Numbered]:
+        for place in itertools.count(first):
+            yield _Numbered(self.driver, 0, *self.schedule(place * self.stride), place)
+
+
+def _by_step(env: EnvConfig) -> EnvConfig:
+    """Return the environment in which an episode is played that nobody commands; what is simulated is the same.
+
+    Where CVs do not decide in every step, it says what they are paid every :data:`PAID_EVERY_S`.
+    """
+    if env.decide == STEP:
+        return env
+    hold_s = max(round(PAID_EVERY_S / env.step_s), 1) * env.step_s
+    return env.with_accelerations(hold_s)
+
+
+class Paired:
+    """What a batch is compared with.
+
+    Args:
+        config: options of a run on the twin.
+        schedule: its episodes.
+        cache: folder of the baselines' episodes; ``None``: in the user's cache.
+        level: the number in ``schedule`` of what a numbered episode of the run plays; ``None``: the same.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        schedule: Schedule,
+        cache: Path | None = None,
+        level: Callable[[int], int] | None = None,
+    ) -> None:
+        self._level = level or int
+        self.every, self._skipped = config.twin.compare_every, config.staggered
+        by_step = config.env.decide == STEP
+        self.hold_steps = _by_step(config.env).hold_steps
+        self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
+        self.variate: str = getattr(config.algo, "control_variate", "none")
+        self._still_paid: dict[int, StillPaid] = {}
+
+        def make(driver: str, stride: int, record: tuple[str, ...] = ()) -> Baseline:
+            return Baseline(config, schedule, driver, stride, cache, record)
+
+        self._compared = {driver: make(driver, self.every) for driver in COMPARED} if self.every else {}
+        self._subtracted = make(UNCOMMANDED, 1, RECORDED[self.variate]) if self.variate in RECORDED else None
+        if self._compared and self._subtracted is not None:
+            self._compared[UNCOMMANDED] = self._subtracted
+
+    def close(self) -> None:
+        """End the simulations."""
+        for baseline in (*self._compared.values(), self._subtracted):
+            if baseline is not None:
+                baseline.close()
+
+    def add(self, batch: TensorDictBase) -> None:
+        """Set what the learner takes from a batch ``[N, T]``: :data:`~izoo.algos.learners.mappo.TEAM_BASELINE`, or
+        :data:`~izoo.algos.learners.base.POTENTIAL` at the root and under ``"next"``.
+        """
+        if self.variate == "team":
+            self._add_team_rewards(batch)
+        elif self.variate == "vehicle":
+            self._add_potentials(batch)
+
+    def _add_potentials(self, batch: TensorDictBase) -> None:
+        episodes, levels = self._episodes(batch)
+        of_level = {
+            level: self._still_paid.get(level) or StillPaid(episodes[level].series, self.gamma)
+            for level in levels.values()
+        }
+        self._still_paid = of_level  # those of episodes that have ended are not asked for again
+        for part in (batch, batch.get("next")):
+            mask = part.get(MASK)
+            steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1).long()
+            decision = torch.div(steps + self.hold_steps - 1, self.hold_steps, rounding_mode="floor")
+            whole = (part.get(NUMBERS)[..., :1], part.get(NUMBER), decision)
+            episode, vehicle, now = (leaf.expand(mask.shape)[mask].numpy() for leaf in whole)
+            found = np.zeros(len(vehicle), np.float32)
+            for number, level in levels.items():
+                here = episode == number
+                found[here] = of_level[level].of(vehicle[here], now[here])
+            potential = torch.zeros(*mask.shape, 1)
+            potential[mask] = torch.from_numpy(found).unsqueeze(-1)
+            part.set(POTENTIAL, potential)
+
+    def _episodes(self, batch: TensorDictBase) -> tuple[dict[int, Episode], dict[int, int]]:
+        """Return the uncommanded episodes of a batch, and by its episodes' numbers those in the schedule."""
+        assert self._subtracted is not None
+        levels = {number: self._level(number) for number in batch.get(NUMBERS)[..., 0].unique().tolist()}
+        return self._subtracted.episodes(list(levels.values())), levels
+
+    def _add_team_rewards(self, batch: TensorDictBase) -> None:
+        numbers, following = batch.get(NUMBERS)[..., 0], batch.get(("next", TOTALS))
+        steps = split_totals(following.flatten(0, 1))[0]["steps"].reshape(numbers.shape)
+        # The last decision of an episode may be shorter.
+        decisions = torch.div(steps.long() - 1, self.hold_steps, rounding_mode="floor")
+        found = torch.zeros(numbers.shape)
+        episodes, levels = self._episodes(batch)
+        for number, level in levels.items():
+            here = numbers == number
+            found[here] = torch.from_numpy(episodes[level].series[TEAM_REWARD])[decisions[here]]
+        batch.set(("next", TEAM_BASELINE), found.unsqueeze(-1))
+
+    def compare(self, batch: TensorDictBase) -> dict[str, float]:
+        """Return :data:`COMPARED`, and how many episodes they are of; empty where none has ended."""
+        if not self._compared:
+            return {}
+        ended = batch.get(("next", "done")).squeeze(-1)
+        numbers, totals = batch.get(("next", NUMBERS))[ended][:, 0], batch.get(("next", TOTALS))[ended]
+        levels = torch.tensor([self._level(number) for number in numbers.tolist()], dtype=torch.int64)
+        chosen = (levels % self.every == 0) & (numbers >= self._skipped)
+        if not chosen.any():
+            return {}
+        wanted = levels[chosen].tolist()
+        own = {name: value.double().sum(-1).numpy() for name, value in split_totals(totals[chosen])[1].items()}
+        found: dict[str, float] = {"compared_episodes": float(len(wanted))}
+        for driver, baseline in self._compared.items():
+            episodes = baseline.episodes(wanted)
+            sums = np.stack([episodes[number].sums for number in wanted], 1)
+            other = dict(zip(APPROACH_METRICS, sums, strict=True))
+            for column, figure in COMPARED[driver].items():
+                values = FIGURES[figure].value(own, other)
+                if np.isfinite(values).any():  # there is none without demand
+                    found[column] = float(np.nanmean(values))
+        return found

@@ -1,0 +1,308 @@
+"""Run folders: what a training run leaves behind, and how it is read back."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import OmegaConf
+from tensordict.nn import TensorDictModuleBase
+from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
+
+from izoo.algos.learners.base import Algorithm
+from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
+from izoo.conf.context_choices import ContextsConfig
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.own_drivers import driver_files
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
+from izoo.envs.mdp.frame import observation_names
+from izoo.errors import IzooError
+from izoo.files import (
+    claimed,
+    ensure_empty,
+    expanded,
+    free_folder,
+    read_bytes,
+    read_text,
+    usable_paths,
+    write_bytes,
+    write_text,
+)
+from izoo.training import checkpoint
+from izoo.training.learner import load_state
+from izoo.training.loggers import LOGGER_FOLDERS
+
+CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
+CHANGEABLE = (
+    "total_frames",
+    "num_workers",
+    "num_envs",
+    "twin",
+    "device",
+    "collector",
+    "logger",
+    "validation",
+    "evaluation",
+    "checkpoint",
+    "resume",
+)
+"""Options that may differ when a run is resumed; the others are part of what the run is."""
+NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
+"""Options of ``algo`` that decide what the weights of a policy mean."""
+MOST_CONFIG_BYTES, MOST_CONFIG_LEVELS = 1_000_000, 16
+_RESTORE = "restore the file, or train again"
+
+
+@contextlib.contextmanager
+def created(config: TrainConfig) -> Iterator[Path]:
+    """Make the folder of a new run, write its options and drivers, and give its absolute path; this process owns it.
+
+    Where the block ends with an error before anything was learned, nothing is left behind.
+
+    Raises:
+        IzooError: the folder already holds something, cannot be made, or another process begins a run there.
+    """
+    label = f"{datetime.now():%Y-%m-%d_%H-%M-%S}-{config.algo.name}-seed{config.seed}"
+    existed = config.run_dir is not None and Path(config.run_dir).exists()
+    with usable_paths():
+        run_dir = Path(config.run_dir) if config.run_dir else free_folder(Path.cwd() / "runs" / label)
+    ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
+    with owned(run_dir):
+        try:
+            keep_drivers(run_dir, config)
+            write_config(run_dir, config)
+            yield run_dir
+        except BaseException:
+            if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
+                _remove(run_dir, config, existed)
+            raise
+
+
+@contextlib.contextmanager
+def owned(run_dir: Path) -> Iterator[None]:
+    """Keep other processes from training in a run's folder; reading it, and evaluating into it, they may.
+
+    Raises:
+        IzooError: another process trains there.
+    """
+    with claimed(checkpoint.folder_of(run_dir), "this run is being trained; wait for its end, or stop it"):
+        yield
+
+
+def _remove(run_dir: Path, config: TrainConfig, existed: bool) -> None:
+    """Remove what a run has put into its folder, and the folder unless it was there before or holds other things."""
+    for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
+        path.unlink(missing_ok=True)
+    for folder in LOGGER_FOLDERS:
+        shutil.rmtree(run_dir / folder, ignore_errors=True)
+    for folder in (checkpoint.folder_of(run_dir), *(() if existed else (run_dir,))):
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def write_config(run_dir: Path, config: TrainConfig) -> None:
+    """Write the resolved options as ``config.yaml``."""
+    write_text(run_dir / CONFIG_FILE, OmegaConf.to_yaml(OmegaConf.create(to_mapping(config))))
+
+
+def keep_drivers(run_dir: Path, config: TrainConfig) -> None:
+    """Copy the files of ``contexts.drivers`` into the run's folder: what they held belongs to what the run is."""
+    for path, kept in _drivers(run_dir, config):
+        write_bytes(kept, read_bytes(path, MAX_FILE_BYTES))
+
+
+def check_drivers(run_dir: Path, config: TrainConfig, contexts: ContextsConfig | None = None) -> None:
+    """Check that files of ``contexts.drivers`` still hold the drivers that a run was trained with.
+
+    Args:
+        run_dir: the run's folder.
+        config: its options.
+        contexts: what is played, where that is not the run's own; only files that it names are checked.
+
+    Raises:
+        IzooError: a file holds others, or none, by now.
+    """
+    used = driver_files(contexts or config.contexts)
+    for path, kept in _drivers(run_dir, config):
+        if path in used and not _same_drivers(path, read_population(kept)):
+            raise IzooError(
+                f"contexts.drivers: {path} does not hold the drivers any more that {run_dir} was trained with; put "
+                f"their copy back there: {kept}."
+            )
+
+
+def _drivers(run_dir: Path, config: TrainConfig) -> list[tuple[Path, Path]]:
+    """Return every file of drivers that a run's options name, with its copy in the run's folder."""
+    files = driver_files(config.contexts)
+    return [(path, run_dir / f"drivers-{number}.json") for number, path in enumerate(files, 1)]
+
+
+def _same_drivers(path: Path, kept: DriverPopulation) -> bool:
+    try:
+        return read_population(path) == kept
+    except IzooError:
+        return False
+
+
+def read_config(run_dir: Path) -> TrainConfig:
+    """Read the options of a run.
+
+    Raises:
+        IzooError: the folder is not a run, or the file is damaged, incomplete or of another version: an option that is
+            missing must not pass for its default.
+    """
+    path = run_dir / CONFIG_FILE
+    if not path.is_file():
+        raise IzooError(f"{run_dir} has no {CONFIG_FILE}; give the folder of a training run.")
+    try:
+        text = read_text(path, MOST_CONFIG_BYTES)
+        if not text.endswith("\n"):
+            raise ValueError("it is cut short")
+        values = plain_yaml(text)
+    except (OSError, ValueError, YAMLError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+        raise IzooError(f"cannot read {path}: {reason}.") from error
+    if not isinstance(values, dict):
+        raise IzooError(f"{path} holds no options; {_RESTORE}.")
+    try:
+        config = from_mapping(TrainConfig, values)
+    except IzooError as error:
+        raise IzooError(f"{path}: {error}") from error
+    missing = _missing(to_mapping(config), values)
+    if missing:
+        raise IzooError(f"{path} lacks {', '.join(missing[:5])}: it is cut short or of another version; {_RESTORE}.")
+    return config
+
+
+def plain_yaml(text: str) -> Any:
+    """Return what YAML says, without its aliases: a few lines of them stand for more than fits into the memory."""
+    loader = getattr(yaml, "CSafeLoader", SafeLoader)  # the fast one may not have been built
+    depth = 0
+    for event in yaml.parse(text, loader):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if isinstance(event, AliasEvent):
+            raise ValueError("it holds YAML aliases, which izoo does not write")
+        if depth > MOST_CONFIG_LEVELS:
+            raise ValueError(f"it is nested more than {MOST_CONFIG_LEVELS} levels deep")
+    return yaml.load(text, loader)
+
+
+def _missing(whole: Any, values: Any, prefix: str = "") -> list[str]:
+    """Return the paths of the options of ``whole`` that ``values`` lacks."""
+    if not isinstance(whole, dict):
+        return []
+    found = []
+    for name, value in whole.items():
+        path = f"{prefix}{name}"
+        found += [path] if name not in values else _missing(value, values[name], f"{path}.")
+    return found
+
+
+def options_digest(config: TrainConfig) -> str:
+    """Return a digest of the options that make a run what it is: not where it lies, and none of :data:`CHANGEABLE`."""
+    values = to_mapping(from_mapping(TrainConfig, to_mapping(config)))  # 60 and 60.0 are the same
+    kept = {name: value for name, value in values.items() if name not in (*CHANGEABLE, "run_dir")}
+    kept["contexts"].pop("path", None)
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def check_state(state: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
+    """Raise :class:`IzooError` unless a checkpoint is whole and was written under the options that lie beside it."""
+    checkpoint.check_entries(state, path)
+    check_layout(state["features"], config, path)
+    if state["options"] != options_digest(config):
+        raise IzooError(
+            f"the options in {checkpoint.run_of(path) / CONFIG_FILE} are not those that {path} was trained with: the "
+            f"file was changed or damaged; {_RESTORE}."
+        )
+
+
+@contextlib.contextmanager
+def fitting(path: Path) -> Iterator[None]:
+    """Say in words that what a checkpoint holds does not fit the networks that its options describe."""
+    try:
+        yield
+    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError, LookupError) as error:
+        if isinstance(error, IzooError):
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(f"{path} does not fit the options in {CONFIG_FILE} beside it: {reason}") from error
+
+
+def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str, Any]]:
+    """Rebuild a run's algorithm from its newest checkpoint.
+
+    Args:
+        where: a run folder, or one of its checkpoint files.
+
+    Returns:
+        The algorithm, the run's options, and the whole checkpoint.
+    """
+    path = checkpoint.find(expanded(where).absolute())
+    config = read_config(checkpoint.run_of(path))
+    state = checkpoint.load(path)
+    check_state(state, config, path)
+    algorithm = make_algorithm(config.algo, config.action, config.env)
+    with fitting(path):
+        load_state(algorithm, state["algorithm"])
+    return algorithm, config, state
+
+
+def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
+    """Give an algorithm the policy of the run that the option ``start`` names.
+
+    Raises:
+        IzooError: there is none, or it is a policy of other networks, observations, actions or decisions.
+    """
+    path = checkpoint.find(Path(config.start or ""))
+    theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
+    check_state(state, theirs, path)
+    if not isinstance(theirs.algo, PPOConfig) or (theirs.algo.name == "gcrl") != (config.algo.name == "gcrl"):
+        raise IzooError(
+            f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
+            f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."
+        )
+    here, there = _meaning(config), _meaning(theirs)
+    for what, its in there.items():
+        if here.get(what) != its:
+            raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
+    learned: Any = getattr(algorithm, "learned", algorithm)  # of what advises, that is what has weights
+    with fitting(path):
+        learned.policy.load_state_dict(state["algorithm"]["policy"])
+
+
+def _meaning(config: TrainConfig) -> dict[str, Any]:
+    """Return what gives the weights of a run's policy their meaning, by what it is called."""
+    options = to_mapping(config.algo)
+    if getattr(config.action, "rest", None) is not None:
+        options.pop("initial_spread", None)  # where an action of 0 is doing nothing, action.spread is meant
+    return {
+        "action": to_mapping(config.action),
+        "observes": observation_names(config.env),
+        "seconds of a decision": config.env.decision_s,
+        **{f"algo.{name}": options[name] for name in NETWORK_OPTIONS if name in options},
+    }
+
+
+def check_layout(features: int, config: TrainConfig, path: Path) -> None:
+    """Raise :class:`IzooError` unless a checkpoint observes as many ``features`` as its run's options say."""
+    expected = len(observation_names(config.env))
+    if features != expected:
+        raise IzooError(
+            f"{path} was trained on an observation of {features} numbers per vehicle, and the options in {CONFIG_FILE} "
+            f"describe one of {expected}: env.observed or env.neighbours were changed; restore them or train again."
+        )
+
+
+def load_policy(where: Path | str) -> TensorDictModuleBase:
+    """Return the policy of a run folder or checkpoint file, ready to act on ``("agents", "observation")``."""
+    return load_algorithm(where)[0].policy.eval()
