@@ -80,6 +80,7 @@ class TwinEnv(EcoDrivingBase):
     """
 
     backend: TwinBackend
+    taken_by_backend = True
 
     def __init__(
         self,
@@ -109,6 +110,9 @@ class TwinEnv(EcoDrivingBase):
         frame = super()._reset(tensordict, **options)
         self._look_ahead()
         return frame
+
+    def _take_all(self) -> None:
+        self.backend.share_out(self.reader.take)
 
     def _look_ahead(self) -> None:
         """Let the next episode of every environment be prepared."""

@@ -16,8 +16,8 @@ from types import TracebackType
 
 from izoo.conf.train_options import TrainConfig
 from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
-from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError, UnfinishedError
+from izoo.processes import start_process
 
 _COMMAND = "train"
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import cloudpickle
 
-from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
+from izoo.processes import start_process
 
 if TYPE_CHECKING:  # worker processes come up before torch is loaded
     from izoo.results.playing import Measured, Play, Setup

@@ -32,6 +32,7 @@ from izoo.gpu import check_gpu
 from izoo.results import ray_cluster as cluster
 from izoo.training.command_replay import EpisodePast
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
+from izoo.training.twin_batches import TwinBatches
 from izoo.training.watchdog import Watch, open_counts
 
 
@@ -176,41 +177,45 @@ class BatchSource:
         keeps: Keys | None = None,
     ) -> None:
         frames = frames_per_batch(config)
-        self._twin: TrainingTwinEnv | None = None
+        self._twin: TwinBatches | None = None
+        self._collector: BaseCollector | None = None
         with workers_ignore_interrupts():
             if config.simulator == "twin":
-                self._twin = _on_twin(config, schedule, twin, keeps)
-                # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
-                self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=False)
+                env = _on_twin(config, schedule, twin, keeps)
+                self._twin = TwinBatches(env, policy, frames // num_envs(config))
             else:
                 self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
-        self._batches: Iterator[TensorDictBase] = iter(self._collector)
+                self._batches = iter(self._collector)
 
     def next(self) -> TensorDictBase:
         """Return the next batch ``[N, T]``, which is valid until the one after it."""
-        batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
         if self._twin is not None:
-            return self._twin.complete(batch)
+            return self._twin.next()
+        batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
         if isinstance(self._collector, ProcessesCollector):
             self._collector.hand_over(policy)
-        elif not isinstance(self._collector, Collector):
+        elif self._collector is not None and not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     @property
     def twin(self) -> TrainingTwinEnv | None:
         """The environments, where they are on the twin."""
-        return self._twin
+        return None if self._twin is None else self._twin.env
 
     def environments(self) -> dict[str, Any]:
         """Return where the environments stand after the last batch; nothing where they are not on the twin."""
-        return {} if self._twin is None else self._twin.state_dict()
+        return {} if self._twin is None else self._twin.env.state_dict()
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
+        if self._twin is not None:
+            self._twin.close()
+        if self._collector is None:
+            return
         self._collector.shutdown()
         del self._collector, self._batches
         # TorchRL's parts that hold each other would otherwise be cleaned up when the interpreter ends, and wait there
@@ -331,7 +336,6 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], 
         state=state,
         phases=random_phases(count, config.env.decisions, config.seed) if config.staggered else None,
         keeps=keeps,
-        batch_steps=frames_per_batch(config) // count,
     )
 
 
@@ -415,7 +419,7 @@ def _worker_env(
     return env
 
 
-def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buffers: bool = True) -> Collector:
+def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
     return Collector(
         env,
         policy,
@@ -423,7 +427,6 @@ def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buff
         total_frames=-1,
         exploration_type=ExplorationType.RANDOM,
         return_same_td=True,
-        use_buffers=use_buffers,
         track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,

@@ -19,11 +19,11 @@ from izoo.conf.context_choices import ContextsConfig, MixedContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource, MixedSource
-from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
 from izoo.metrics.statistics import SIGNIFICANCE, fall_p_value
+from izoo.processes import start_process
 from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import checkpoint
 from izoo.training.loggers import MetricsTable

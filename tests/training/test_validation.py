@@ -26,8 +26,8 @@ from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
-from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
+from izoo.processes import start_process
 from izoo.results import read_table
 from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, run_folder, validation
