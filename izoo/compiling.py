@@ -11,7 +11,6 @@ import contextlib
 import functools
 import hashlib
 import importlib.util
-import pickle
 import shutil
 import sys
 import time
@@ -31,10 +30,10 @@ from izoo.files import cache_root
 
 SOURCES = {
     "izoo": ("compiling.py",),
-    "izoo.algos": ("acting.py", "resting.py"),
+    "izoo.algos": ("networks/censored_normal.py", "networks/compiled_mlp.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "tape.py", "mdp/*.py", "twin/*.py"),
+    "izoo.envs": ("config.py", "observation_buffer.py", "mdp/*.py", "twin/**/*.py"),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
@@ -89,29 +88,6 @@ def _last_begun_s(compiled_folder: Path) -> float:
         return time.time()
 
 
-def _unsealed(digest: bytes, content: bytes) -> Any:
-    if hashlib.sha256(content).digest() != digest:
-        raise ValueError("it is damaged")
-    return pickle.loads(content)
-
-
-class _Sealed:
-    """Bytes of ``pickle`` that are only loaded where they are what was written."""
-
-    def __init__(self, content: bytes) -> None:
-        self.content = content
-
-    def __reduce__(self) -> tuple[Any, tuple[bytes, bytes]]:
-        return _unsealed, (hashlib.sha256(self.content).digest(), self.content)
-
-
-class _Entries(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """A function's compiled code in one folder."""
-
-    def _dump(self, obj: Any) -> bytes:
-        return pickle.dumps(_Sealed(super()._dump(obj)))
-
-
 _told, *_others = caching.CompileResultCacheImpl._locator_classes
 
 
@@ -140,7 +116,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         super().__init__(function)
         kept = Path(self.cache_path)
         about = self._impl.filename_base, self._impl.locator.get_source_stamp()
-        self._places = [_Entries(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))]
+        self._places = [caching.IndexDataCacheFile(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))]
         self._cache_file = self._places[0]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -149,7 +125,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
             self._cache_file = place
             try:
                 found = super().load_overload(sig, target_context) if found is None else found
-            except Exception:  # what damaged bytes raise depends on the bytes
+            except Exception:  # of an interrupted installation; what unpickling raises depends on the bytes
                 with contextlib.suppress(OSError):
                     self.flush()
         return found
