@@ -116,7 +116,9 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         super().__init__(function)
         kept = Path(self.cache_path)
         about = self._impl.filename_base, self._impl.locator.get_source_stamp()
-        self._places = [caching.IndexDataCacheFile(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))]
+        self._places = [
+            caching.IndexDataCacheFile(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))
+        ]
         self._cache_file = self._places[0]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -19,7 +19,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.drivers.scripted import DEFER, Glide
+from izoo.algos.drivers.base import DEFER
+from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, own_numbers
 from izoo.algos.learners.glide_search_config import GlideSearchConfig
@@ -39,7 +40,7 @@ class Searched:
     """A setting of glide that is searched.
 
     Attributes:
-        name: of :class:`~izoo.algos.drivers.scripted.GlideConfig`.
+        name: of :class:`~izoo.algos.drivers.glide.GlideConfig`.
         starts: where the search begins, by kind of road.
         unit: what 1 stands for: of the setting, or, with ``ratio``, of its logarithm.
         ratio: the setting is its start times a factor, and so stays above 0.
@@ -208,7 +209,7 @@ class GlidePolicies(TensorDictModuleBase):
 
     mean: Tensor
     candidates: Tensor
-    quiet_band = 0.0
+    no_op_band = 0.0
     kinds = len(KINDS)
     reads: base.Keys = (KIND,)
 
@@ -251,7 +252,7 @@ class GlideSearch(CMAES):
         config: hyper-parameters.
         features, low, high: not needed: the rule reads columns by name, and commands accelerations.
         device: where the numbers live.
-        rest: that an action of 0 is doing nothing, which is not the case here.
+        point_mass: must be ``None``: the rule itself says when to leave a CV alone.
         env: settings of the environment.
 
     Raises:
@@ -267,11 +268,11 @@ class GlideSearch(CMAES):
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Any = None,
+        point_mass: Any = None,
         *,
         env: EnvConfig,
     ) -> None:
-        if rest is not None or not math.isclose(low, ACTION_LOW_MPS2):
+        if point_mass is not None or not math.isclose(low, ACTION_LOW_MPS2):
             raise IzooError(
                 "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
             )

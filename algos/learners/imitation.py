@@ -18,7 +18,7 @@ from torch.distributions import kl_divergence
 
 from izoo.algos.networks.censored_normal import normal_of
 
-EXPERT_ADVICE = ("agents", "expert_advice")
+EXPERT_ACTION = ("agents", "expert_action")
 """``[*B, A, 1]``: what the expert would have advised."""
 LEAST_SPREAD = 0.1
 """Imitation narrows the policy no further than this, before the tanh: reinforcement goes on from its exploration."""
@@ -53,7 +53,7 @@ class WarmStart:
 
         Args:
             actor: the loss's actor, with the parameters that learn.
-            rows: ``[n]`` a minibatch; it holds :data:`EXPERT_ADVICE` while the policy imitates.
+            rows: ``[n]`` a minibatch; it holds :data:`EXPERT_ACTION` while the policy imitates.
             found: the losses of reinforcement.
             progress: share of the run that is over.
         """
@@ -110,4 +110,4 @@ def imitation_loss(actor: ProbabilisticTensorDictSequential, rows: TensorDictBas
     distribution: Any = actor.get_dist(rows.select(*actor.in_keys))
     own = distribution.base_dist
     own.scale = own.scale.clamp_min(LEAST_SPREAD)
-    return -distribution.log_prob(rows.get(EXPERT_ADVICE)).mean()
+    return -distribution.log_prob(rows.get(EXPERT_ACTION)).mean()

@@ -17,7 +17,7 @@ from torchrl.modules import ValueOperator
 from izoo.algos.learners import base
 from izoo.algos.learners.ppo_config import MAPPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
-from izoo.algos.losses.losses import MaskedMAPPOLoss
+from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.fleet_features import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out

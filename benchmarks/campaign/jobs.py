@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.algos.drivers.scripted import Glide, GlideConfig
+from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.benchmarks.campaign.comparing import check_settings, summaries
 from izoo.benchmarks.campaign.generalization_options import SWEPT, Entry, GeneralizationConfig
-from izoo.benchmarks.campaign.parallel_training import SideRuns
+from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.benchmarks.campaign.policies import selected, untrained
 from izoo.benchmarks.campaign.task_plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.campaign.training_runs import Key, TrainingRuns
@@ -123,7 +123,7 @@ class Campaign:
     def _do(self, jobs: list[Job]) -> None:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
-        with SideRuns(self.config.runs_at_once) as beside:
+        with ParallelRuns(self.config.runs_at_once) as beside:
             for number, job in enumerate(todo):
                 print(f"\n[{len(jobs) - len(todo) + number + 1}/{len(jobs)}] {job}", flush=True)
                 if job.kind == "evaluate":

@@ -22,7 +22,7 @@ from izoo.errors import IzooError, UnfinishedError
 _COMMAND = "train"
 
 
-class SideRuns:
+class ParallelRuns:
     """Training runs beside this process. Those that still learn when the block ends are closed in good order.
 
     Args:
@@ -33,7 +33,7 @@ class SideRuns:
         self._free = shares(at_once)
         self._runs: dict[Hashable, _Run] = {}
 
-    def __enter__(self) -> SideRuns:
+    def __enter__(self) -> ParallelRuns:
         return self
 
     def __exit__(

@@ -70,7 +70,7 @@ class Episode(NamedTuple):
     sums: NDArray[np.float64]
 
 
-class StillPaid:
+class RewardToGo:
     """What each CV of an episode is still paid, from any time on.
 
     Args:
@@ -195,7 +195,7 @@ def _by_step(env: EnvConfig) -> EnvConfig:
     return env.with_accelerations(hold_s)
 
 
-class Paired:
+class BaselineComparison:
     """What a batch is compared with.
 
     Args:
@@ -218,7 +218,7 @@ class Paired:
         self.hold_steps = _by_step(config.env).hold_steps
         self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
         self.variate: str = getattr(config.algo, "control_variate", "none")
-        self._still_paid: dict[int, StillPaid] = {}
+        self._reward_to_go: dict[int, RewardToGo] = {}
 
         def make(driver: str, stride: int, record: tuple[str, ...] = ()) -> Baseline:
             return Baseline(config, schedule, driver, stride, cache, record)
@@ -246,10 +246,10 @@ class Paired:
     def _add_potentials(self, batch: TensorDictBase) -> None:
         episodes, levels = self._episodes(batch)
         of_level = {
-            level: self._still_paid.get(level) or StillPaid(episodes[level].series, self.gamma)
+            level: self._reward_to_go.get(level) or RewardToGo(episodes[level].series, self.gamma)
             for level in levels.values()
         }
-        self._still_paid = of_level  # those of episodes that have ended are not asked for again
+        self._reward_to_go = of_level  # those of episodes that have ended are not asked for again
         for part in (batch, batch.get("next")):
             mask = part.get(MASK)
             steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1).long()

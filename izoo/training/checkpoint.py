@@ -19,7 +19,7 @@ _CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
 BEST = "best.pt"
 ENTRIES = {
     **dict.fromkeys(("frames", "features", "batches", "episodes", "first_episode"), "int"),
-    **{"seconds": "float", "options": "str", "torch_rng": "Tensor", "pasts": "list"},
+    **{"seconds": "float", "options": "str", "torch_rng": "Tensor", "histories": "list"},
     **{"algorithm": "dict", "environments": "dict", "levels": "dict"},
 }
 """What the checkpoint of a run holds besides its format, and the names of the types."""

@@ -30,7 +30,7 @@ from izoo.envs.twin.backend import check_settings
 from izoo.errors import IzooError, UnfinishedError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster as cluster
-from izoo.training.command_replay import EpisodePast
+from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
 from izoo.training.watchdog import Watch, open_counts
 
@@ -161,7 +161,7 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        pasts: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
+        histories: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
         twin: where those of a run on the twin stood (:meth:`environments`).
         keeps: the keys that batches from the twin hold; ``None``: all that there are.
     """
@@ -171,7 +171,7 @@ class BatchSource:
         config: TrainConfig,
         policy: TensorDictModuleBase,
         schedule: Schedule,
-        pasts: Sequence[EpisodePast] = (),
+        histories: Sequence[EpisodeHistory] = (),
         twin: Mapping[str, Any] = MappingProxyType({}),
         keeps: Keys | None = None,
     ) -> None:
@@ -183,7 +183,7 @@ class BatchSource:
                 # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
                 self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=False)
             else:
-                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, pasts, frames)
+                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, histories, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -299,21 +299,21 @@ def _single(
     config: TrainConfig,
     policy: TensorDictModuleBase,
     schedule: Schedule,
-    pasts: Sequence[EpisodePast],
+    histories: Sequence[EpisodeHistory],
     frames: int,
 ) -> Collector:
-    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed, pasts=pasts), policy, frames)
+    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed, histories=histories), policy, frames)
 
 
 def _parallel(
     config: TrainConfig,
     policy: TensorDictModuleBase,
     schedule: Schedule,
-    pasts: Sequence[EpisodePast],
+    histories: Sequence[EpisodeHistory],
     frames: int,
 ) -> Collector:
     env = TrainingParallelEnv(
-        config.num_workers, contexts=schedule, config=config.env, seed=config.seed, shard=0, pasts=pasts
+        config.num_workers, contexts=schedule, config=config.env, seed=config.seed, shard=0, histories=histories
     )
     return _collector(env, policy, frames)
 
@@ -339,13 +339,15 @@ def _multisync(
     config: TrainConfig,
     policy: TensorDictModuleBase,
     schedule: Schedule,
-    pasts: Sequence[EpisodePast],
+    histories: Sequence[EpisodeHistory],
     frames: int,
 ) -> ProcessesCollector:
     workers = config.num_workers
     watch = Watch(workers, frames // workers, config.env.watchdog_s)
     makers = [
-        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, workers, watch.path)
+        functools.partial(
+            _worker_env, config, schedule, tuple(histories[worker : worker + 1]), worker, workers, watch.path
+        )
         for worker in range(workers)
     ]
     try:
@@ -371,14 +373,16 @@ def _ray(
     config: TrainConfig,
     policy: TensorDictModuleBase,
     schedule: Schedule,
-    pasts: Sequence[EpisodePast],
+    histories: Sequence[EpisodeHistory],
     frames: int,
 ) -> BaseCollector:
     cluster.connect()
     from torchrl.collectors.distributed import RayCollector
 
     makers = [
-        functools.partial(_worker_env, config, schedule, tuple(pasts[worker : worker + 1]), worker, config.num_workers)
+        functools.partial(
+            _worker_env, config, schedule, tuple(histories[worker : worker + 1]), worker, config.num_workers
+        )
         for worker in range(config.num_workers)
     ]
     collector = RayCollector(
@@ -399,16 +403,16 @@ def _ray(
 def _worker_env(
     config: TrainConfig,
     schedule: Schedule,
-    pasts: Sequence[EpisodePast],
+    histories: Sequence[EpisodeHistory],
     worker: int,
     num_workers: int,
     counts: Path | None = None,
 ) -> EnvBase:
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
-    done = sum(past.episode * config.env.decisions + past.steps for past in pasts)
+    done = sum(past.episode * config.env.decisions + past.steps for past in histories)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
     env = TrainingEnv(
-        schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, pasts=pasts
+        schedule, config=config.env, seed=config.seed, worker=worker, num_workers=num_workers, histories=histories
     )
     if counts is not None:
         env.steps_taken = open_counts(counts, num_workers)[worker : worker + 1]
@@ -430,7 +434,7 @@ def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buff
     )
 
 
-_Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[EpisodePast], int], BaseCollector]
+_Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[EpisodeHistory], int], BaseCollector]
 _BUILDERS: dict[str, _Builder] = {
     "single": _single,
     "parallel": _parallel,

@@ -20,7 +20,7 @@ from izoo.errors import IzooError
 
 
 @dataclass
-class EpisodePast:
+class EpisodeHistory:
     """An episode in progress.
 
     Attributes:
@@ -59,7 +59,7 @@ class EpisodePast:
         }
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> EpisodePast:
+    def from_state(cls, state: dict[str, Any]) -> EpisodeHistory:
         """Return what :meth:`state_dict` described."""
         return cls(state["episode"], [state["counts"]], [state["commands"]])
 
@@ -133,43 +133,43 @@ def with_commands(frame: TensorDictBase, rows: Sequence[dict[str, Tensor]]) -> T
     return frame
 
 
-class Pasts:
+class EpisodeHistories:
     """Follows the episodes in progress of ``N`` environments from the batches that they yield.
 
     Args:
-        pasts: where the environments stand; environment ``k`` plays every ``N``-th episode from there on.
+        histories: where the environments stand; environment ``k`` plays every ``N``-th episode from there on.
     """
 
-    def __init__(self, pasts: Sequence[EpisodePast]) -> None:
-        self.pasts = list(pasts)
+    def __init__(self, histories: Sequence[EpisodeHistory]) -> None:
+        self.histories = list(histories)
 
     @classmethod
-    def fresh(cls, num_envs: int) -> Pasts:
+    def fresh(cls, num_envs: int) -> EpisodeHistories:
         """Return the state before the first step: environment ``k`` begins episode ``k``."""
-        return cls([EpisodePast(number) for number in range(num_envs)])
+        return cls([EpisodeHistory(number) for number in range(num_envs)])
 
     def add(self, batch: TensorDictBase) -> None:
         """Take in a batch ``[N, T]`` of consecutive steps."""
         done = batch.get(("next", "done")).reshape(batch.shape)
-        for index, past in enumerate(self.pasts):
+        for index, past in enumerate(self.histories):
             ends = done[index].nonzero().view(-1)
             begun = 0
             if len(ends) > 0:
                 begun = int(ends[-1]) + 1
-                past = self.pasts[index] = EpisodePast(past.episode + len(ends) * len(self.pasts))
+                past = self.histories[index] = EpisodeHistory(past.episode + len(ends) * len(self.histories))
             if begun < batch.shape[1]:
                 past.append(batch[index, begun:])
 
     @property
     def next_episode(self) -> int:
         """The first episode number that no environment has reached yet."""
-        return max(past.episode for past in self.pasts) + 1
+        return max(past.episode for past in self.histories) + 1
 
     def state_dict(self) -> list[dict[str, Any]]:
-        """Return the pasts as tensors and numbers."""
-        return [past.state_dict() for past in self.pasts]
+        """Return the histories as tensors and numbers."""
+        return [past.state_dict() for past in self.histories]
 
     @classmethod
-    def from_state(cls, state: list[dict[str, Any]]) -> Pasts:
+    def from_state(cls, state: list[dict[str, Any]]) -> EpisodeHistories:
         """Return what :meth:`state_dict` described."""
-        return cls([EpisodePast.from_state(entry) for entry in state])
+        return cls([EpisodeHistory.from_state(entry) for entry in state])

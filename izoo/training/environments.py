@@ -35,7 +35,7 @@ class _Training(EcoDrivingBase):
     """Adds :data:`TOTALS` to what an environment emits, and plays episodes in progress up to where they stood.
 
     Args:
-        pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+        histories: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
 
     Attributes:
         steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
@@ -44,9 +44,9 @@ class _Training(EcoDrivingBase):
     leaves: tuple[str, ...] = (TOTALS,)
     steps_taken: np.ndarray | None = None
 
-    def __init__(self, *args: Any, pasts: Sequence[command_replay.EpisodePast] = (), **options: Any) -> None:
+    def __init__(self, *args: Any, histories: Sequence[command_replay.EpisodeHistory] = (), **options: Any) -> None:
         super().__init__(*args, **options)
-        self._pasts = tuple(pasts)
+        self._pasts = tuple(histories)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
             self.reader.vehicle_names = fleet_features.COLUMNS
@@ -62,16 +62,16 @@ class _Training(EcoDrivingBase):
         return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
-        pasts, self._pasts = self._pasts, ()
-        return self._relive(pasts) if pasts else super()._reset(tensordict, **options)
+        histories, self._pasts = self._pasts, ()
+        return self._relive(histories) if histories else super()._reset(tensordict, **options)
 
-    def _relive(self, pasts: Sequence[command_replay.EpisodePast]) -> TensorDictBase:
+    def _relive(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
         Before the shorter ones begin, their environments play a part of the same episode that is then forgotten.
         """
         slots = self.config.num_agents
-        scripts = [entry.unroll(slots) for entry in pasts]
+        scripts = [entry.unroll(slots) for entry in histories]
         names = next((list(script.commands) for script in scripts if script.commands), ["action"])
         episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
         longest = max(len(script) for script in scripts)
@@ -104,11 +104,11 @@ class _Training(EcoDrivingBase):
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
-    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and pasts."""
+    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and histories."""
 
 
 class TrainingParallelEnv(_Training, SumoParallelEnv):
-    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
+    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and histories."""
 
 
 class TrainingTwinEnv(_Training, TwinEnv):

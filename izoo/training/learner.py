@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Algorithm, Keys, reads
+from izoo.algos.learners.base import POTENTIAL, Algorithm, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -48,19 +48,12 @@ def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
     """
     algorithm.load_state_dict(state)
     # Optimisers take any shape, and would stumble over it in their first step.
-    for optimiser in vars(_learned(algorithm)).values():
+    for optimiser in vars(innermost(algorithm)).values():
         if isinstance(optimiser, torch.optim.Optimizer):
             for parameter, entries in optimiser.state.items():
                 for name, entry in entries.items():
                     if isinstance(entry, torch.Tensor) and entry.ndim > 0 and entry.shape != parameter.shape:
                         raise ValueError(f"the optimiser's {name} is {list(entry.shape)}, not {list(parameter.shape)}")
-
-
-def _learned(algorithm: Any) -> Any:
-    """Return what learns: an algorithm, or the one inside of what makes commands of its actions."""
-    while hasattr(algorithm, "learned"):
-        algorithm = algorithm.learned
-    return algorithm
 
 
 def is_finite(state: Any) -> bool:
@@ -90,7 +83,7 @@ class Learner:
         self.device = device
         self.gamma: float = getattr(config.algo, "gamma", 1.0)
         self.algorithm = make_algorithm(config.algo, config.action, config.env, device)
-        whole = getattr(_learned(self.algorithm), "looks_around", False)
+        whole = getattr(innermost(self.algorithm), "looks_around", False)
         self.decisions = None if config.env.decide == STEP else Decisions(whole)
         shared = device == COLLECTS_ON
         self.policy: TensorDictModuleBase = (
@@ -120,11 +113,11 @@ class Learner:
 
     def advantage(self) -> Tensor:
         """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""
-        return _learned(self.algorithm).advantage.to(COLLECTS_ON)
+        return innermost(self.algorithm).advantage.to(COLLECTS_ON)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the algorithm's state and the states of the random generators that learning draws from."""
-        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        acts, kept = innermost(self.policy), innermost(self.algorithm.policy)
         if acts is not kept and hasattr(acts, "noise"):  # exploration goes on in the copy
             kept.noise = acts.noise
         state = {"algorithm": self.algorithm.state_dict(), "torch_rng": torch.get_rng_state()}
@@ -140,7 +133,7 @@ class Learner:
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()
-        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        acts, kept = innermost(self.policy), innermost(self.algorithm.policy)
         if acts is not kept and hasattr(acts, "noise"):
             acts.noise = kept.noise.to(COLLECTS_ON, copy=True)
         torch.set_rng_state(state["torch_rng"])

@@ -24,10 +24,10 @@ from izoo.envs.twin_env import is_own_state
 from izoo.errors import IzooError, UnfinishedError, check_whole
 from izoo.files import NO_ROOM
 from izoo.training import checkpoint, loggers, plots, run_folder
-from izoo.training.baseline_episodes import Paired
+from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats
 from izoo.training.collectors import BatchSource, SharedSchedule, ShiftedSchedule, check_collector, num_envs
-from izoo.training.command_replay import Pasts
+from izoo.training.command_replay import EpisodeHistories
 from izoo.training.environments import NUMBERS
 from izoo.training.final_evaluation import compare
 from izoo.training.learner import Learner, is_finite, learner_device
@@ -168,10 +168,10 @@ class Session:
         self.levels = Levels(self.draws, config.levels, config.seed) if config.levels.draw == "prioritised" else None
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
-        self.pasts, self.first_episode = Pasts.fresh(num_envs(config)), 0
+        self.histories, self.first_episode = EpisodeHistories.fresh(num_envs(config)), 0
         self._state: dict[str, Any] | None = None
         self._batches: BatchSource | None = None
-        self._paired: Paired | None = None
+        self._paired: BaselineComparison | None = None
         self._environments: dict[str, Any] = {}
         self._saved_at, self._forgets = -1, False
         self._plotted_s = 0.0
@@ -196,7 +196,7 @@ class Session:
             self.learner.load_state_dict(state)
             if self.levels is not None:
                 self.levels.load_state_dict(state["levels"])
-            environments, pasts = state["environments"], Pasts.from_state(state["pasts"])
+            environments, histories = state["environments"], EpisodeHistories.from_state(state["histories"])
         self.frames, self.batches, self.episodes = state["frames"], state["batches"], state["episodes"]
         self.seconds, self.first_episode = state["seconds"], state["first_episode"]
         self._state, self._saved_at, self._plotted_s = state, self.frames, self.seconds
@@ -211,10 +211,10 @@ class Session:
                 self._forget_episodes(later)
                 if whole:
                     print("Another user or version of izoo saved the episodes in progress, left out here.", flush=True)
-        elif len(pasts.pasts) == len(self.pasts.pasts):
-            self.pasts = pasts
+        elif len(histories.histories) == len(self.histories.histories):
+            self.histories = histories
         else:
-            self._forget_episodes(pasts.next_episode)
+            self._forget_episodes(histories.next_episode)
         print(f"Resuming {self.run_dir} at {self.frames:,} frames.", flush=True)
 
     def _forget_episodes(self, later: int) -> None:
@@ -280,16 +280,16 @@ class Session:
 
     def _learn(self, interrupt: Any, sinks: list[loggers.Sink]) -> None:
         config = self.config
-        going_on = self.pasts.pasts if self._state is not None else ()
+        going_on = self.histories.histories if self._state is not None else ()
         reads = self.learner.reads
         keeps = None if reads is None else (*reads, *READS)
         batches = BatchSource(config, self.learner.policy, self._schedule(), going_on, self._environments, keeps)
         self._batches = batches
         if config.simulator == "twin":
             if self.levels is None:
-                self._paired = Paired(config, self._schedule())
+                self._paired = BaselineComparison(config, self._schedule())
             else:
-                self._paired = Paired(config, self.draws, level=self.levels.level)
+                self._paired = BaselineComparison(config, self.draws, level=self.levels.level)
         try:
             self._load(batches)
             latest: dict[str, float] = {}
@@ -363,7 +363,7 @@ class Session:
         beside = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
         if self.config.simulator == "sumo":
-            self.pasts.add(batch)
+            self.histories.add(batch)
         learned = self.learner.update(batch, self.frames / self.config.total_frames)
         if self.levels is not None:
             learned |= self._score_levels(self.levels, batch)
@@ -383,7 +383,7 @@ class Session:
             **stats,
             **learned,
             "collect_s": collected - start,
-            **({} if self._paired is None else {"beside_s": beside - collected}),
+            **({} if self._paired is None else {"baseline_s": beside - collected}),
             "update_s": seconds - (beside - start),
         }
 
@@ -426,7 +426,7 @@ class Session:
             "episodes": self.episodes,
             "seconds": self.seconds,
             "first_episode": self.first_episode,
-            "pasts": self.pasts.state_dict(),
+            "histories": self.histories.state_dict(),
             "levels": {} if self.levels is None else self.levels.state_dict(),
             "environments": self._environments if self._batches is None else self._batches.environments(),
         }

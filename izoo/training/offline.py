@@ -16,7 +16,8 @@ from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType
 
 from izoo import __version__, zoo
-from izoo.algos.drivers.scripted import RandomDriver, make_driver
+from izoo.algos.drivers.by_name import make_driver
+from izoo.algos.drivers.random import RandomDriver
 from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import to_mapping, with_given
 from izoo.conf.train_options import MAX_ENVS, TWIN_ENVS, CollectConfig

@@ -283,7 +283,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
 def _meaning(config: TrainConfig) -> dict[str, Any]:
     """Return what gives the weights of a run's policy their meaning, by what it is called."""
     options = to_mapping(config.algo)
-    if getattr(config.action, "rest", None) is not None:
+    if getattr(config.action, "point_mass", None) is not None:
         options.pop("initial_spread", None)  # where an action of 0 is doing nothing, action.spread is meant
     return {
         "action": to_mapping(config.action),

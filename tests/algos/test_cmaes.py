@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos.actions.action_modes import Rest
+from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES
 from izoo.algos.learners.cmaes_config import CMAESConfig
@@ -35,9 +35,9 @@ def frames(envs: int) -> TensorDict:
     return TensorDict({"agents": {"observation": seen, "mask": mask}}, [envs])
 
 
-def make(population: int = 8, seed: int = 0, rest: Rest | None = None) -> CMAES:
+def make(population: int = 8, seed: int = 0, point_mass: PointMass | None = None) -> CMAES:
     torch.manual_seed(seed)
-    return CMAES(CMAESConfig(population=population), FEATURES, -0.8, 0.8, rest=rest or Rest())
+    return CMAES(CMAESConfig(population=population), FEATURES, -0.8, 0.8, point_mass=point_mass or PointMass())
 
 
 def act(algorithm: CMAES, envs: int, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:

@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
 from izoo.algos.actions.action_modes import SpeedAction
-from izoo.algos.drivers.scripted import RandomDriver
+from izoo.algos.drivers.random import RandomDriver
 from izoo.algos.learners.base import ACTION, DECIDES, DONE, LOG_PROB, MASK, NUMBER, OBSERVATION, REWARD, TERMINATED
 from izoo.algos.learners.decisions import Decisions
 from izoo.algos.learners.registry import make_algorithm, preset

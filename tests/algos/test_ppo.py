@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo.algos.learners import base
 from izoo.algos.learners.ppo import PPO
 from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.algos.losses.losses import MaskedPPOLoss
+from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy
 from izoo.errors import IzooError
 

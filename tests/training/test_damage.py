@@ -185,8 +185,8 @@ def walk(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
         for value in wrong:
             if type(value) is not type(algorithm[name]):
                 made[f"algorithm.{name} is {type(value).__name__}"] = {**state, "algorithm": {**algorithm, name: value}}
-    made["pasts hold a text"] = {**state, "pasts": ["text"]}
-    made["pasts lack their commands"] = {**state, "pasts": [{"episode": 0}]}
+    made["histories hold a text"] = {**state, "histories": ["text"]}
+    made["histories lack their commands"] = {**state, "histories": [{"episode": 0}]}
     made["random state is short"] = {**state, "torch_rng": torch.zeros(3, dtype=torch.uint8)}
     return made
 

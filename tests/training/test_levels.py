@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from izoo import train
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.train_options import LevelsConfig
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.training import baseline_episodes, checkpoint
-from izoo.training.baseline_episodes import Paired
+from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
 from izoo.training.prioritized_level_replay import Levels, replay_probabilities
@@ -139,7 +139,7 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
     replays = 0
     with (
         contextlib.closing(BatchSource(options, UncommandedDriver(), levels)) as source,
-        contextlib.closing(Paired(options, draws, tmp_path, levels.level)) as beside,
+        contextlib.closing(BaselineComparison(options, draws, tmp_path, levels.level)) as beside,
     ):
         for _ in range(16):
             batch = source.next().clone()

@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo import train
 from izoo.algos.actions.action_modes import SpeedAction
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.ppo import PPO
@@ -25,7 +25,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.errors import IzooError
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
-from izoo.training.baseline_episodes import Paired, StillPaid
+from izoo.training.baseline_episodes import BaselineComparison, RewardToGo
 from izoo.training.collectors import BatchSource, check_collector
 from izoo.training.loggers import MetricsTable
 from izoo.training.run_folder import METRICS_FILE
@@ -49,7 +49,7 @@ def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list
     schedule = RandomSchedule(options.contexts.build(), options.seed)
     with (
         contextlib.closing(BatchSource(options, policy, schedule)) as source,
-        contextlib.closing(Paired(options, schedule, folder)) as paired,
+        contextlib.closing(BaselineComparison(options, schedule, folder)) as paired,
     ):
         found = []
         for _ in range(count):
@@ -63,7 +63,7 @@ def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list
 def test_what_is_still_paid_is_a_discounted_sum(gamma: float) -> None:
     spans = np.array([[3, 10, 4], [7, 0, 2]], np.float32)  # number, first decision, how many
     rewards = np.array([1.0, -2.0, 4.0, 8.0, 5.0, 6.0], np.float32)
-    paid = StillPaid({VEHICLE_SPANS: spans, VEHICLE_REWARD: rewards}, gamma)
+    paid = RewardToGo({VEHICLE_SPANS: spans, VEHICLE_REWARD: rewards}, gamma)
 
     def expected(number: int, decision: int) -> float:
         row = {3: (10, rewards[:4]), 7: (0, rewards[4:])}.get(number)
@@ -74,7 +74,7 @@ def test_what_is_still_paid_is_a_discounted_sum(gamma: float) -> None:
     asked = [(n, d) for n in (0, 3, 5, 7, 12) for d in (0, 1, 2, 9, 10, 12, 13, 14, 50)]
     found = paid.of(*map(np.array, zip(*asked, strict=True)))
     np.testing.assert_allclose(found, [expected(*pair) for pair in asked], rtol=1e-6)
-    nobody = StillPaid({VEHICLE_SPANS: np.zeros((0, 3), np.float32), VEHICLE_REWARD: np.zeros(0, np.float32)}, gamma)
+    nobody = RewardToGo({VEHICLE_SPANS: np.zeros((0, 3), np.float32), VEHICLE_REWARD: np.zeros(0, np.float32)}, gamma)
     assert np.array_equal(nobody.of(np.array([0, 4]), np.array([1, 2])), [0.0, 0.0])
 
 
