@@ -144,6 +144,26 @@ def read_text(path: Path, most: int | None = None) -> str:
         raise ValueError(f"it is no text ({error.reason} at byte {error.start:,})") from error
 
 
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while one of izoo's own files is read and used into one sentence.
+
+    Raises:
+        IzooError: it is missing, damaged, or another version of izoo wrote it.
+    """
+    try:
+        yield
+    except IzooError:
+        raise
+    except FileNotFoundError:
+        raise IzooError(f"there is no {path}.") from None
+    except Exception as error:  # what damaged content raises depends on the content
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(
+            f"cannot read {path}: {reason}. It is damaged, or another version of izoo or other options wrote it."
+        ) from error
+
+
 class DamagedError(Exception):
     """A part of a file is not what was written."""
 

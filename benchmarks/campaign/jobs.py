@@ -26,8 +26,8 @@ from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, Policy, missing, play_missing
 from izoo.results.store import Store
 from izoo.training import checkpoint, run_folder
-from izoo.training.collectors import check_collector
 from izoo.training.loggers import MetricsTable
+from izoo.training.option_checks import check_options
 from izoo.training.plots import compare_curves
 
 CURVES_FILE = "learning_curves.png"
@@ -86,7 +86,7 @@ class Campaign:
     def _check_simulators(self) -> None:
         """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
         for run in self.runs.wanted.values():
-            check_collector(run)
+            check_options(run)
         if self.config.simulator == "twin":
             for env in self.envs.values():
                 backend.check_settings(env)

@@ -23,7 +23,7 @@ from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.observation_buffer import Tape
 from izoo.envs.twin_env import TwinEnv
 from izoo.training import command_replay
-from izoo.training.prioritized_level_replay import Levels
+from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
 NUMBERS = "context_ids"
 """Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
@@ -173,8 +173,8 @@ class TrainingTwinEnv(_Training, TwinEnv):
 
     def _look_ahead(self) -> None:
         # Levels are drawn here and now: the thread that prepares the episodes would draw them at any time.
-        if isinstance(self.schedule, Levels):
-            self.schedule.settle(self._next_episode.tolist())
+        if isinstance(self.schedule, PrioritizedLevelReplay):
+            self.schedule.draw(self._next_episode.tolist())
         super()._look_ahead()
 
 

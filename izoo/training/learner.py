@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Algorithm, Keys, innermost, reads
+from izoo.algos.learners.base import POTENTIAL, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -36,24 +36,8 @@ def learner_device(name: str) -> torch.device:
 
 
 def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """Return a batch on the learner's device; every batch that is learned from passes here, whole and once."""
+    """Return a batch on the learner's device."""
     return batch if device == COLLECTS_ON else batch.to(device)
-
-
-def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
-    """Load what :meth:`~izoo.algos.learners.base.Algorithm.state_dict` returned.
-
-    Raises:
-        Exception: of whichever kind, where it is of an algorithm with other networks.
-    """
-    algorithm.load_state_dict(state)
-    # Optimisers take any shape, and would stumble over it in their first step.
-    for optimiser in vars(innermost(algorithm)).values():
-        if isinstance(optimiser, torch.optim.Optimizer):
-            for parameter, entries in optimiser.state.items():
-                for name, entry in entries.items():
-                    if isinstance(entry, torch.Tensor) and entry.ndim > 0 and entry.shape != parameter.shape:
-                        raise ValueError(f"the optimiser's {name} is {list(entry.shape)}, not {list(parameter.shape)}")
 
 
 def is_finite(state: Any) -> bool:
@@ -129,7 +113,7 @@ class Learner:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
-        load_state(self.algorithm, state["algorithm"])
+        self.algorithm.load_state_dict(state["algorithm"])
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()

@@ -21,7 +21,7 @@ from izoo.contexts.source import RandomSchedule
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.training import run_folder
-from izoo.training.collectors import SharedSchedule
+from izoo.training.schedules import SharedSchedule
 
 FEATURES, AGENTS, STEPS, BLOCK = 5, 6, 4, 3
 GOAL = torch.tensor([1.0, -1.0, 0.5, 0.0, 0.0])

@@ -21,22 +21,22 @@ from izoo.training import baseline_episodes, checkpoint
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
-from izoo.training.prioritized_level_replay import Levels, replay_probabilities
+from izoo.training.prioritized_level_replay import PrioritizedLevelReplay, replay_probabilities
 from tests.training.test_paired import config as paired_config
 from tests.training.test_paired import schedule as uniform
 
 
-def make(seed: int = 0, **options: object) -> Levels:
+def make(seed: int = 0, **options: object) -> PrioritizedLevelReplay:
     draws = RandomSchedule(ProceduralSource({"adoption": 0.5}), 5)
-    return Levels(draws, LevelsConfig(draw="prioritised", **options), seed)  # type: ignore[arg-type]
+    return PrioritizedLevelReplay(draws, LevelsConfig(draw="prioritised", **options), seed)  # type: ignore[arg-type]
 
 
-def play(levels: Levels, episode: int, score: float) -> int:
+def play(levels: PrioritizedLevelReplay, episode: int, score: float) -> int:
     """Play an episode of two decisions and three slots, whose mean absolute advantage is ``score``."""
     level = levels.level(episode)
     mask = torch.tensor([[[True, True, False], [True, False, False]]])
     advantage = torch.tensor([[[score, -score, float("nan")], [score, 1e9, -1e9]]])
-    levels.learn(torch.full((1, 2), episode), advantage, mask, torch.tensor([[False, True]]))
+    levels.update(torch.full((1, 2), episode), advantage, mask, torch.tensor([[False, True]]))
     return level
 
 
@@ -57,21 +57,21 @@ def test_scores_are_means_over_the_slots_that_hold_a_cv() -> None:
     nobody = make()
     nobody.level(0)
     none = torch.zeros(1, 1, 3, dtype=torch.bool)
-    nobody.learn(torch.zeros(1, 1, dtype=torch.int64), torch.full((1, 1, 3), float("nan")), none, none[..., 0] | True)
+    nobody.update(torch.zeros(1, 1, dtype=torch.int64), torch.full((1, 1, 3), float("nan")), none, none[..., 0] | True)
     assert nobody.scores == {}
 
 
 def test_an_episode_is_scored_over_all_its_batches_once_it_ends() -> None:
     levels = make()
-    levels.settle([0, 1])
+    levels.draw([0, 1])
     mask, numbers = torch.ones(2, 2, 1, dtype=torch.bool), torch.tensor([[0, 0], [1, 1]])
     going = torch.zeros(2, 2, dtype=torch.bool)
-    levels.learn(numbers, torch.tensor([[1.0, 1.0], [5.0, 5.0]])[..., None], mask, going)
+    levels.update(numbers, torch.tensor([[1.0, 1.0], [5.0, 5.0]])[..., None], mask, going)
     assert levels.scores == {}
     ended = torch.tensor([[True, False], [False, False]])
     following = torch.tensor([[0, 2], [1, 1]])
-    levels.settle([2])
-    levels.learn(following, torch.tensor([[4.0, 9.0], [5.0, 5.0]])[..., None], mask, ended)
+    levels.draw([2])
+    levels.update(following, torch.tensor([[4.0, 9.0], [5.0, 5.0]])[..., None], mask, ended)
     assert levels.scores == {0: 2.0}
 
 
@@ -102,7 +102,7 @@ def test_a_level_under_way_is_not_drawn_beside() -> None:
     levels = make(kept=2, share=1.0)
     for episode in range(2):
         play(levels, episode, 1.0)
-    levels.settle(range(2, 6))
+    levels.draw(range(2, 6))
     drawn = [levels.level(episode) for episode in range(2, 6)]
     assert sorted(drawn[:2]) == [0, 1] and drawn[2:] == [2, 3]
 
@@ -122,7 +122,7 @@ def test_state_restores_the_very_next_draws() -> None:
     one = make(kept=10, temperature=1.0)
     for episode in range(30):
         play(one, episode, float(episode % 5))
-    one.settle([30, 31])
+    one.draw([30, 31])
     other = make(kept=10, temperature=1.0)
     other.load_state_dict(copy.deepcopy(one.state_dict()))
     for episode in range(30, 90):
@@ -135,7 +135,7 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
     monkeypatch.setattr(baseline_episodes, "BLOCK", 4)
     options = paired_config("levels.draw=prioritised")
     draws = uniform(options)
-    levels = Levels(draws, LevelsConfig(draw="prioritised", kept=4, share=0.7), 0)
+    levels = PrioritizedLevelReplay(draws, LevelsConfig(draw="prioritised", kept=4, share=0.7), 0)
     replays = 0
     with (
         contextlib.closing(BatchSource(options, UncommandedDriver(), levels)) as source,
@@ -149,7 +149,7 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
             numbers = batch[NUMBERS][..., 0]
             replays += sum(levels.level(number) != number for number in numbers.unique().tolist())
             mask = batch["agents", "mask"]
-            levels.learn(numbers, torch.rand(mask.shape), mask, batch["next", "done"].squeeze(-1))
+            levels.update(numbers, torch.rand(mask.shape), mask, batch["next", "done"].squeeze(-1))
     assert replays > 5 and levels.replayed > 2
 
 

@@ -25,6 +25,7 @@ from izoo.errors import IzooError
 from izoo.training import checkpoint, loop, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from tests.training import toy
 
 TOY = [
     *(
@@ -251,6 +252,43 @@ def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
     assert script.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
     with pytest.raises(IzooError, match="episode 5 does not repeat itself: 1 controlled vehicles at step 0, 2 before"):
         script.at(0, torch.tensor([True, False, False, False]))
+
+
+@pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])
+def test_a_file_that_cannot_be_read_is_one_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={run_dir}"]) == 0
+    (run_dir / name).write_bytes(bytes(range(256)) * 4)
+    kept = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file() and path.suffix != ".yaml"}
+    assert train.main([f"resume={run_dir}", "total_frames=100"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("izoo train: cannot read ") and name in line
+    assert {path: path.read_bytes() for path in kept} == kept
+
+
+def test_a_run_that_was_moved_goes_on(tmp_path: Path) -> None:
+    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={tmp_path / 'run'}"]) == 0
+    moved = (tmp_path / "run").rename(tmp_path / "elsewhere")
+    assert train.main([f"resume={moved}", "total_frames=100"]) == 0
+    assert checkpoint.load(checkpoint.find(moved))["frames"] == 100
+    with pytest.raises(IzooError, match=r"is one checkpoint, so checkpoint=best chooses nothing"):
+        checkpoint.find(checkpoint.find(moved), "best")
+
+
+@pytest.mark.slow
+def test_states_of_the_twin_that_others_saved_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever they hold: compiled code would take them unchecked. The run itself goes on."""
+    run_dir, words = tmp_path / "run", [word for word in toy.TOY if not word.startswith("collector")]
+    assert train.main([*words, "simulator=twin", "num_envs=2", "twin.threads=1", f"run_dir={run_dir}"]) == 0
+    state = checkpoint.load(checkpoint.find(run_dir))
+    state["environments"]["packed"][0][5] ^= 0xFF
+    torch.save(state, checkpoint.find(run_dir))
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0
+    assert "saved the episodes in progress, left out here" in capsys.readouterr().out
+    assert train.main([f"resume={run_dir}", "total_frames=300"]) == 0
+    assert "left out" not in capsys.readouterr().out
 
 
 @pytest.mark.slow

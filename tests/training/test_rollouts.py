@@ -25,8 +25,8 @@ from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.errors import IzooError
 from izoo.training import collectors
-from izoo.training.collectors import check_collector
 from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.option_checks import check_options
 from tests.envs.worlds import crossing
 
 GROUPS = ("vehicles", "signal", "context", "reward_vector", "metrics")
@@ -165,12 +165,12 @@ def test_policies_that_do_not_change_lanes_are_refused_where_they_must(name: str
 
 def test_training_is_refused_where_lane_changes_are_asked_for() -> None:
     with pytest.raises(IzooError, match=r"env\.lane_change=true .* leave it out\."):
-        check_collector(TrainConfig(env=EnvConfig(lane_change=True)))
+        check_options(TrainConfig(env=EnvConfig(lane_change=True)))
 
 
 def test_training_episodes_are_not_played_out() -> None:
     with pytest.raises(IzooError, match="leave it at 0"):
-        check_collector(TrainConfig(env=EnvConfig(drain_s=600.0)))
+        check_options(TrainConfig(env=EnvConfig(drain_s=600.0)))
 
 
 class Deferring(TensorDictModuleBase):

@@ -15,7 +15,7 @@ from izoo.results.playing import Setup
 from izoo.results.rollout import evaluated
 from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import run_folder
-from izoo.training.validation import VALIDATION_SEED, held_out
+from izoo.training.validation_rollout import VALIDATION_SEED, held_out
 
 EASY = ["contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=60"]
 

@@ -26,8 +26,9 @@ from izoo.contexts.source import RandomSchedule
 from izoo.errors import IzooError
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
 from izoo.training.baseline_episodes import BaselineComparison, RewardToGo
-from izoo.training.collectors import BatchSource, check_collector
+from izoo.training.collectors import BatchSource
 from izoo.training.loggers import MetricsTable
+from izoo.training.option_checks import check_options
 from izoo.training.run_folder import METRICS_FILE
 
 SMALL = [
@@ -72,10 +73,10 @@ def test_what_is_still_paid_is_a_discounted_sum(gamma: float) -> None:
         return sum(float(r) * gamma ** (row[0] + k - decision) for k, r in enumerate(row[1]) if row[0] + k >= decision)
 
     asked = [(n, d) for n in (0, 3, 5, 7, 12) for d in (0, 1, 2, 9, 10, 12, 13, 14, 50)]
-    found = paid.of(*map(np.array, zip(*asked, strict=True)))
+    found = paid.at(*map(np.array, zip(*asked, strict=True)))
     np.testing.assert_allclose(found, [expected(*pair) for pair in asked], rtol=1e-6)
     nobody = RewardToGo({VEHICLE_SPANS: np.zeros((0, 3), np.float32), VEHICLE_REWARD: np.zeros(0, np.float32)}, gamma)
-    assert np.array_equal(nobody.of(np.array([0, 4]), np.array([1, 2])), [0.0, 0.0])
+    assert np.array_equal(nobody.at(np.array([0, 4]), np.array([1, 2])), [0.0, 0.0])
 
 
 def test_uncommanded_vehicles_are_paid_nothing_more_in_any_step(tmp_path: Path) -> None:
@@ -190,17 +191,17 @@ def test_what_cannot_learn_from_one_decision_per_vehicle_says_so(words: list[str
     if "simulator=sumo" in words:
         given.remove("num_envs=4")
     with pytest.raises(IzooError, match=message):
-        check_collector(compose_config("train", TrainConfig, [*given, *words]))
+        check_options(compose_config("train", TrainConfig, [*given, *words]))
 
 
 def test_policies_that_are_compared_choose_no_speeds() -> None:
     words = ["algo=cmaes", "simulator=twin", "action=speed", "env.action=speed", "env.reward=fuel_team"]
     with pytest.raises(IzooError, match=r"algo=cmaes compares policies .* but action is speed"):
-        check_collector(compose_config("train", TrainConfig, words))
+        check_options(compose_config("train", TrainConfig, words))
 
 
 def test_advice_needs_decisions_in_every_step() -> None:
     with pytest.raises(IzooError, match=r"action=advise learns from decisions in every step"):
-        check_collector(config("env.decide=vehicle", "action=advise"))
+        check_options(config("env.decide=vehicle", "action=advise"))
     with pytest.raises(IzooError, match=r"env.action=speed takes desired speeds.* choose action=speed"):
         config("env.action=speed", "action=advise")

@@ -84,7 +84,7 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
 def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
     """A second request would stop it at once."""
     words = [f"import sys; sys.path[:] = {sys.path!r}"]
-    words += ["from tests.benchmarks.test_side_runs import stopped; from pathlib import Path"]
+    words += ["from tests.benchmarks.test_parallel_training import stopped; from pathlib import Path"]
     words += [f"stopped(Path({str(tmp_path)!r}))"]
     parent = subprocess.Popen([sys.executable, "-c", "; ".join(words)])
     wait_until(lambda: (tmp_path / "asked").exists(), "the request")
@@ -100,6 +100,6 @@ def stopped(folder: Path) -> None:
     with ParallelRuns(1) as beside:
         beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
         wait_until(lambda: MetricsTable.read(folder / "long" / run_folder.METRICS_FILE).rows, "the first batch")
-        beside.going[0].ask_to_stop()
+        beside.going[0].dismiss()
         (folder / "asked").touch()
         time.sleep(PATIENCE_S)
