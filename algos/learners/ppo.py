@@ -217,6 +217,4 @@ class PPO:
         self.loss.kl_weight.fill_(state["kl_weight"])
         if self.loss.value_norm is not None:
             self.loss.value_norm.load_state_dict(state["value_norm"])
-        elif not isinstance(state["value_norm"], dict) or state["value_norm"]:
-            raise ValueError("it holds statistics of values, which these options do not normalise")
         self.warm_start.load_state_dict(state["warm_start"], self.loss.actor_network_params)

@@ -49,11 +49,13 @@ class BatchSource:
         self._twin: TrainingTwinEnv | None = None
         with workers_ignore_interrupts():
             if config.simulator == "twin":
-                self._twin = _on_twin(config, schedule, twin, keeps)
+                self._twin = _twin_env(config, schedule, twin, keeps)
                 # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
-                self._collector: BaseCollector = _collector(self._twin, policy, frames, use_buffers=False)
+                self._collector: BaseCollector = in_process(self._twin, policy, frames, use_buffers=False)
+            elif config.collector.name in _APART:
+                self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
             else:
-                self._collector = _BUILDERS[config.collector.name](config, policy, schedule, histories, frames)
+                self._collector = in_process(_sumo_env(config, schedule, histories), policy, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
@@ -88,30 +90,14 @@ class BatchSource:
         gc.collect()
 
 
-def _single(
-    config: TrainConfig,
-    policy: TensorDictModuleBase,
-    schedule: Schedule,
-    histories: Sequence[EpisodeHistory],
-    frames: int,
-) -> Collector:
-    return _collector(TrainingEnv(schedule, config=config.env, seed=config.seed, histories=histories), policy, frames)
+def _sumo_env(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]) -> EnvBase:
+    options: dict[str, Any] = {"config": config.env, "seed": config.seed, "histories": histories}
+    if config.collector.name == "single":
+        return TrainingEnv(schedule, **options)
+    return TrainingParallelEnv(config.num_workers, contexts=schedule, shard=0, **options)
 
 
-def _parallel(
-    config: TrainConfig,
-    policy: TensorDictModuleBase,
-    schedule: Schedule,
-    histories: Sequence[EpisodeHistory],
-    frames: int,
-) -> Collector:
-    env = TrainingParallelEnv(
-        config.num_workers, contexts=schedule, config=config.env, seed=config.seed, shard=0, histories=histories
-    )
-    return _collector(env, policy, frames)
-
-
-def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None) -> TrainingTwinEnv:
+def _twin_env(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None) -> TrainingTwinEnv:
     count = num_envs(config)
     return TrainingTwinEnv(
         count,
@@ -128,7 +114,23 @@ def _on_twin(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], 
     )
 
 
-def _ray(
+def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buffers: bool = True) -> Collector:
+    """Return a collector of ``frames`` steps per batch from an environment in this process."""
+    return Collector(
+        env,
+        policy,
+        frames_per_batch=frames,
+        total_frames=-1,
+        exploration_type=ExplorationType.RANDOM,
+        return_same_td=True,
+        use_buffers=use_buffers,
+        track_traj_ids=False,
+        trust_policy=True,
+        auto_register_policy_transforms=False,
+    )
+
+
+def _ray_collector(
     config: TrainConfig,
     policy: TensorDictModuleBase,
     schedule: Schedule,
@@ -153,25 +155,5 @@ def _ray(
     return collector
 
 
-def _collector(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buffers: bool = True) -> Collector:
-    return Collector(
-        env,
-        policy,
-        frames_per_batch=frames,
-        total_frames=-1,
-        exploration_type=ExplorationType.RANDOM,
-        return_same_td=True,
-        use_buffers=use_buffers,
-        track_traj_ids=False,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
-    )
-
-
-_Builder = Callable[[TrainConfig, TensorDictModuleBase, Schedule, Sequence[EpisodeHistory], int], BaseCollector]
-_BUILDERS: dict[str, _Builder] = {
-    "single": _single,
-    "parallel": _parallel,
-    "multisync": process_collector,
-    "ray": _ray,
-}
+_APART: dict[str, Callable[..., BaseCollector]] = {"multisync": process_collector, "ray": _ray_collector}
+"""Collectors that step environments in other processes, by their option ``collector``."""

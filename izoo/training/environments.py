@@ -38,7 +38,7 @@ class _Training(EcoDrivingBase):
         histories: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
 
     Attributes:
-        steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
+        steps_taken: ``[1]``: counts the steps for a watchdog; ``None``: there is none.
     """
 
     leaves: tuple[str, ...] = (TOTALS,)
@@ -68,34 +68,32 @@ class _Training(EcoDrivingBase):
     def _relive(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
-        Before the shorter ones begin, their environments play a part of the same episode that is then forgotten.
+        Until a shorter one begins, its environment plays a part of the same episode that is then forgotten.
         """
         slots = self.config.num_agents
-        scripts = [entry.unroll(slots) for entry in histories]
-        names = next((list(script.commands) for script in scripts if script.commands), ["action"])
-        episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
-        longest = max(len(script) for script in scripts)
+        names = next((list(history.commands) for history in histories if history.commands), ["action"])
+        episodes = torch.tensor([history.episode for history in histories]).view(*self.batch_size, 1)
+        longest = max(map(len, histories))
         frame = super()._reset(episode=episodes)
         for step in range(longest):
-            starting = torch.tensor([len(script) == longest - step for script in scripts])
+            starting = torch.tensor([len(history) == longest - step for history in histories])
             if step > 0 and starting.any():
                 frame = super()._reset(self._only(starting), episode=episodes)
             masks = frame.get(("agents", "mask")).view(-1, slots)
-            waits = [longest - len(script) for script in scripts]
+            idle = command_replay.idle(names, slots, self.config.action_size)
+            begun = [step - longest + len(history) for history in histories]
             rows = [
-                script.at(step - wait, mask)
-                if step >= wait
-                else command_replay.idle(names, slots, self.config.action_size)
-                for script, wait, mask in zip(scripts, waits, masks, strict=True)
+                history.at(own, mask) if own >= 0 else idle
+                for history, own, mask in zip(histories, begun, masks, strict=True)
             ]
             frame = self._step(command_replay.with_commands(frame, rows)).exclude(("agents", "reward"))
             if frame.get("done").any():
                 raise RuntimeError("a simulation was lost while its episode was played again; resume the run once more")
-        # A script without steps belongs to an episode that was about to begin.
-        unbegun = torch.tensor([len(script) == 0 for script in scripts])
+        # A history without steps is of an episode that was about to begin.
+        unbegun = torch.tensor([len(history) == 0 for history in histories])
         if longest > 0 and unbegun.any():
             frame = super()._reset(self._only(unbegun), episode=episodes)
-        self._next_episode[:] = [script.episode + self._stride for script in scripts]
+        self._next_episode[:] = [history.episode + self._stride for history in histories]
         return frame
 
     def _only(self, chosen: Tensor) -> TensorDict:
@@ -119,7 +117,7 @@ class TrainingTwinEnv(_Training, TwinEnv):
         batch_steps: ``T`` of the batches that are collected: where all is kept, observations are then handed on for a
             whole batch (:meth:`complete`), not with every step.
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
-        phases: ``[N]`` decisions that nobody commands at the beginning of each environment's first episode; ``None``:
+        phases: ``[N]`` uncommanded decisions at the beginning of each environment's first episode; ``None``:
             episodes begin, and so end, together.
     """
 

@@ -164,7 +164,7 @@ def worker_env(
 ) -> EnvBase:
     """Return the environment of one worker process, and seed that process."""
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
-    done = sum(history.episode * config.env.decisions + history.steps for history in histories)
+    done = sum(history.episode * config.env.decisions + len(history) for history in histories)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
     count = config.num_workers
     env = TrainingEnv(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 
 import pytest
@@ -13,7 +12,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo.algos.learners import base
 from izoo.algos.learners.ppo import PPO
 from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy
 from izoo.errors import IzooError
 
@@ -167,36 +165,6 @@ def test_untrained_policy_is_mild() -> None:
     assert float((action - 0.5).abs().max()) < 0.2
 
 
-@pytest.mark.parametrize("noise", [1e6, float("nan")])
-def test_padding_changes_nothing(noise: float) -> None:
-    clean_ppo, noisy_ppo = make_ppo(rows_per_epoch=None), make_ppo(rows_per_epoch=None)
-    clean = act(clean_ppo, make_batch())
-    noisy = clean.clone()
-    empty = ~noisy[base.MASK]
-    for key in ("observation", "action", "loc", "scale", "action_log_prob"):
-        noisy["agents", key][empty] = noise
-    noisy["next", "agents", "observation"][empty] = noise
-    noisy["next", "agents", "reward"][empty] = noise
-    torch.manual_seed(7)
-    expected = clean_ppo.update(clean, 0.0)
-    torch.manual_seed(7)
-    assert noisy_ppo.update(noisy, 0.0) == pytest.approx(expected, rel=1e-6)
-    for one, other in zip(clean_ppo.loss.parameters(), noisy_ppo.loss.parameters(), strict=True):
-        torch.testing.assert_close(one, other)
-
-
-def test_slot_order_changes_nothing() -> None:
-    """Permuting the slots permutes the rows, so one gradient step over all of them is the same."""
-    whole = {"rows_per_epoch": None, "minibatch_rows": 10_000, "epochs": 1}
-    one, other = make_ppo(**whole), make_ppo(**whole)
-    batch = act(one, make_batch())
-    order = torch.tensor([2, 3, 0, 1])
-    permuted = batch.clone()
-    permuted["agents"] = batch["agents"][:, :, order]
-    permuted["next", "agents"] = batch["next", "agents"][:, :, order]
-    assert other.update(permuted, 0.0) == pytest.approx(one.update(batch, 0.0), rel=1e-3, abs=1e-5)
-
-
 def test_kl_penalty_and_value_clip_act_as_in_rllib() -> None:
     ppo = make_ppo(kl_coeff=0.2, kl_target=0.01, value_error_clip=1e-6, value_loss="l2", value_coeff=1.0)
     rows = ppo.advantages(act(ppo, make_batch()))
@@ -215,40 +183,6 @@ def test_kl_penalty_and_value_clip_act_as_in_rllib() -> None:
     assert float(ppo.loss.kl_weight) == pytest.approx(0.15)
 
 
-def test_state_restores_the_very_next_update() -> None:
-    one, other = make_ppo(), make_ppo()
-    batch = act(one, make_batch())
-    one.update(batch, 0.0)
-    other.load_state_dict(copy.deepcopy(one.state_dict()))
-    torch.manual_seed(11)
-    expected = one.update(batch, 0.1)
-    torch.manual_seed(11)
-    assert other.update(batch, 0.1) == expected
-
-
-def test_an_empty_batch_is_no_update() -> None:
-    ppo = make_ppo()
-    batch = act(ppo, make_batch())
-    batch[base.MASK][:] = False
-    before = [parameter.clone() for parameter in ppo.loss.parameters()]
-    assert ppo.update(batch, 0.0) == {}
-    for parameter, old in zip(ppo.loss.parameters(), before, strict=True):
-        torch.testing.assert_close(parameter, old)
-
-
-def test_update_improves_a_bandit() -> None:
-    """Reward is the acceleration itself: the mean action must rise."""
-    ppo = make_ppo(lr=1e-2, anneal_lr=False, gamma=0.0)
-    start = None
-    for round_ in range(8):
-        batch = act(ppo, make_batch(n=4, t=16, seed=round_), seed=round_)
-        batch["next", "agents", "reward"] = batch[base.ACTION].clone()
-        mean = float(batch[base.ACTION][batch[base.MASK]].mean())
-        start = mean if start is None else start
-        ppo.update(batch, 0.0)
-    assert mean > start + 0.5
-
-
 def test_bad_hyper_parameters_are_refused() -> None:
     for changes in ({"gamma": 1.5}, {"hidden": ()}, {"activation": "sin"}, {"lr": -1.0}, {"epochs": 0}):
         with pytest.raises(IzooError):
@@ -261,13 +195,6 @@ def test_bad_hyper_parameters_are_refused() -> None:
             PPOConfig(**{name: value})  # type: ignore[arg-type]
     with pytest.raises(IzooError, match="initial_accel"):
         make_ppo(initial_accel_mps2=3.0)
-
-
-def test_loss_reads_per_agent_keys() -> None:
-    ppo = make_ppo()
-    assert isinstance(ppo.loss, MaskedPPOLoss)
-    assert ppo.loss.tensor_keys.advantage == base.ADVANTAGE
-    assert ppo.loss.tensor_keys.sample_log_prob == base.LOG_PROB
 
 
 def test_a_batch_that_has_moved_the_policy_far_enough_is_left() -> None:

@@ -63,7 +63,7 @@ def learn(policy: TensorDictModuleBase) -> None:
 def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
     """Collect what a worker should, in this process: two batches ``[STEPS]``, of old and new weights."""
     env = worker_env(CONFIG, SCHEDULE, (), worker)
-    collector = collectors._collector(env, policy, STEPS)
+    collector = collectors.in_process(env, policy, STEPS)
     try:
         first = next(iter(collector)).clone()
         learn(policy)

@@ -217,7 +217,7 @@ def test_environments_whose_episodes_are_of_different_age_arrive_together() -> N
     batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
     histories.add(batch)
     first.close()
-    young = EpisodeHistories.from_state([histories.state_dict()[0], EpisodeHistory(7).state_dict()])
+    young = EpisodeHistories([histories.histories[0], EpisodeHistory(7)])
     second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=young.histories)
     other = second.reset()
     assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
@@ -247,11 +247,10 @@ def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
 
 
 def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
-    past = EpisodeHistory(5, [torch.tensor([2])], [{"action": torch.tensor([0.5, 1.0])}])
-    script = past.unroll(4)
-    assert script.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
+    history = EpisodeHistory(5, torch.tensor([2]), {"action": torch.tensor([0.5, 1.0])})
+    assert history.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
     with pytest.raises(IzooError, match="episode 5 does not repeat itself: 1 controlled vehicles at step 0, 2 before"):
-        script.at(0, torch.tensor([True, False, False, False]))
+        history.at(0, torch.tensor([True, False, False, False]))
 
 
 @pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])

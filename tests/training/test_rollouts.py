@@ -57,7 +57,7 @@ def collecting(
     """A collector of batches ``[workers, STEPS]``, or ``[STEPS]`` where one environment is in this process."""
     contexts = crossing()
     env = TrainingParallelEnv(workers, contexts, config=config) if workers > 1 else TrainingEnv(contexts, config=config)
-    collector = collectors._collector(around(env), policy, workers * STEPS)
+    collector = collectors.in_process(around(env), policy, workers * STEPS)
     collector.exploration_type = exploration
     torch.manual_seed(1)
     try:

@@ -100,7 +100,7 @@ def test_compiled_draws_equal_the_modules() -> None:
     )
     scale = torch.nn.functional.softplus(offset + 0.5).clamp_min(0.01)
     distribution = CensoredNormal(loc.unsqueeze(-1), scale.unsqueeze(-1), BOUND, DEAD, two_sided)
-    action = distribution.advice((loc + scale * noise).unsqueeze(-1))
+    action = distribution.censor((loc + scale * noise).unsqueeze(-1))
     assert 50 < int((action == 0).sum()) < 450
     torch.testing.assert_close(torch.from_numpy(out[2]), action.squeeze(-1), atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(torch.from_numpy(out[3]), distribution.log_prob(action), atol=2e-3, rtol=1e-3)

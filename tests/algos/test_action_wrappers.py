@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
+from izoo.algos.actions.action_modes import AdviseAction, ResidualAction
 from izoo.algos.actions.action_wrappers import (
     RAW_ACTION,
     ActionTransform,
@@ -26,7 +26,6 @@ from izoo.algos.drivers.base import DEFER
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
 from izoo.conf.compose import compose_config
-from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
@@ -250,25 +249,8 @@ def test_update_sees_the_advice_and_leaves_the_batch_alone(algo: str) -> None:
     assert other.learned.update(before.set(base.ACTION, before[RAW_ACTION]), 0.0) == pytest.approx(stats)
 
 
-@pytest.mark.parametrize("algo", ONE_POLICY)
-def test_state_is_restored(algo: str) -> None:
-    one, other = (make(algo, *_now(algo)) for _ in range(2))
-    acted = act(one, make_batch())
-    one.update(acted, 0.0)
-    other.load_state_dict(one.state_dict())
-    kind = ExplorationType.DETERMINISTIC
-    torch.testing.assert_close(act(one, acted, kind)[base.ACTION], act(other, acted, kind)[base.ACTION])
-
-
 def _now(algo: str) -> tuple[str, ...]:
     return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo in ("ddpg", "td3") else ()
-
-
-def test_yaml_equals_dataclass() -> None:
-    for choice, config in (("direct", DirectAction()), ("advise", AdviseAction()), ("residual", ResidualAction())):
-        assert compose_config("train", TrainConfig, [f"action={choice}"]).action == config
-        assert from_mapping(TrainConfig, {"action": to_mapping(config)}).action == config
-    assert TrainConfig().action == DirectAction()
 
 
 def test_what_cannot_work_is_refused() -> None:

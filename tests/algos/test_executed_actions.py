@@ -109,7 +109,7 @@ def test_advice_is_stored_within_its_bounds_and_as_emitted_where_it_was_carried_
     batch = drive(algorithm.policy, steps=40)
     found = algorithm.carried_out(batch, algorithm.executed(batch))  # type: ignore[attr-defined]
     mask = batch[base.MASK]
-    assert float(found[mask].abs().max()) <= algorithm.depth + 1e-6  # type: ignore[attr-defined]
+    assert float(found[mask].abs().max()) <= algorithm.bound + 1e-6  # type: ignore[attr-defined]
     same = (found == batch[RAW_ACTION])[mask]
     assert same.any()
     if isinstance(action, AdviseAction):

@@ -17,7 +17,7 @@ from izoo.algos.drivers.by_name import make_driver
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import LEAST_SPREAD
 from izoo.envs.config import EnvConfig
-from tests.algos.test_advice import act, make, observe
+from tests.algos.test_action_wrappers import act, make, observe
 
 ENV = EnvConfig()
 RED = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 0.3, "context_lane_count": 0.25}
