@@ -130,13 +130,6 @@ def installation(tmp_path: Path) -> Installation:
     return Installation(tmp_path)
 
 
-def test_an_entry_that_was_cut_short_is_compiled_anew_once(installation: Installation) -> None:
-    assert installation.use() == "42 False True" and installation.use() == "42 True True"
-    installation.entries()[0].write_bytes(b"")
-    assert installation.use() == "42 False True"
-    assert installation.use() == "42 True True"
-
-
 def test_an_installation_that_cannot_be_written_is_used(installation: Installation) -> None:
     installation.use()
     (installation.beside / "writable").unlink()
@@ -219,24 +212,6 @@ def test_others_wait_for_the_one_that_compiles_and_not_for_each_other(
 def test_a_failure_while_compiling_frees_the_others(tmp_path: Path) -> None:
     with pytest.raises(KeyError), compiling.compiling_once(kernel(tmp_path)):
         raise KeyError
-    with compiling.compiling_once(kernel(tmp_path)):
-        pass
-
-
-def test_nobody_has_to_read_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_: str) -> int:
-        raise BrokenPipeError
-
-    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=broken))
-    with compiling.compiling_once(kernel(tmp_path)):
-        pass
-
-
-def test_files_that_cannot_be_locked_stop_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(compiling.filelock.FileLock, "acquire", refuse)
     with compiling.compiling_once(kernel(tmp_path)):
         pass
 

@@ -141,19 +141,6 @@ def test_all_blocks_play_the_same_episodes_and_each_only_once() -> None:
     assert len(set(seeds)) == 9
 
 
-def test_what_does_not_suit_it_is_refused_before_anything_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = f"run_dir={tmp_path / 'run'}"
-    good = ["algo=cmaes", "simulator=twin", "num_envs=16", "env.reward=fuel_team", out]
-    for bad in ("simulator=sumo", "num_envs=17", "env.reward=fuel"):
-        words = [word for word in good if word.split("=")[0] != bad.split("=")[0]]
-        words = [word for word in words if not (bad == "simulator=sumo" and word.startswith("num_envs"))]
-        assert train.main([*words, bad]) == 2, bad
-        assert "a multiple of 16 for num_envs" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["algo=cmaes action=advise", "algo=glide_search action=direct"])
 def test_a_run_can_be_stopped_and_resumed_exactly(algo: str, tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from izoo.algos.learners.replay import (
     Replay,
     transitions,
 )
-from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
 SMALL = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 500, "learning_starts": 0, "rows_per_frame": None}
@@ -239,19 +238,3 @@ def test_priorities_decide_what_is_drawn_and_weights_undo_it() -> None:
     replay.add(transitions(make_batch())[:1])
     assert isinstance(replay.sampler, PriorityDraws)
     assert float(replay.sampler.priority[0]) == pytest.approx(9.0, abs=1e-3), "new rows come first"
-
-
-def test_bad_hyper_parameters_are_refused() -> None:
-    for name, value in {
-        "tau": 0.0,
-        "activation": "sin",
-        "n_step": 0,
-        "rows_per_frame": 0.0,
-        "max_grad_norm": 0.0,
-    }.items():
-        with pytest.raises(IzooError, match=f"algo.{name} is {value!r}"):
-            DDPGConfig(**{name: value})  # type: ignore[arg-type]
-    with pytest.raises(IzooError, match=r"algo.hidden is \[\]"):
-        DDPGConfig(hidden=())
-    with pytest.raises(IzooError, match="initial_accel"):
-        make_ddpg(initial_accel_mps2=3.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
+import math
 from typing import Any
 
 import pytest
@@ -19,7 +21,7 @@ from izoo.algos.learners.mappo import MAPPO
 from izoo.algos.learners.ppo import PPO
 from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
 from izoo.algos.learners.td3 import TD3
-from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, alone, make_frames
 
 ON: dict[str, Any] = {"hidden": (8, 8), "minibatch_rows": 7}
 OFF: dict[str, Any] = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 40, "learning_starts": 0}
@@ -58,6 +60,61 @@ def update(algorithm: Any, batch: TensorDict, progress: float = 0.0, seed: int =
 def assert_same(one: Any, other: Any, atol: float = 0.0) -> None:
     for mine, theirs in zip(one.loss.parameters(), other.loss.parameters(), strict=True):
         torch.testing.assert_close(mine, theirs, atol=atol, rtol=0.0)
+
+
+def values_alone(algorithm: Any, frames: TensorDict) -> torch.Tensor:
+    """Values ``[N, T, A]``, one frame at a time, of its valid agents alone."""
+    if isinstance(algorithm, (MAPPO, GCRL)):
+        return alone(algorithm, frames[base.OBSERVATION], frames[base.MASK])
+    with torch.no_grad():
+        return algorithm.critic.module(frames[base.OBSERVATION]).squeeze(-1)
+
+
+@pytest.mark.parametrize("name", ["ppo", "mappo", "gcrl"])
+def test_advantages_equal_the_recursion_by_hand(name: str) -> None:
+    algorithm = make(name)
+    batch = act(algorithm, make_frames())
+    rows, mask, config = algorithm.advantages(batch), batch[base.MASK], algorithm.config
+    value, following = (values_alone(algorithm, part) for part in (batch, batch["next"]))
+    done, terminated = (batch["next", "agents", key].squeeze(-1) for key in ("done", "terminated"))
+    reward = batch["next", "agents", "reward"].squeeze(-1) * config.reward_scale
+    advantage = torch.zeros_like(value)
+    for n, a in itertools.product(range(value.shape[0]), range(value.shape[2])):
+        running = 0.0
+        for t in reversed(range(value.shape[1])):
+            bootstrap = 0.0 if terminated[n, t, a] else float(following[n, t, a])
+            delta = float(reward[n, t, a]) + config.gamma * bootstrap - float(value[n, t, a])
+            running = delta + config.gamma * config.gae_lambda * (0.0 if done[n, t, a] else running)
+            advantage[n, t, a] = running if mask[n, t, a] else 0.0
+    torch.testing.assert_close(rows[base.VALUE_TARGET].squeeze(-1), (advantage + value)[mask], atol=1e-5, rtol=1e-5)
+    valid = advantage[mask]
+    expected = (valid - valid.mean()) / valid.std()
+    torch.testing.assert_close(rows[base.ADVANTAGE].squeeze(-1), expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ppo", "mappo", "gcrl"])
+def test_losses_equal_a_hand_computation(name: str) -> None:
+    algorithm = make(name, clip_epsilon=0.1, value_loss="l2", value_coeff=0.5, entropy_coeff=0.0, kl_coeff=0.0)
+    batch = act(algorithm, make_frames())
+    rows, mask = algorithm.advantages(batch), batch[base.MASK]
+    with torch.no_grad():
+        for parameter in algorithm.loss.parameters():
+            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(5)))
+        losses = algorithm.loss(rows)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            now = algorithm.policy(batch.clone())
+    loc, scale, action = now[base.LOC][mask], now[base.SCALE][mask], batch[base.ACTION][mask]
+    squashed = (action - (HIGH + LOW) / 2) / ((HIGH - LOW) / 2)
+    log_prob = -0.5 * ((torch.atanh(squashed) - loc) / scale) ** 2 - scale.log() - 0.5 * math.log(2 * math.pi)
+    log_prob = log_prob - torch.log((HIGH - LOW) / 2 * (1 - squashed**2))
+    ratio = (log_prob.squeeze(-1) - batch[base.LOG_PROB][mask]).exp()
+    advantage = rows[base.ADVANTAGE].squeeze(-1)
+    clipped = torch.minimum(ratio * advantage, ratio.clamp(0.9, 1.1) * advantage)
+    error = (values_alone(algorithm, batch)[mask] - rows[base.VALUE_TARGET].squeeze(-1)) ** 2
+    assert float((ratio.clamp(0.9, 1.1) != ratio).float().mean()) > 0.2, "the clipping must matter in this test"
+    # TorchRL clips the log of the ratio to log(1 -+ epsilon), which is the same interval.
+    torch.testing.assert_close(losses["loss_objective"], -clipped.mean(), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(losses["loss_critic"], 0.5 * error.mean(), atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("noise", [1e6, float("nan")])
@@ -128,6 +185,7 @@ def test_on_policy_updates_improve_a_bandit(name: str) -> None:
     assert means[-1] > means[0] + 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "actor_lr"), [("ddpg", 1e-3), ("td3", 2e-3)])
 def test_off_policy_updates_improve_a_bandit(name: str, actor_lr: float) -> None:
     """Reward falls with the distance from 1 m/s^2: the actor must move there."""

@@ -14,7 +14,6 @@ from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
@@ -201,9 +200,3 @@ def test_gradients_do_not_reach_empty_slots() -> None:
     assert observation.grad is not None
     assert not observation.grad[~mask].any()
     assert observation.grad[mask].any()
-
-
-def test_bad_hyper_parameters_are_refused() -> None:
-    for changes in ({"neighbours": -1}, {"range_m": -1.0}, {"layers": 0}, {"heads": 3}, {"hidden": ()}):
-        with pytest.raises(IzooError):
-            GCRLConfig(**changes)  # type: ignore[arg-type]

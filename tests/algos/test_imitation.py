@@ -10,7 +10,6 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType
 
-from izoo import train
 from izoo.algos.actions.action_wrappers import RAW_ACTION, SpeedCap
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.by_name import make_driver
@@ -176,19 +175,3 @@ def test_state_is_restored_within_and_after_the_warm_start(algo: str) -> None:
             torch.manual_seed(6)
             results.append([algorithm.update(act(algorithm, batch), 0.5) for _ in range(3)])
         assert results[0] == results[1]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["algo.warm_start=glide"], "choose action=advise"),
-        (["algo.warm_start=glide", "action=residual"], "choose action=advise"),
-        (["algo.warm_start=random", "action=advise"], "none, glide"),
-        (["algo.warm_start=glide", "action=advise", "algo.warm_start_frames=0"], "warm_start_frames is 0"),
-        (["algo.warm_start=glide", "action=advise", "algo.kl_to_start=-1"], "kl_to_start is -1"),
-        (["algo=ddpg", "algo.warm_start=glide"], "unknown option"),
-    ],
-)
-def test_what_cannot_work_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main([*words, "contexts=pcg_easy"]) == 2
-    assert message in capsys.readouterr().err

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import copy
 
-import pytest
 import torch
 
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg_config import TD3Config
 from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
 from izoo.algos.learners.td3 import TD3
-from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW
 from tests.algos.test_ddpg import SMALL, make_batch
 
@@ -78,9 +76,3 @@ def test_the_actor_and_the_targets_move_every_second_time_and_the_critics_always
         }
         assert moved == {"actor": step % 2 == 0, "critic": True, "targets": step % 2 == 0}
         assert ("loss_actor" in logged) == (step % 2 == 0)
-
-
-def test_options() -> None:
-    for changes in ({"policy_delay": 0}, {"target_noise": -0.1}, {"stores": "asked"}):
-        with pytest.raises(IzooError):
-            TD3Config(**changes)  # type: ignore[arg-type]

@@ -96,12 +96,6 @@ def test_runs_that_begin_in_one_second_have_folders_of_their_own(
     assert len({*folders}) == 3 == len(list((tmp_path / "runs").iterdir()))
 
 
-def test_networks_that_no_memory_holds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rest = [word for word in TOY if not word.startswith("algo.hidden")]
-    assert train.main([*rest, "algo.hidden=[1000000,1000000]", f"run_dir={tmp_path / 'run'}"]) == 2
-    one_line(capsys, "weights, more than")
-
-
 @pytest.mark.parametrize("what", ["weights", "loss"])
 def test_training_stops_where_its_numbers_are_not_finite(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

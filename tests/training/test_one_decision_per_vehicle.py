@@ -23,12 +23,10 @@ from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
-from izoo.errors import IzooError
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
 from izoo.training.baseline_episodes import BaselineComparison, RewardToGo
 from izoo.training.collectors import BatchSource
 from izoo.training.loggers import MetricsTable
-from izoo.training.option_checks import check_options
 from izoo.training.run_folder import METRICS_FILE
 
 SMALL = [
@@ -167,41 +165,3 @@ def test_learning_on_sumo_sees_the_same_decisions(tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert train.main([*words, *ONCE, "num_workers=2", "total_frames=80", f"run_dir={run}"]) == 0
     assert sum(MetricsTable.read(run / METRICS_FILE).series("decisions")[1]) > 20
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["simulator=sumo"], r"control_variate=vehicle .* choose simulator=twin"),
-        (
-            ["algo=cmaes", "action=direct", "env.action=acceleration"],
-            r"algo=cmaes learns from decisions in every step",
-        ),
-        (
-            ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"],
-            r"algo.credit=team learns from decisions in every",
-        ),
-        (["levels.draw=prioritised"], r"levels.draw=prioritised learns from decisions in every step"),
-    ],
-)
-def test_what_cannot_learn_from_one_decision_per_vehicle_says_so(words: list[str], message: str) -> None:
-    given = [word for word in [*SMALL, *ONCE] if word.split("=")[0] not in {said.split("=")[0] for said in words}]
-    if "algo=" in words[0]:
-        given = [word for word in given if not word.startswith("algo.")]
-    if "simulator=sumo" in words:
-        given.remove("num_envs=4")
-    with pytest.raises(IzooError, match=message):
-        check_options(compose_config("train", TrainConfig, [*given, *words]))
-
-
-def test_policies_that_are_compared_choose_no_speeds() -> None:
-    words = ["algo=cmaes", "simulator=twin", "action=speed", "env.action=speed", "env.reward=fuel_team"]
-    with pytest.raises(IzooError, match=r"algo=cmaes compares policies .* but action is speed"):
-        check_options(compose_config("train", TrainConfig, words))
-
-
-def test_advice_needs_decisions_in_every_step() -> None:
-    with pytest.raises(IzooError, match=r"action=advise learns from decisions in every step"):
-        check_options(config("env.decide=vehicle", "action=advise"))
-    with pytest.raises(IzooError, match=r"env.action=speed takes desired speeds.* choose action=speed"):
-        config("env.action=speed", "action=advise")

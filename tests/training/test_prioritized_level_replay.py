@@ -22,8 +22,8 @@ from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay, replay_probabilities
-from tests.training.test_paired import config as paired_config
-from tests.training.test_paired import schedule as uniform
+from tests.training.test_baseline_episodes import config as paired_config
+from tests.training.test_baseline_episodes import schedule as uniform
 
 
 def make(seed: int = 0, **options: object) -> PrioritizedLevelReplay:
@@ -185,18 +185,3 @@ def test_a_run_is_the_same_whatever_the_threads_and_another_without_replay(tmp_p
     assert train.main([f"resume={tmp_path / 'one'}", "num_envs=5", "total_frames=3600"]) == 0
     later = checkpoint.load(checkpoint.find(tmp_path / "one"))["levels"]
     assert later["counts"][0] > begun and later["counts"][1] >= replayed
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["levels.draw=prioritised"], "simulator sumo"),
-        (["levels.draw=prioritised", "simulator=twin", "algo=td3"], "algo is td3"),
-        (["levels.draw=hardest"], "uniform, prioritised"),
-        (["levels.share=1.5"], "levels.share is 1.5"),
-        (["levels.temperature=0"], "levels.temperature is 0"),
-    ],
-)
-def test_what_cannot_work_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main([*words, "contexts=pcg_easy"]) == 2
-    assert message in capsys.readouterr().err

@@ -21,13 +21,11 @@ from izoo.contexts.source import RandomSchedule
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
-from izoo.errors import IzooError
 from izoo.results.twin_executor import Batch
 from izoo.training import baseline_episodes, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
 from izoo.training.loggers import MetricsTable
-from izoo.training.option_checks import check_options
 from tests.envs.worlds import defer
 
 WORDS = [
@@ -131,12 +129,6 @@ def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
     options = config("total_frames=344")
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert beside._compared["human"].block == 3
-
-
-def test_a_control_variate_needs_the_twin() -> None:
-    words = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team"]
-    with pytest.raises(IzooError, match=r"control_variate=team .* choose simulator=twin"):
-        check_options(compose_config("train", TrainConfig, words))
 
 
 def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
