@@ -11,9 +11,7 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from izoo import zoo
-from izoo.algos.drivers.by_name import make_driver
 from izoo.algos.drivers.random import RandomDriver
-from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import with_given
 from izoo.conf.train_options import TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
@@ -25,12 +23,10 @@ from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM, claimed_empty, expanded
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
-from izoo.results.policies import import_policy
+from izoo.results.policies import as_policy
 from izoo.training import run_folder
 from izoo.training.shard_writer import MANIFEST, ShardWriter
 
-SCRIPTED = tuple(name for name in DRIVER_NAMES if name != "human")
-"""Drivers by name; human driving is a matter of the contexts (``contexts.adoption=0``), not of a policy."""
 FRAMES_PER_BATCH = 1000
 
 
@@ -136,15 +132,8 @@ def make_policy(config: CollectConfig) -> Policy:
     """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed, config=config.env)
-    if config.policy in SCRIPTED:
-        return make_driver(config.policy, config.env)
-    shipped = zoo.named(config.policy)
-    if shipped:
-        found = zoo.load(shipped)
-        found.check_observed(config.env)
-        return found.policy
-    if ":" in config.policy and not expanded(config.policy).exists():
-        policy = import_policy(config.policy)
+    if zoo.named(config.policy) or not expanded(config.policy).exists():
+        policy = as_policy(config.policy, config.env).policy
         return policy.eval() if isinstance(policy, nn.Module) else policy
     algorithm, trained, _ = run_folder.load_algorithm(config.policy)
     if observation_names(trained.env) != observation_names(config.env):
