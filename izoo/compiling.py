@@ -65,7 +65,7 @@ def _beside() -> Path:
 def folder() -> Path:
     """Return where code is compiled to: beside this file, or else in the user's cache.
 
-    Folders of other sources beside this file are removed once nobody has begun to use them for a day: a process
+    Folders of other sources beside this file are removed once no process has begun to use them for a day: a process
     loads a function from there when it first calls it.
     """
     here = _beside()
@@ -106,8 +106,8 @@ class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
     """numba's cache of a function. What cannot be read is compiled anew, what cannot be written is not kept.
 
-    What lies beside the package is read as well where other code is kept elsewhere: whoever has installed it may have
-    compiled it.
+    What lies beside the package is read as well where other code is kept elsewhere: it may have been compiled at
+    installation.
     """
 
     _impl_class = _Implementation
@@ -212,8 +212,8 @@ def local_floats(typing_context, count):  # type: ignore[no-untyped-def]
 def compiling_once(kernel: Any) -> Iterator[None]:
     """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
 
-    Where files cannot be locked, everybody compiles. A kernel from another machine, which numba will not use, is not
-    recognised as such.
+    Where files cannot be locked, every process compiles. A kernel from another machine, which numba will not use, is
+    not recognised as such.
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
@@ -240,7 +240,7 @@ def compiling_once(kernel: Any) -> Iterator[None]:
         if is_there():
             lock.release()
         else:
-            with contextlib.suppress(OSError):  # nobody may read it
+            with contextlib.suppress(OSError):  # the output may be lost
                 print(MESSAGE, file=sys.stderr)
         yield
     finally:

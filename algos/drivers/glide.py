@@ -21,11 +21,11 @@ class GlideConfig:
     """Settings of :class:`Glide`; tuned by hand on measured training intersections.
 
     Attributes:
-        max_lanes: on approaches with more lanes nobody glides. Where vehicles choose among lanes the queue ahead cannot
+        max_lanes: on approaches with more lanes no CV glides. Where vehicles choose among lanes the queue ahead cannot
             be guessed from the leader, others overtake and merge in front, and the rule costs more than it gains.
         min_green_share: nor for movements with a smaller share of green: there CVs would glide through most of a long
             red, which burns twice what standing does, for a short discharge.
-        stop_decel_mps2: in both cases, whoever must stop in any case brakes from where this is enough; 0: they
+        stop_decel_mps2: in both cases, CVs that must stop in any case brake from where this is enough; 0: they
             are left alone.
         stop_margin: a stop is certain where the red light lasts this many times as long as the way to the stop takes
             at the present speed; 2: until a vehicle that brakes evenly stands.
@@ -81,8 +81,8 @@ class Glide(ScriptedDriver):
     lane needs to discharge, skipping greens that the queue uses up; and slows gently, early, to arrive then. What it
     cannot observe, the vehicles ahead of its leader, it guesses from where the leader is and whether it moves. On
     approaches with more lanes than ``max_lanes``, and before short greens, a CV that has to stop in any case brakes
-    early and gently instead: braking burns as little as standing, cruising twice as much. Whoever need not slow, is
-    near the stop line, or follows closely is left to IDM.
+    early and gently instead: braking burns as little as standing, cruising twice as much. A CV that need
+    not slow, is near the stop line, or follows closely is left to IDM.
 
     Args:
         config: settings of the environment; the leader and the features ``green_s``, ``red_s``, ``speed_limit_mps``

@@ -1,9 +1,8 @@
 """CMA-ES over linear policies: no gradients, no credit to assign, whole episodes compared with each other.
 
-The policies of a generation play the same contexts with the same seeds, so that what tells two of them apart is their
-driving and not the traffic that they met: differences that policy gradients lose in the noise of single actions are
-plain in the returns of whole teams (common random numbers). One return belongs to a whole fleet, so what a vehicle
-does for those behind it counts by itself.
+The policies of a generation play the same contexts with the same seeds (common random numbers), so they differ by their
+driving and not by the traffic that they met: differences that policy gradients lose in the noise of single actions show
+in the returns of whole teams. A return belongs to a whole fleet, so a vehicle's effect on those behind it counts.
 
 The strategy is Hansen's (arXiv 1604.00772), by the library ``cma``; linear policies for control by random search:
 Mania et al., arXiv 1803.07055.
@@ -158,9 +157,9 @@ class CMAES:
     def _tell(self, returns: np.ndarray) -> None:
         """Tell the searches their candidates' returns, ``[kinds, population]``; NaN where no context is of a kind."""
         self.returns.append(returns)
-        for kind, (strategy, paid) in enumerate(zip(self.strategies, returns, strict=True)):
-            if not np.isnan(paid).any():
-                strategy.tell(self._asked[kind], list(-paid))
+        for kind, (strategy, own) in enumerate(zip(self.strategies, returns, strict=True)):
+            if not np.isnan(own).any():
+                strategy.tell(self._asked[kind], list(-own))
                 self._asked[kind] = strategy.ask()
         self._show()
 

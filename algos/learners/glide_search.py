@@ -1,4 +1,4 @@
-"""CMA-ES over the settings of ``glide``: how a rule should drive, found by what whole teams are paid.
+"""CMA-ES over the settings of ``glide``: how a rule should drive, found by the returns of whole teams.
 
 The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then.
 How slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers
@@ -87,14 +87,14 @@ GATE = (
     "traffic",
     "red",
 )
-"""What decides whether holding back pays: a CV glides where the sum of these, times their weights, is above 0."""
+"""What decides whether holding back is worth it: a CV glides where the weighted sum of these is above 0."""
 GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
 """Weights at the start of the search, by kind of road."""
 FOLLOWER_M = 60.0
 LATE_S = 1.0
-"""Who would reach the line later than this after the green ends does not pass: some drive on through yellow."""
+"""A vehicle that would reach the line later than this after the end of green does not pass: some pass on yellow."""
 YELLOW_MPS2 = 3.0
-"""By yellow, whoever can stop with this deceleration does."""
+"""On yellow, a vehicle that can stop with this deceleration does."""
 NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 """What the search looks at besides what glide does."""
 
@@ -102,8 +102,8 @@ NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 class SearchedGlide(Glide):
     """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
 
-    Where the gate is closed, whoever must stop brakes early and gently, as with glide; but so do those who would come
-    only after the present green, and those who follow closely.
+    Where the gate is closed, CVs that must stop brake early and gently, as with glide; so do those that would arrive
+    after the present green, and those that follow closely.
 
     Args:
         config: settings of the environment; :data:`NEEDED` must be observed besides what glide needs.
@@ -124,7 +124,7 @@ class SearchedGlide(Glide):
         self.shortest_response_s = config.decision_s
 
     def drive_with(self, numbers: Tensor, observation: Tensor, environments: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2 and who is left alone, ``[M]`` each.
+        """Return accelerations in m/s^2, and which CVs are left alone, ``[M]`` each.
 
         Args:
             numbers: ``[M or 1, kinds, n]``.

@@ -13,7 +13,7 @@ road among the ``neighbours``: nothing observed says which approach a vehicle is
 one approach, since opposite approaches share phases; unequal ones prove two only for equal intentions, so a rule made
 of them would cut some of the wrong pairs and keep as many. What tells roads apart as far as it can be told (signal
 clock, intention, lane, location, context features) is in the encodings that the attention weighs. ``neighbours=null``
-makes everyone within ``range_m`` a neighbour, so that nobody on the own road is crowded out.
+makes everyone within ``range_m`` a neighbour, so that no vehicle on the own road is crowded out.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: floa
     Args:
         position_m: ``[*M, A]`` positions along the road; all must be finite.
         others: ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` could be a neighbour of ``i``.
-        count: the nearest so many are neighbours, and whoever is as near as the last of them, so that the order of the
-            slots decides nothing; ``None`` for all.
+        count: the nearest so many are neighbours, and all that are as near as the last of them, so that the order of
+            the slots decides nothing; ``None`` for all.
         range_m: neighbours are at most so far away; ``None`` for any distance.
     """
     bound = torch.finfo(position_m.dtype).max if range_m is None else range_m

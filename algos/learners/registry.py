@@ -1,4 +1,4 @@
-"""The algorithms and drivers that can be chosen by name, for everyone above: one line for each.
+"""The algorithms and drivers that can be chosen by name: one line for each.
 
 Nothing here loads PyTorch before an algorithm is built, so that commands can read names and options at once.
 """

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 
 
-def is_of_nobody(batch: TensorDictBase, mask: Tensor | None) -> bool:
+def has_no_agents(batch: TensorDictBase, mask: Tensor | None) -> bool:
     """Whether no agent is in a batch ``[*B]``: light traffic makes such ones."""
     return batch.numel() == 0 if mask is None else not bool(mask.any())
 

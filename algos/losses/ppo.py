@@ -16,7 +16,7 @@ from torchrl.modules import ValueNorm
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from izoo.algos.learners import base
-from izoo.algos.losses.empty_batch import is_of_nobody, no_losses
+from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.censored_normal import normal_of
 from izoo.algos.networks.masking import AROUND, check_finite, is_set_module, on_rows, rows_around, rows_of
@@ -39,10 +39,10 @@ class MaskedPPOLoss(ClipPPOLoss):
         loss_critic_type: ``smooth_l1`` or ``l2``.
         value_error_clip: value errors above this give no gradient, as in RLlib; ``None`` for none.
         kl_coeff: weight of a penalty on the divergence from the policy that collected, as in RLlib, whose median and
-            spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it in the place of the clipping, not beside it.)
+            spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it instead of the clipping.)
         normalize_advantage: over the valid rows of each call.
-        value_norm: one of TorchRL's. The critic then learns value targets in the unit of their spread, and what it says
-            is turned back where advantages are estimated; the running statistics are of valid agent-steps, and move
+        value_norm: one of TorchRL's. The critic then learns value targets in the unit of their spread, and its outputs
+            are denormalised where advantages are estimated; the running statistics are of valid agent-steps, and move
             with each estimate. (In TorchRL's ``MAPPOLoss`` the errors are scaled alone: the critic itself still has to
             reach values of any size.)
         gamma, lmbda: of the default value estimator.
@@ -140,9 +140,9 @@ class MaskedPPOLoss(ClipPPOLoss):
         return rows
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0."""
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` without a mask; 0 without agents."""
         rows, mask = tensordict, base.deciding(tensordict, self.tensor_keys.mask)
-        if is_of_nobody(tensordict, mask):
+        if has_no_agents(tensordict, mask):
             return no_losses(self)
         if mask is not None:
             if tensordict.get(self.tensor_keys.advantage, None) is None:
@@ -208,8 +208,8 @@ class MaskedMAPPOLoss(MaskedPPOLoss):
         self.team = team
         if not is_set_module(self.critic_network):
             raise IzooError(
-                f"the critic reads {critic.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
-                "the observations, or use MaskedPPOLoss."
+                f"the critic reads {critic.in_keys}, so it sees one agent alone; let it also read ('agents', "
+                "'mask'), or use MaskedPPOLoss."
             )
 
 
@@ -225,6 +225,6 @@ class MaskedGraphPPOLoss(MaskedPPOLoss):
         super().__init__(actor, critic, **options)
         if not is_set_module(self.actor_network):
             raise IzooError(
-                f"the actor reads {actor.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
-                "the observations, or use MaskedPPOLoss."
+                f"the actor reads {actor.in_keys}, so it sees one agent alone; let it also read ('agents', "
+                "'mask'), or use MaskedPPOLoss."
             )

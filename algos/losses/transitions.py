@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import ValueEstimators
 
 from izoo.algos.learners import base
-from izoo.algos.losses.empty_batch import is_of_nobody, no_losses
+from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.networks.masking import path_of, rows_of
 from izoo.algos.networks.set_networks import COLUMN, FRAME
 
@@ -34,7 +34,7 @@ class OnTransitions:
         raise NotImplementedError
 
     def rows(self, batch: TensorDictBase) -> TensorDict:
-        """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
+        """Return the valid transitions ``[n]`` of a batch; vehicles that have left observe 0 afterwards."""
         keys = self.tensor_keys
         mask = base.deciding(batch, keys.mask)
         own = dict.fromkeys([*self.actor_network.in_keys, *self._critic().in_keys])
@@ -49,13 +49,13 @@ class OnTransitions:
         return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0.
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` without a mask; 0 without agents.
 
         The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
         """
         plain = super().forward  # type: ignore[misc]
         mask = base.deciding(tensordict, self.tensor_keys.mask)
-        if is_of_nobody(tensordict, mask):
+        if has_no_agents(tensordict, mask):
             reward = tensordict.get(("next", *path_of(self.tensor_keys.reward)))
             tensordict.set(self.tensor_keys.priority, torch.zeros_like(reward[..., 0]))
             return no_losses(self)

@@ -1,7 +1,7 @@
 """Fully connected policies compiled for one step: a few dozen agents per call, on one core.
 
 It computes what the torch modules compute; at this size those spend most of their time on overhead. Each agent is
-computed alone, so its action is the same to the last bit, whoever else is there.
+computed alone, so its action is the same to the last bit, whichever other agents there are.
 """
 
 from __future__ import annotations

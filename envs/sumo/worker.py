@@ -180,7 +180,7 @@ def _receive_awake(
 ) -> bytes | None:
     """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
 
-    Others who want this core have it in between. ``meanwhile`` is called once, unless a byte is there already.
+    Other threads may use this core in between. ``meanwhile`` is called once, unless a byte is there already.
     """
     if awake_s <= 0.0:
         return None

@@ -71,19 +71,19 @@ class Processes:
                 for connection, worker in busy.items():
                     play, attempt = worker.current  # type: ignore[misc]
                     if connection in ready:
-                        heard = worker.hear()
+                        found = worker.answer()
                     elif worker.patience_left_s() > 0.0:
                         continue
                     else:
-                        heard = Lost(worker.end_text())
-                    if isinstance(heard, Lost) and attempt == ATTEMPTS:
-                        raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times ({heard.reason}).")
-                    if isinstance(heard, Lost):
+                        found = Lost(worker.end_text())
+                    if isinstance(found, Lost) and attempt == ATTEMPTS:
+                        raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times ({found.reason}).")
+                    if isinstance(found, Lost):
                         worker.kill()
                         workers[workers.index(worker)] = _Worker(setup.fileno(), watchdog_s)
                         queue.appendleft((play, attempt + 1))
-                    elif heard is not None:
-                        yield play, heard
+                    elif found is not None:
+                        yield play, found
 
     def _play_here(self, plays: Sequence[Play]) -> Iterator[tuple[Play, Measured]]:
         from izoo.results.playing import EpisodeFailed, Player
@@ -101,7 +101,7 @@ class Processes:
 
 @dataclass(frozen=True)
 class Lost:
-    """A worker process has ended, or has not been heard of for too long."""
+    """A worker process has ended, or was silent for too long."""
 
     reason: str
 
@@ -129,7 +129,7 @@ class _Worker(ChildProcess):
         with contextlib.suppress(OSError):  # a dead worker shows when its answer is read
             send(self.socket, cloudpickle.dumps(play))
 
-    def hear(self) -> Measured | Lost | None:
+    def answer(self) -> Measured | Lost | None:
         """Return what the current episode came to, or that the process has ended; ``None``: it plays on."""
         from izoo.results.playing import EpisodeFailed
 

@@ -1,4 +1,4 @@
-"""Checkpoints that are either whole or absent: written beside, flushed to the disk, then renamed."""
+"""Checkpoints that are either whole or absent: written under another name, flushed to the disk, then renamed."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def best_of(run_dir: Path) -> Path | None:
 
 
 def make_candidate(path: Path) -> Path:
-    """Keep a checkpoint for validation, however many later ones are saved meanwhile; it takes no room of its own."""
+    """Keep a checkpoint for validation, however many later ones are saved meanwhile; it takes no space."""
     candidate = path.with_name(path.name.replace("step-", "candidate-"))
     candidate.unlink(missing_ok=True)
     try:

@@ -52,15 +52,15 @@ def is_finite(state: Any) -> bool:
 
 
 class Learner:
-    """What learns. On the CPU the collecting policy shares the algorithm's weights; elsewhere it gets a copy after each
-    update.
+    """An algorithm and the policy that collects. They share weights on the CPU; elsewhere the policy gets a copy after
+    each update.
 
     Args:
         config: options of the run.
         device: where networks, losses and replay live.
 
     Attributes:
-        decisions: makes decisions out of steps, where agents do not decide in every step.
+        decisions: makes decisions of steps, where agents do not decide in every step.
     """
 
     def __init__(self, config: TrainConfig, device: torch.device) -> None:
@@ -77,7 +77,7 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
-        The algorithm sees decisions, and of rewards what differs from the uncommanded episode where the batch says it.
+        The algorithm sees decisions, and shaped rewards where the batch holds potentials.
         """
         stats: dict[str, float] = {}
         if self.decisions is not None:

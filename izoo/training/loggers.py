@@ -146,7 +146,7 @@ def close_all(sinks: list[Sink]) -> None:
 
 @contextlib.contextmanager
 def _dispensable(sink: Sink, sinks: list[Sink]) -> Iterator[None]:
-    """Do without a logger that fails, and say so: everything is in ``metrics.csv`` as well."""
+    """Go on without a logger that fails: everything is in ``metrics.csv`` as well."""
     try:
         yield
     except Exception as error:  # what a logger raises is its own

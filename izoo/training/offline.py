@@ -34,8 +34,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     """Step environments with a policy and store every step.
 
     The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
-    after each of them: what it names is complete, whenever the command is stopped. Shards are written beside and
-    renamed.
+    after each of them: what it names is complete, whenever the command is stopped. Shards are written under another
+    name and renamed.
 
     Args:
         config: the options.

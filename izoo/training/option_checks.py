@@ -47,7 +47,7 @@ def _check_decisions(config: TrainConfig) -> None:
     if variate != "none" and config.simulator != "twin":
         raise IzooError(
             f"algo.control_variate={variate} plays every training episode a second time, uncommanded, which only the "
-            "twin does beside training; choose simulator=twin, or algo.control_variate=none."
+            "twin does during training; choose simulator=twin, or algo.control_variate=none."
         )
     if algo.candidates > 1 and config.env.action == SPEED:
         raise IzooError(

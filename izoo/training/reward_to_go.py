@@ -24,12 +24,12 @@ class RewardToGo:
         self.begin = np.cumsum(self.count) - self.count
         self.place = np.full(int(number.max(initial=-1)) + 2, -1)  # the last one is of vehicles that never arrive
         self.place[number] = np.arange(len(number))
-        paid = series[VEHICLE_REWARD].astype(np.float64)
+        found = series[VEHICLE_REWARD].astype(np.float64)
         for begin, count in zip(self.begin, self.count, strict=True):
-            part = paid[begin : begin + count]
+            part = found[begin : begin + count]
             later = itertools.accumulate(part[::-1], lambda total, now: now + gamma * total)
             part[:] = np.fromiter(later, np.float64, count)[::-1]
-        self.paid = np.append(paid, 0.0)
+        self.rewards_to_go = np.append(found, 0.0)
 
     def at(self, number: NDArray[np.int64], decision: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the rewards-to-go ``[n]`` of the vehicles ``number [n]`` from their ``decision [n]`` on."""
@@ -37,6 +37,6 @@ class RewardToGo:
             return np.zeros(len(number), np.float32)
         place = self.place[np.minimum(number, len(self.place) - 1)]
         since = decision - self.first[place]
-        paid = self.paid[self.begin[place] + np.clip(since, 0, self.count[place] - 1)]
-        paid *= self.gamma ** np.maximum(-since, 0)
-        return np.where((place >= 0) & (since < self.count[place]), paid, 0.0).astype(np.float32)
+        found = self.rewards_to_go[self.begin[place] + np.clip(since, 0, self.count[place] - 1)]
+        found *= self.gamma ** np.maximum(-since, 0)
+        return np.where((place >= 0) & (since < self.count[place]), found, 0.0).astype(np.float32)

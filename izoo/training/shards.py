@@ -36,7 +36,7 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
         if not isinstance(entry, dict):
             continue
         if name == ".." or name != Path(name).name:
-            raise ValueError(f"{name!r} is no name of a file")
+            raise ValueError(f"{name!r} is not a file name")
         if "dtype" not in entry:
             leaves |= {f"{name}/{leaf}": form for leaf, form in check_files(folder / name).items()}
             continue

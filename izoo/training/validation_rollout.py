@@ -64,8 +64,8 @@ def validate(path: Path) -> dict[str, Any]:
     )
     summary = summarise(table)
     entry, block = summary["entries"][POLICY], summary["block"]
-    beside, human = (entry["against"][baseline][block] for baseline in (UNCOMMANDED, HUMAN))
-    figures = {**beside["figures"], "co2_saved_over_human": human["figures"]["co2_saved"]}
+    uncommanded, human = (entry["against"][baseline][block] for baseline in (UNCOMMANDED, HUMAN))
+    figures = {**uncommanded["figures"], "co2_saved_over_human": human["figures"]["co2_saved"]}
     ends = {"": "value", "_low": "low", "_high": "high"}
     compared = {f"{name}{end}": found[part] for name, found in figures.items() for end, part in ends.items()}
     return {
@@ -74,7 +74,7 @@ def validate(path: Path) -> dict[str, Any]:
         **{name: entry["levels"][block][name] for name in HEADLINE if name not in figures},
         "slower": float(entry["slower"]),
         "nan_share": entry["levels"]["all"]["nan_share"],
-        "intersections": beside["intersections"],
+        "intersections": uncommanded["intersections"],
         "seconds": time.perf_counter() - started,
         CONTEXTS: saved_by_context(table, block),
     }
