@@ -62,14 +62,11 @@ def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
     assert (done.stdout, done.stderr) == ("exit code 0\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "collector",
-    [
-        "single",
-        # The workers on SUMO ignore the signal; the processes of TorchRL's collector end, and the run is saved anyway.
-        pytest.param("parallel", marks=pytest.mark.slow),
-        pytest.param("multisync", marks=pytest.mark.slow),
-    ],
+    # The workers on SUMO ignore the signal; the processes of TorchRL's collector end, and the run is saved anyway.
+    ["single", "parallel", "multisync"],
 )
 def test_sigterm_saves_the_run(collector: str, tmp_path: Path) -> None:
     """Sent twice and to every process of the run, as job schedulers do."""
@@ -111,13 +108,16 @@ def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c(
         raise SystemError("returned a result with an exception set")
 
 
-def test_ctrl_c_in_the_last_batch_is_not_swallowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A benchmark would begin its next job; the run itself is whole."""
+@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGTERM]])
+def test_a_signal_in_the_last_batch_is_not_swallowed(
+    signals: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A benchmark would begin its next job; the run itself is whole. Schedulers may send SIGTERM twice."""
     run_dir, real = tmp_path / "run", Learner.update
 
     def press(self: Learner, batch: Any, progress: float) -> dict[str, float]:
-        if progress > 0:
-            os.kill(os.getpid(), signal.SIGINT)
+        for number in signals if progress > 0 else ():
+            os.kill(os.getpid(), number)
         return real(self, batch, progress)
 
     monkeypatch.setattr(Learner, "update", press)

@@ -156,13 +156,8 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
 TOY = [
     *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=70", "simulator=twin", "num_envs=4", "algo.lr=1e-2"),
     *("algo.hidden=[8]", "algo.frames_per_batch=200", "algo.minibatch_rows=128", "evaluation.contexts=0"),
-    *(
-        "validation.every_batches=0",
-        "total_frames=3000",
-        "levels.draw=prioritised",
-        "levels.kept=6",
-        "levels.share=0.6",
-    ),
+    *("validation.every_batches=0", "total_frames=3000", "levels.draw=prioritised", "levels.kept=6"),
+    "levels.share=0.6",
 ]
 
 

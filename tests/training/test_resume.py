@@ -28,15 +28,9 @@ from izoo.training.environments import TrainingEnv, TrainingParallelEnv
 from tests.training import toy
 
 TOY = [
-    *(
-        "contexts=pcg_easy",
-        "contexts.inflow_vph_per_lane=600",
-        "contexts.adoption=1.0",
-        "env.horizon_s=100",
-        "algo.hidden=[16]",
-    ),
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.adoption=1.0", "env.horizon_s=100"),
     *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=1"),
-    *("total_frames=1200", "validation.every_batches=0"),
+    *("total_frames=1200", "validation.every_batches=0", "algo.hidden=[16]"),
 ]
 """Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
 TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"]

@@ -84,7 +84,12 @@ def by_hand(name: str, config: EnvConfig, workers: int) -> TensorDict:
 
 @pytest.mark.parametrize(
     ("name", "workers", "groups"),
-    [("gcrl", 1, ()), ("residual", 1, ()), ("ppo", 2, ("context",)), ("ppo", 1, GROUPS)],
+    [
+        ("gcrl", 1, ()),
+        ("residual", 1, ()),
+        pytest.param("ppo", 2, ("context",), marks=pytest.mark.slow),
+        ("ppo", 1, GROUPS),
+    ],
 )
 def test_batches_are_consecutive_steps(name: str, workers: int, groups: tuple[str, ...]) -> None:
     config = EnvConfig(emit=groups, horizon_s=60.0, num_agents=16)
@@ -177,6 +182,7 @@ def test_flags_of_any_type_defer() -> None:
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
 
 
+@pytest.mark.slow
 def test_a_worker_lost_in_a_batch() -> None:
     """Its step is reported as truncated, from and to the same state; the other goes on."""
     with collecting(policy_of(OPTIONS["ppo"]), workers=2) as collector:

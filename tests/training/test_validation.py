@@ -34,15 +34,9 @@ from izoo.training.validation import Validator, shown_worse
 from izoo.training.validation_rollout import CONTEXTS, held_out
 
 TOY = [
-    *(
-        "contexts=pcg_easy",
-        "contexts.inflow_vph_per_lane=600",
-        "env.horizon_s=75",
-        "algo.hidden=[16]",
-        "contexts.lane_length_m=120",
-    ),
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
     *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=5"),
-    *("validation.every_batches=3", "validation.contexts=1"),
+    *("validation.every_batches=3", "validation.contexts=1", "validation.seeds=1", "algo.hidden=[16]"),
 ]
 
 
@@ -76,10 +70,10 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
 
 @pytest.mark.slow
 def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
-    words = [word for word in TOY if not word.startswith("validation.contexts")]
+    replaced = ("validation.contexts", "validation.seeds", "env.horizon_s", "contexts.inflow_vph_per_lane")
+    words = [word for word in TOY if not word.startswith(replaced)]
     words += ["validation.contexts=6", "validation.simulator=twin", "contexts.adoption=0.5", "env.horizon_s=120"]
-    replaced = ("env.horizon_s=75", "contexts.inflow_vph_per_lane=600")
-    words = [*(word for word in words if word not in replaced), "contexts.inflow_vph_per_lane=400..700"]
+    words += ["contexts.inflow_vph_per_lane=400..700"]
     assert train.main([*words, "collector=single", "total_frames=600", f"run_dir={tmp_path / 'run'}"]) == 0
     (row,) = rows(tmp_path / "run" / validation.VALIDATION_FILE)
     for name in ("co2_saved", "co2_saved_over_human", "delay_change_s"):
@@ -226,7 +220,8 @@ def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    words = [*TOY, "total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
+    words = [word for word in TOY if not word.startswith("validation")]
+    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
     process = subprocess.Popen(
         [sys.executable, "-m", "izoo.train", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
