@@ -45,7 +45,7 @@ def decisions() -> TensorDict:
 
 
 def test_a_decision_is_its_steps(decisions: TensorDict) -> None:
-    """Step by step, repeating the actions of those who were asked: the same traffic, and the same pay in all."""
+    """Step by step, repeating the actions of those who were asked: the same traffic, and the same compute_rewards in all."""
     ended: set[int] = set()
     with contextlib.closing(EcoDrivingEnv(config=short(horizon_s=150.0))) as env:
         state = env.reset(context=crossing(), seed=SEED)

@@ -13,7 +13,7 @@ import pytest
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.envs.sumo.session import sumo_arguments
-from izoo.envs.sumo.stderr_filter import Overheard
+from izoo.envs.sumo.stderr_filter import StderrFilter
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes
@@ -80,15 +80,15 @@ def test_worker_processes_keep_the_lines_off_the_terminal(cramped: Context, capf
 
 
 def test_only_lines_about_dropped_vehicles_are_kept_back(capfd: pytest.CaptureFixture[str]) -> None:
-    overheard = Overheard()
+    stderr = StderrFilter()
     line = f"Error: Vehicle '7' {DROPPED} on lane 'AB2A_0' with speed 5.00 (junction 'A' too close), time=1.00.\n"
 
     def print_past_python() -> None:
         os.write(2, f"{line}Error: something else\n{line}another program's\n".encode())
 
-    overheard.call(print_past_python)
-    overheard.call(lambda: None)
-    assert overheard.dropped == 2
+    stderr.call(print_past_python)
+    stderr.call(lambda: None)
+    assert stderr.dropped == 2
     assert capfd.readouterr().err == "Error: something else\nanother program's\n"
     os.write(2, b"still here\n")
     assert capfd.readouterr().err == "still here\n"
@@ -100,6 +100,6 @@ def test_what_is_printed_before_a_failure_is_shown(capfd: pytest.CaptureFixture[
         raise RuntimeError("Process Error")
 
     with pytest.raises(RuntimeError, match="Process Error"):
-        Overheard().call(fail)
+        StderrFilter().call(fail)
     os.write(2, b"after\n")
     assert capfd.readouterr().err == "Error: why\nafter\n"

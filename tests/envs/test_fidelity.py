@@ -99,7 +99,7 @@ def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
         simulator = env.backend
         for _ in range(env.config.control_steps - 1):
             frame, state = env.step_and_maybe_reset(defer(state))
-            for name, row in simulator.names.row_of.items():
+            for name, row in simulator.ids.row_of.items():
                 ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
                 theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(name))))
     finally:

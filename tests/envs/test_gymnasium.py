@@ -145,11 +145,11 @@ def test_ego_among_others(policy: str | None, ego: gymnasium.Env[Any, Any]) -> N
     try:
         env.reset(seed=1)
         for _ in range(10):
-            before = env.host.numbers
+            before = env.session.numbers
             env.step(np.full(1, -1.0, np.float32))
-            rows = env.host.frame["agent_vehicle"]
-            for slot in np.flatnonzero((before >= 0) & (env.host.numbers == before)):
-                speed, acceleration = env.host.frame["vehicle_floats"][rows[slot], :2]
+            rows = env.session.frame["agent_vehicle"]
+            for slot in np.flatnonzero((before >= 0) & (env.session.numbers == before)):
+                speed, acceleration = env.session.frame["vehicle_floats"][rows[slot], :2]
                 if speed > 1.0:
                     accelerations[bool(slot == env._slot)].append(float(acceleration))
     finally:
@@ -220,7 +220,7 @@ def test_contexts_without_controlled_vehicles_are_passed_over() -> None:
 def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest) -> None:
     """Every environment of a vector plays what one alone with its seed does."""
     env = request.getfixturevalue("joint" if name == JOINT else "ego")
-    schedule = env.unwrapped.host.schedule
+    schedule = env.unwrapped.session.schedule
     options: dict[str, Any] = {"contexts": schedule, "config": short(horizon_s=80.0)}
     envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, **options)
     action = np.full(envs.action_space.shape or (), 2.0, np.float32)
@@ -363,7 +363,7 @@ def test_time_is_in_seconds_however_long_decisions_are(hold_s: float, fps: int) 
 
 def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
     joint.reset(seed=0)
-    joint.unwrapped.host._backend._workers[0].process.kill()
+    joint.unwrapped.session._backend._workers[0].process.kill()
     with pytest.raises(RuntimeError, match=r"was lost.*call reset\(\)"):
         for _ in range(3):
             joint.step(forward(joint))

@@ -239,7 +239,9 @@ def test_a_path_that_the_locale_cannot_spell_is_named(tmp_path: Path) -> None:
     from izoo.envs.sumo.session import SumoSession, sumo_arguments
 
     path = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.net.xml")
-    with pytest.raises(IzooError, match=r"cannot spell the path '.*/caf.udce9.net.xml'; set IZOO_CACHE_DIR and TMPDIR"):
+    with pytest.raises(
+        IzooError, match=r"cannot encode the path '.*/caf.udce9.net.xml'; set IZOO_CACHE_DIR and TMPDIR"
+    ):
         SumoSession().load(sumo_arguments(path, tmp_path / "a.rou.xml", 0, 0.5))
 
 

@@ -124,7 +124,7 @@ def test_agents_is_empty_only_at_the_end() -> None:
     env = parallel_env(crossing(inflow_vph_per_lane=100.0, adoption=0.3), short(horizon_s=200.0), in_process=True)
     try:
         frames = play(env, seed=4)
-        assert frames and env.host.over and env.host.time_s == 200.0
+        assert frames and env.session.over and env.session.time_s == 200.0
         assert len(frames) < env.config.control_steps, "the scenario must have steps without CVs"
         assert env.step({}) == ({}, {}, {}, {}, {})
         assert env.metrics()["episode"]["steps"] == env.config.control_steps
@@ -146,7 +146,7 @@ def test_state_holds_every_vehicle(env: EcoDrivingParallel) -> None:
     assert (present & ~is_cv).any() and not vehicles[~present].any()
     speed = column["speed_mps"][present & is_cv]
     own = env.observation_names.index("speed")
-    observed = [env.host.frame["observation"][slot, own] * 15.0 for slot in env._slot.values()]
+    observed = [env.session.frame["observation"][slot, own] * 15.0 for slot in env._slot.values()]
     np.testing.assert_allclose(sorted(observed), sorted(speed), rtol=1e-5)
     assert state[layout["context"]][CONTEXT_VALUES.index("adoption")] == 0.5
 
@@ -193,10 +193,10 @@ def test_step_before_reset_is_refused() -> None:
     for call in (lambda: env.step({}), env.state):
         with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):
             call()
-    with pytest.raises(IzooError, match="of an episode that has ended"):
+    with pytest.raises(IzooError, match="an episode that has ended"):
         env.metrics()
     env.reset(seed=1)
-    with pytest.raises(IzooError, match="of an episode that has ended"):
+    with pytest.raises(IzooError, match="an episode that has ended"):
         env.metrics()
     env.close()
     with pytest.raises(IzooError, match=r"before reset\(\); call reset\(\) first"):

@@ -17,7 +17,7 @@ from izoo.contexts.source import ContextList
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig, SumoParallelEnv
 from izoo.envs.config import SIMULATORS
-from izoo.envs.mdp.blocked_demand import reach_times
+from izoo.envs.mdp.blocked_demand import earliest_arrivals
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
@@ -127,7 +127,7 @@ def test_sums_close_with_sumos_own_output(context: Context, tmp_path: Path) -> N
     road = read_road(build_net(context.intersection))
     traffic = sample_traffic(context, road, SEED, CONFIG.horizon_s)
     end_s = CONFIG.warmup_s + steps * CONFIG.step_s
-    ways, reach_s = ways_through_the_region(context, tmp_path, end_s), reach_times(road, traffic)
+    ways, earliest_s = ways_through_the_region(context, tmp_path, end_s), earliest_arrivals(road, traffic)
     surrogate, weather = MovesSurrogate(), (context.temperature_c, context.humidity_pct)
     expected = {name: np.zeros(CONFIG.num_approaches) for name in COHORT}
 
@@ -143,7 +143,7 @@ def test_sums_close_with_sumos_own_output(context: Context, tmp_path: Path) -> N
     for number in np.flatnonzero(traffic.depart_s.round(3) >= CONFIG.warmup_s).tolist():
         p, way = int(traffic.approach[number]), ways.get(number)
         came_s = end_s if way is None else way.time_s[0] - CONFIG.step_s
-        blocked_s = max(came_s - reach_s[number], 0.0)
+        blocked_s = max(came_s - earliest_s[number], 0.0)
         idle_gps = float(rate(number, [0.0], [0.0], [100.0 * road.grade[p]])[0])
         found = {"cohort": 1.0, "cohort_blocked_s": blocked_s, "cohort_blocked_co2_g": idle_gps * blocked_s}
         if way is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from izoo.envs.backend import episode_traffic
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.blocked_demand import NEVER, idle_rates
 from izoo.envs.mdp.columns import ACCEL, EMISSION, FLOATS, PREV_ACCEL, SPEED, TTC
-from izoo.envs.mdp.credit import BLOCKED, HERE
+from izoo.envs.mdp.credit import BLOCKED, ENTERED
 from izoo.envs.mdp.reward import REWARD_VECTOR
-from izoo.envs.mdp.reward_kernel import pay, reward_arrays, reward_terms, team_pay
-from izoo.envs.mdp.units import units_of
+from izoo.envs.mdp.reward_kernel import compute_rewards, evaluate_terms, reward_arrays, team_step_reward
+from izoo.envs.mdp.units import human_units
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from tests.envs.worlds import crossing, defer, episode, play, short
@@ -30,6 +31,25 @@ VEHICLES = {  # row: speed, emission, acceleration, the one before, time to coll
     2: (5.0, 4.0, 0.0, 0.5, 2.5),
 }
 LEAVER, EMPTY = 6, -1
+
+
+class Rules(NamedTuple):
+    reward: Any
+    weights: np.ndarray
+    shared_weights: np.ndarray
+    emit_vector: bool
+
+
+class Work(NamedTuple):
+    own: np.ndarray
+    fleet: np.ndarray
+    shared: np.ndarray
+    step_reward: np.ndarray
+
+
+class Frame(NamedTuple):
+    reward: np.ndarray
+    reward_vector: np.ndarray
 
 
 def tables() -> tuple[np.ndarray, np.ndarray]:
@@ -45,15 +65,14 @@ def paid(config: RewardConfig, rows: np.ndarray = ROWS) -> tuple[np.ndarray, np.
     """Return the reward and its vector for slots that hold rows 4, 1, a leaver, and nobody."""
     floats, terms = tables()
     fleet, shared = np.empty(6), np.empty(1)
-    numbers, weights, shared_weights = reward_arrays(config)
-    reward_terms(rows, floats, numbers, terms, fleet, shared, np.empty(1))
-    reward, vector = np.full(4, np.nan, np.float32), np.full((4, 13), np.nan, np.float32)
-    step = np.full(4, np.nan)
-    rules = (numbers, weights, shared_weights)
+    rules = Rules(*reward_arrays(config), True)
+    evaluate_terms(rows, floats, rules.reward, terms, fleet, shared, np.empty(1))
     slots = np.array([4, 1, LEAVER, EMPTY])
-    pay(slots, terms[slots], fleet, shared, *rules, step, reward, vector, True, len(rows) == 0, True)
-    np.testing.assert_allclose(step, reward, rtol=1e-6)
-    return reward, vector
+    work = Work(terms[slots], fleet, shared, np.full(4, np.nan))
+    frame = Frame(np.full(4, np.nan, np.float32), np.full((4, 13), np.nan, np.float32))
+    compute_rewards(slots, work, rules, frame, len(rows) == 0, True)
+    np.testing.assert_allclose(work.step_reward, frame.reward, rtol=1e-6)
+    return frame.reward, frame.reward_vector
 
 
 FLEET = (10.0 + 0.25 + 5.0) / 3 - 35.0 * (1 / 3) - 3.0 * (1.5 + 0.5 + 4.0) / 3
@@ -225,7 +244,7 @@ def test_blocked_vehicles_burn_what_they_would_inside(engine: str, burning: list
         played, human = context, context.replace(engine="combustion")
         idle_gps, human_gps = (idle_rates(each, road, traffic, load_weights()).sum() for each in (played, human))
         assert idle_gps == pytest.approx(share * human_gps, rel=0.3), adoption
-        own, human = (units_of(each, road, traffic, load_weights(), 1000.0, 0.5) for each in (played, human))
+        own, human = (human_units(each, road, traffic, load_weights(), 1000.0, 0.5) for each in (played, human))
         found.append((own.unit_g == human.unit_g).all() and own.fleet_g_per_step == human.fleet_g_per_step)
     assert all(found)
 
@@ -237,8 +256,8 @@ def test_vehicles_that_came_and_left_before_control_are_not_blocked() -> None:
         try:
             play(env, config.control_steps - 1, defer)
             run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
-            fate, blocked, came = run.episode.awaited
-            assert (came == 0).sum() > 5 and ((fate == HERE) == (came != NEVER)).all()
+            fate, blocked, came = run.episode.demand_state
+            assert (came == 0).sum() > 5 and ((fate == ENTERED) == (came != NEVER)).all()
             assert (fate == BLOCKED).sum() == blocked[:, 0].sum() > 0
             assert not came[fate == BLOCKED].tolist().count(0)
         finally:
@@ -260,10 +279,10 @@ def test_reward_settings_do_not_change_what_happens() -> None:
 def test_nothing_is_shared_with_the_team_in_an_empty_region() -> None:
     """As nobody is paid there: a time to collision that nobody has is no merit."""
     config = RewardConfig(safety=2.0)
-    numbers, weights, shared_weights = reward_arrays(config)
+    rules = Rules(*reward_arrays(config), False)
     floats, terms = tables()
-    fleet, shared = np.empty(6), np.empty(1)
+    work = Work(terms, np.empty(6), np.empty(1), np.empty(4))
     for rows, expected in ((ROWS, (FLEET + 2.0 * 2.5) / 15), (ROWS[:0], 0.0)):
-        reward_terms(rows, floats, numbers, terms, fleet, shared, np.empty(1))
-        found = team_pay(fleet, shared, numbers, weights, shared_weights, len(rows) == 0)
+        evaluate_terms(rows, floats, rules.reward, terms, work.fleet, work.shared, np.empty(1))
+        found = team_step_reward(work, rules, len(rows) == 0)
         assert found == pytest.approx(expected)

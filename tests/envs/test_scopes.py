@@ -92,7 +92,7 @@ def played(frame: TensorDictBase) -> int:
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_a_decision_is_one_repeated_in_every_step(simulator: str) -> None:
-    """The same shares given anew in each step: the same traffic at every decision, and the same pay in all."""
+    """The same shares given anew in each step: the same traffic at every decision, and the same compute_rewards in all."""
     emit = ("vehicles", "number", "metrics")
     once = whole(simulator, scope(emit=emit))
     every = whole(simulator, scope("step", emit=emit))
@@ -142,7 +142,7 @@ def test_a_step_plays_on_until_somebody_is_to_decide(simulator: str) -> None:
 
 
 def test_sumo_and_twin_ask_alike() -> None:
-    """On one lane, with the drain: as many steps, the same vehicles asked, the same pay."""
+    """On one lane, with the drain: as many steps, the same vehicles asked, the same compute_rewards."""
     context = {"lane_count": 1, "phase_count": 1, "approach": "A", "inflow_vph_per_lane": 400.0}
     found = [
         whole(name, scope("vehicle_and_line", drain_s=300.0, emit=("vehicles", "metrics")), **context)

@@ -205,7 +205,7 @@ def test_a_vehicle_that_passes_its_approach_within_a_step_is_seen() -> None:
         for _ in range(env.config.control_steps - 1):
             _, state = env.step_and_maybe_reset(defer(state))
             region |= {name for edge in edges for name in simulator.session.on_edge(edge)}
-            known |= set(simulator.names.row_of)
+            known |= set(simulator.ids.row_of)
     finally:
         env.close()
     assert len(region) > 50 and known == region

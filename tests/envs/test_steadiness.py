@@ -25,7 +25,7 @@ from torchrl.envs import ObservationNorm, TransformedEnv
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv
 from izoo.envs.sumo import simulator
-from izoo.envs.sumo.worker import AWAKE_S
+from izoo.envs.sumo.worker import POLL_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet
@@ -77,14 +77,14 @@ def undisturbed(steps: int) -> TensorDict:
         env.close()
 
 
-@pytest.mark.parametrize("awake_s", [0.0, AWAKE_S])
-def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, awake_s: float) -> None:
+@pytest.mark.parametrize("poll_s", [0.0, POLL_S])
+def test_frames_do_not_depend_on_who_stays_awake(pair: SumoParallelEnv, poll_s: float) -> None:
     prepare, prepared = pair.reader.prepare, []
-    pair.backend._awake_s = [awake_s, awake_s]
+    pair.backend._poll_s = [poll_s, poll_s]
     pair.reader.prepare = lambda: prepared.append(prepare())
     played = play(pair, 101)
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
-    assert bool(prepared) == (awake_s > 0.0)
+    assert bool(prepared) == (poll_s > 0.0)
 
 
 # -- workers -----------------------------------------------------------------------------------------------------------
@@ -177,7 +177,7 @@ def test_a_failure_of_the_parent_leaves_no_answer_unread(
 ) -> None:
     """It looks like one of a worker's, but no answer was read."""
     _, state = play_on(pair, 10, steer, pair.reset())
-    pair.backend._awake_s = [AWAKE_S, AWAKE_S]
+    pair.backend._poll_s = [POLL_S, POLL_S]
     stopped = process_of(pair, 0)
     os.kill(stopped, signal.SIGSTOP)
     with monkeypatch.context() as patch:

@@ -17,7 +17,7 @@ from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.columns import LANE_POSITION, NUMBER, REGION_LANE, SPEED
-from izoo.envs.views.view_session import Host
+from izoo.envs.views.view_session import ViewSession
 from izoo.errors import IzooError
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
 
@@ -62,9 +62,9 @@ def played(config: EnvConfig, simulator: str) -> dict[str, Any]:
     return {"frames": frames, "positions": positions}
 
 
-def positions_now(host: Host) -> dict[int, list[float]]:
-    floats, ints = host.frame["vehicle_floats"], host.frame["vehicle_ints"]
-    present = host.frame["vehicle_flags"][:, 0].astype(bool)
+def positions_now(session: ViewSession) -> dict[int, list[float]]:
+    floats, ints = session.frame["vehicle_floats"], session.frame["vehicle_ints"]
+    present = session.frame["vehicle_flags"][:, 0].astype(bool)
     columns = (ints[:, NUMBER], ints[:, REGION_LANE], floats[:, LANE_POSITION], floats[:, SPEED])
     return {number: state for number, *state in zip(*(column[present].tolist() for column in columns), strict=True)}
 
@@ -77,14 +77,14 @@ def accelerations(observation: np.ndarray) -> np.ndarray:
 def test_joint(expected: dict[str, Any], simulator: str, in_process: bool) -> None:
     options: dict[str, Any] = {"in_process": in_process, "simulator": simulator, "disable_env_checker": True}
     env = gymnasium.make("izoo/EcoDriving-v0", contexts=crossing(), config=CONFIG, **options)
-    host = env.unwrapped.host  # type: ignore[attr-defined]
+    session = env.unwrapped.session  # type: ignore[attr-defined]
     try:
         observation, _ = env.reset(seed=SEED)
         for frame in expected["frames"].unbind(0):
             assert torch.equal(torch.from_numpy(observation["observation"]), frame["agents", "observation"])
             action = accelerations(observation["observation"]).squeeze(-1)
             observation, _, _, truncated, info = env.step(action)
-            assert positions_now(host) == expected["positions"][info["time_s"]]
+            assert positions_now(session) == expected["positions"][info["time_s"]]
             reward = frame["next", "agents", "reward"].squeeze(-1)
             assert torch.equal(torch.from_numpy(info["reward"]), reward)
             ended = frame["next", "agents", "terminated"].squeeze(-1)
@@ -106,8 +106,8 @@ def test_pettingzoo(expected: dict[str, Any], simulator: str) -> None:
         while env.agents:
             actions = {agent: accelerations(observations[agent]) for agent in env.agents}
             observations, *_ = env.step(actions)
-            assert positions_now(env.host) == expected["positions"][env.host.time_s]
-        assert env.host.steps == CONFIG.control_steps
+            assert positions_now(env.session) == expected["positions"][env.session.time_s]
+        assert env.session.steps == CONFIG.control_steps
     finally:
         env.close()
 
@@ -124,7 +124,7 @@ def test_ego(expected: dict[str, Any], simulator: str) -> None:
             ended = False
             while not ended:
                 observation, _, terminated, truncated, step = env.step(accelerations(observation))
-                assert positions_now(env.host) == expected["positions"][step["time_s"]]
+                assert positions_now(env.session) == expected["positions"][step["time_s"]]
                 ended, compared = terminated or truncated, compared + 1
             observation, info = env.reset()
         assert compared > 60
@@ -159,7 +159,7 @@ def test_joint_with_lane_changes(expected_with_lanes: dict[str, Any], simulator:
             action = both(observation["observation"])
             assert action in env.action_space
             observation, _, _, truncated, info = env.step(action)
-            assert positions_now(env.host) == expected_with_lanes["positions"][info["time_s"]]
+            assert positions_now(env.session) == expected_with_lanes["positions"][info["time_s"]]
     finally:
         env.close()
 
@@ -175,8 +175,8 @@ def test_pettingzoo_with_lane_changes(expected_with_lanes: dict[str, Any], simul
             actions = {agent: both(observations[agent]) for agent in env.agents}
             assert all(action in env.action_space(agent) for agent, action in actions.items())
             observations, *_ = env.step(actions)
-            assert positions_now(env.host) == expected_with_lanes["positions"][env.host.time_s]
-        assert env.host.steps == CHANGING.control_steps
+            assert positions_now(env.session) == expected_with_lanes["positions"][env.session.time_s]
+        assert env.session.steps == CHANGING.control_steps
     finally:
         env.close()
 
@@ -191,7 +191,7 @@ def test_ego_with_lane_changes(expected_with_lanes: dict[str, Any], simulator: s
             ended = False
             while not ended:
                 observation, _, terminated, truncated, step = env.step(both(observation))
-                assert positions_now(env.host) == expected_with_lanes["positions"][step["time_s"]]
+                assert positions_now(env.session) == expected_with_lanes["positions"][step["time_s"]]
                 ended, compared = terminated or truncated, compared + 1
             observation, info = env.reset()
         assert compared > 60
@@ -215,10 +215,10 @@ def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
         assert str(first) == str(second)
         seen = 0
         for _ in range(30):
-            for host in (env.host, other.host):
-                host.step(host.commands())
-            assert np.array_equal(env.host.frame["observation"], other.host.frame["observation"])
-            seen += int(env.host.mask.sum())
+            for session in (env.session, other.session):
+                session.step(session.commands())
+            assert np.array_equal(env.session.frame["observation"], other.session.frame["observation"])
+            seen += int(env.session.mask.sum())
         assert seen > 0
         with pytest.raises(IzooError, match=r"whose episode has begun cannot be copied or pickled; do so before reset"):
             pickle.dumps(env)
@@ -235,6 +235,6 @@ def test_infos_of_agents_hold_numbers_alone() -> None:
         after = env.step(dict.fromkeys(env.agents))[-1]
         for info in (*infos.values(), *after.values()):
             assert all(isinstance(value, (int, float, np.ndarray)) for value in info.values())
-        assert env.plan() == {"context": crossing().name, "episode": 0, "episode_seed": env.host.episode_seed}
+        assert env.plan() == {"context": crossing().name, "episode": 0, "episode_seed": env.session.episode_seed}
     finally:
         env.close()

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.sumo import worker
-from izoo.envs.sumo.worker import _receive_awake, stays_awake
+from izoo.envs.sumo.worker import _receive_polling, may_poll
 
 Pair = tuple[socket.socket, socket.socket]
 
@@ -32,24 +32,24 @@ def test_with_four_cores_processes_stay_awake_that_have_one(
     monkeypatch: pytest.MonkeyPatch, num_workers: int, awake: list[bool]
 ) -> None:
     monkeypatch.setattr(worker, "usable_cores", lambda: 4)
-    assert [stays_awake(index, num_workers) for index in range(num_workers)] == awake
+    assert [may_poll(index, num_workers) for index in range(num_workers)] == awake
 
 
 def test_what_is_there_already_leaves_no_time_for_other_things(pair: Pair) -> None:
     ours, theirs = pair
     theirs.send(b"k")
-    assert _receive_awake(ours, 1.0, lambda: pytest.fail("there was no time")) == b"k"
+    assert _receive_polling(ours, 1.0, lambda: pytest.fail("there was no time")) == b"k"
 
 
 def test_other_things_are_done_once_while_waiting(pair: Pair) -> None:
     calls: list[int] = []
-    assert _receive_awake(pair[0], 0.02, lambda: calls.append(1)) is None
+    assert _receive_polling(pair[0], 0.02, lambda: calls.append(1)) is None
     assert calls == [1]
 
 
 def test_nobody_stays_awake_longer_than_was_said(pair: Pair) -> None:
     begin = time.perf_counter()
-    assert _receive_awake(pair[0], 0.02) is None
+    assert _receive_polling(pair[0], 0.02) is None
     assert 0.02 <= time.perf_counter() - begin < 1.0
 
 

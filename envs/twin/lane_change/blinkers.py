@@ -1,4 +1,4 @@
-"""Which way a vehicle blinks: where it wants to change to, or turns soon."""
+"""Blinkers: the side to which a vehicle wants to change, or turns soon."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from izoo.envs.twin.runtime.layout import CHANGE_STATE, LANE, LANE_LENGTH, LINK_
 _RIGHT, _LEFT = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
-"""A vehicle blinks before a turn that it would reach so soon at its desired speed."""
+"""A vehicle blinks before a turn that it reaches within this time at its desired speed."""
 _MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING
 _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 
@@ -19,8 +19,8 @@ _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
 
-    What it wished for after the step before comes first; nobody blinks to keep right. Who would go both ways blinks to
-    the left where it is about speed alone, otherwise to the right.
+    The wishes of the step before come first, except keeping right, for which vehicles do not blink. With wishes to both
+    sides it blinks to the left if they are for speed alone, otherwise to the right.
     """
     wishes = state.ints[v, CHANGE_STATE]
     rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, play_sumo
-from izoo.envs.twin.driving.lane_queues import lay_tail, place, take_out
+from izoo.envs.twin.driving.lane_queues import insert_into_lane, remove_from_lane, set_tail
 from izoo.envs.twin.lane_change.cooperation import clear_memories
-from izoo.envs.twin.lane_change.downstream_occupancy import look_behind_junction
+from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.reader import twin_traffic
 from izoo.envs.twin.runtime.compiled import compiled
@@ -167,7 +167,7 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     before = ints[v, LANE]
     _forget_tail(state_at, v)
     if ints[v, STATUS] == DRIVING:
-        take_out(state, v)
+        remove_from_lane(state, v)
     else:
         before = lane
         ints[v, STATUS] = DRIVING
@@ -178,9 +178,9 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     floats[v, POSITION], floats[v, SPEED] = position, speed
     if speed > 0.1:
         ints[v, WAITING_MS] = 0
-    place(state, v, lane)
-    look_behind_junction(net, state, state.lane_room_before, v, lane)
-    lay_tail(net, traffic, state, v, tails)
+    insert_into_lane(state, v, lane)
+    remember_downstream_occupancy(net, state, state.lane_room_before, v, lane)
+    set_tail(net, traffic, state, v, tails)
     entered_ms = state.clock[NOW_MS] - step_ms
     if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
         if before != lane:
@@ -206,7 +206,7 @@ def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped
     """Take ``v`` off the road; who is to wait is the next to enter on its lane."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     _forget_tail(state_at, v)
-    take_out(state, v)
+    remove_from_lane(state, v)
     state.ints[v, STATUS] = status
     state.clock[ON_ROAD] -= 1
     if status == WAITING:

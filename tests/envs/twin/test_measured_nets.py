@@ -101,7 +101,7 @@ def test_where_lanes_are_added_before_a_signal() -> None:
 
 
 def test_those_left_over_by_a_red_signal_let_others_by() -> None:
-    """On a junction that jams, who has lost its turn waits for others at waiting points; names settle what is equal.
+    """On a junction that jams, who has lost its turn waits for others at waiting points; names update_vehicles what is equal.
 
     Of 369,000 steps of vehicles 66 differ; without these rules 1,244.
     """
