@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import subprocess
@@ -54,11 +55,8 @@ def _said_by_sumo(context: Context, seed: int, folder: Path) -> str:
 def test_dropped_vehicles_are_counted_as_sumo_drops_them(
     cramped: Context, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    env = EcoDrivingEnv(cramped, config=CONFIG)
-    try:
+    with contextlib.closing(EcoDrivingEnv(cramped, config=CONFIG)) as env:
         frames = play(env, CONFIG.control_steps, defer, env.reset(context=cramped, seed=1))
-    finally:
-        env.close()
     assert "Error" not in capfd.readouterr().err
     metrics = {name: value[-1].numpy() for name, value in frames["next", "metrics", "approach"].items()}
     lost = [line for line in _said_by_sumo(cramped, 1, tmp_path).splitlines() if DROPPED in line]
@@ -70,11 +68,8 @@ def test_dropped_vehicles_are_counted_as_sumo_drops_them(
 
 
 def test_worker_processes_keep_the_lines_off_the_terminal(cramped: Context, capfd: pytest.CaptureFixture[str]) -> None:
-    env = SumoParallelEnv(1, cramped, config=CONFIG)
-    try:
+    with contextlib.closing(SumoParallelEnv(1, cramped, config=CONFIG)) as env:
         frames = play(env, CONFIG.control_steps, defer)
-    finally:
-        env.close()
     assert frames["next", "metrics", "approach", "dropped"][0, -1].sum() > 0
     assert DROPPED not in capfd.readouterr().err
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -164,25 +165,13 @@ def brake(tensordict: Any) -> Any:
     return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), -2.0))
 
 
-def test_ego_needs_controlled_vehicles() -> None:
-    env = make(EGO, contexts=crossing(adoption=0.0), config=short(horizon_s=20.0), in_process=True)
-    try:
-        with pytest.raises(IzooError, match=r"no controlled vehicle entered.*higher adoption"):
-            env.reset(seed=0)
-    finally:
-        env.close()
-
-
 def test_ego_waits_through_empty_simulations() -> None:
     """That none came in several simulations is chance, and no reason to end a training."""
     rare = crossing(inflow_vph_per_lane=30.0, adoption=0.02)
-    env = make(EGO, contexts=rare, config=short(horizon_s=30.0), simulator="twin")
-    try:
+    with contextlib.closing(make(EGO, contexts=rare, config=short(horizon_s=30.0), simulator="twin")) as env:
         with pytest.warns(UserWarning, match="no controlled vehicle entered in 20 simulations in a row"):
             _, info = env.reset(seed=1)
         assert info["episode"] >= 20
-    finally:
-        env.close()
 
 
 @pytest.mark.parametrize(
@@ -194,21 +183,17 @@ def test_ego_waits_through_empty_simulations() -> None:
     ],
 )
 def test_it_is_said_why_no_controlled_vehicle_can_come(context: Context, horizon_s: float, reason: str) -> None:
-    env = make(EGO, contexts=context, config=short(horizon_s=horizon_s), simulator="twin")
-    try:
+    with contextlib.closing(make(EGO, contexts=context, config=short(horizon_s=horizon_s), simulator="twin")) as env:
         with pytest.raises(IzooError, match=f"no controlled vehicle entered, and none can: {reason}"):
             env.reset(seed=0)
-    finally:
-        env.close()
 
 
 def test_contexts_without_controlled_vehicles_are_passed_over() -> None:
     contexts = [crossing(adoption=0.0), crossing(adoption=0.0), crossing(adoption=0.0), crossing(adoption=0.9)]
-    env = make(EGO, contexts=RoundRobinSchedule(contexts, 0), config=short(), simulator="twin")
-    try:
+    with contextlib.closing(
+        make(EGO, contexts=RoundRobinSchedule(contexts, 0), config=short(), simulator="twin")
+    ) as env:
         assert [env.reset()[1]["episode"] % 4 for _ in range(3)] == [3, 3, 3]
-    finally:
-        env.close()
 
 
 # -- vector forms ------------------------------------------------------------------------------------------------------
@@ -222,12 +207,9 @@ def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest
     env = request.getfixturevalue("joint" if name == JOINT else "ego")
     schedule = env.unwrapped.session.schedule
     options: dict[str, Any] = {"contexts": schedule, "config": short(horizon_s=80.0)}
-    envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, **options)
-    action = np.full(envs.action_space.shape or (), 2.0, np.float32)
-    try:
+    with contextlib.closing(gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, **options)) as envs:
+        action = np.full(envs.action_space.shape or (), 2.0, np.float32)
         seen = [envs.reset(seed=5)[0], *(envs.step(action)[0] for _ in range(5))]
-    finally:
-        envs.close()
     alone = [env.reset(seed=6)[0], *(env.step(action[1])[0] for _ in range(5))]
     for one, several in zip(alone, seen, strict=True):
         if name == JOINT:
@@ -238,9 +220,8 @@ def test_vector_form(name: str, mode: str | None, request: pytest.FixtureRequest
 
 def test_vector_begins_anew() -> None:
     """After an end, the next step of that environment is a reset."""
-    envs = gymnasium.make_vec(JOINT, 2, contexts=crossing(), config=short(horizon_s=8.0))
-    action = np.zeros(envs.action_space.shape or (), np.float32)
-    try:
+    with contextlib.closing(gymnasium.make_vec(JOINT, 2, contexts=crossing(), config=short(horizon_s=8.0))) as envs:
+        action = np.zeros(envs.action_space.shape or (), np.float32)
         envs.reset(seed=[3, 4])
         for _ in range(6):
             *_, truncated, info = envs.step(action)
@@ -252,17 +233,6 @@ def test_vector_begins_anew() -> None:
             envs.reset(seed=[1, 2, 3])
         with pytest.raises(IzooError, match="unknown reset option"):
             envs.reset(options={"what": 1})
-    finally:
-        envs.close()
-
-
-def test_two_simulations_in_one_process_are_refused() -> None:
-    envs = gymnasium.make_vec(JOINT, 2, "sync", contexts=crossing(), config=short(), in_process=True)
-    try:
-        with pytest.raises(IzooError, match=r"one simulation per process.*make_vec\(.*'async'\)"):
-            envs.reset(seed=0)
-    finally:
-        envs.close()
 
 
 # -- what is refused ---------------------------------------------------------------------------------------------------
@@ -292,12 +262,11 @@ def test_bad_actions_are_refused(
 @pytest.mark.parametrize("name", IDS)
 def test_lane_changes(name: str) -> None:
     """Gymnasium's own check of the dictionary of actions, and what it refuses."""
-    env = make(name, config=short(lane_change=True), in_process=True)
-    shape = env.action_space["acceleration"].shape
-    good = {"acceleration": np.zeros(shape, np.float32), "lane_change": np.ones(shape, np.int64)}
-    if name == EGO:
-        good["lane_change"] = np.int64(1)
-    try:
+    with contextlib.closing(make(name, config=short(lane_change=True), in_process=True)) as env:
+        shape = env.action_space["acceleration"].shape
+        good = {"acceleration": np.zeros(shape, np.float32), "lane_change": np.ones(shape, np.int64)}
+        if name == EGO:
+            good["lane_change"] = np.int64(1)
         check_env(env, skip_render_check=True)
         env.reset(seed=0)
         for bad, message in (
@@ -315,20 +284,6 @@ def test_lane_changes(name: str) -> None:
             with pytest.raises(IzooError, match=message):
                 env.step(bad)
         env.step(good)
-    finally:
-        env.close()
-
-
-def test_vector_with_lane_changes() -> None:
-    envs = gymnasium.make_vec(JOINT, 2, contexts=crossing(), config=short(lane_change=True))
-    try:
-        envs.reset(seed=0)
-        action = envs.action_space.sample()
-        assert action["lane_change"].shape == (2, 64)
-        observation, *_ = envs.step(action)
-        assert observation in envs.observation_space
-    finally:
-        envs.close()
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -349,16 +304,13 @@ def test_step_after_the_end_is_refused(joint: gymnasium.Env[Any, Any]) -> None:
 @pytest.mark.parametrize(("hold_s", "fps"), [(0.5, 2), (1.0, 1), (3.5, 1)])
 def test_time_is_in_seconds_however_long_decisions_are(hold_s: float, fps: int) -> None:
     """Also where the last decision is shorter."""
-    env = make(JOINT, config=short(hold_s=hold_s), simulator="twin")
-    try:
+    with contextlib.closing(make(JOINT, config=short(hold_s=hold_s), simulator="twin")) as env:
         info, truncated = env.reset(seed=0)[1], False
         assert info["time_s"] == 5.0
         assert env.step(forward(env))[4]["time_s"] == 5.0 + hold_s
         while not truncated:
             _, _, _, truncated, info = env.step(forward(env))
         assert info["time_s"] == 60.0 and env.metadata["render_fps"] == fps
-    finally:
-        env.close()
 
 
 def test_a_lost_process_is_replaced(joint: gymnasium.Env[Any, Any]) -> None:
@@ -419,27 +371,11 @@ def test_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         make(JOINT, render_mode="human")
 
 
-def test_two_twins_side_by_side_in_this_process() -> None:
-    envs = gymnasium.make_vec(JOINT, 2, "sync", contexts=crossing(), config=short(), simulator="twin")
-    try:
-        envs.reset(seed=3)
-        seen = np.zeros(2, np.int64)
-        for _ in range(60):
-            observations, *_ = envs.step(np.full(envs.action_space.shape, 1.0, np.float32))
-            seen += observations["mask"].sum(axis=1)
-        assert seen.min() > 10 and seen[0] != seen[1]
-    finally:
-        envs.close()
-
-
 def test_the_twin_draws_pictures_and_has_no_window() -> None:
-    env = make(JOINT, simulator="twin", render_mode="rgb_array")
-    try:
+    with contextlib.closing(make(JOINT, simulator="twin", render_mode="rgb_array")) as env:
         env.reset(seed=0)
         picture = env.render()
         assert isinstance(picture, np.ndarray) and picture.shape == (640, 640, 3) and picture.std() > 0.0
-    finally:
-        env.close()
     with pytest.raises(IzooError, match="the twin has no window"):
         make(JOINT, simulator="twin", render_mode="human")
     with pytest.raises(IzooError, match="'twni'"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import torch
 from tensordict import TensorDictBase
 
@@ -20,15 +22,14 @@ def drive(command: int) -> tuple[float, float]:
         tensordict["agents", "lane_change"] = torch.full(mask.shape, command)
         return set_action(tensordict, torch.ones(*mask.shape, 1))
 
-    env = EcoDrivingEnv(
-        crossing(lane_count=3, lane_length_m=250.0, inflow_vph_per_lane=200.0, adoption=1.0),
-        config=short(lane_change=True, horizon_s=100.0),
-    )
-    try:
+    with contextlib.closing(
+        EcoDrivingEnv(
+            crossing(lane_count=3, lane_length_m=250.0, inflow_vph_per_lane=200.0, adoption=1.0),
+            config=short(lane_change=True, horizon_s=100.0),
+        )
+    ) as env:
         frames = play(env, env.config.control_steps, act)
         collisions = frames["next", "metrics", "episode", "collisions"][-1].item()
-    finally:
-        env.close()
     before, after = frames["vehicles"], frames["next", "vehicles"]
     there = before["present"] & after["present"] & (before["vehicle_number"] == after["vehicle_number"])
     there &= (before["location"] == APPROACHING) & (after["location"] == APPROACHING)

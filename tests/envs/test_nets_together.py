@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -50,12 +51,9 @@ def test_a_context_without_a_net_stops_only_who_plays_it(make_twin: MakeTwin) ->
 
 
 def test_workers_find_their_nets(calls: list[str]) -> None:
-    env = SumoParallelEnv(2, RoundRobinSchedule([*GOOD[:2], BAD, GOOD[2]]), config=short())
-    try:
+    with contextlib.closing(SumoParallelEnv(2, RoundRobinSchedule([*GOOD[:2], BAD, GOOD[2]]), config=short())) as env:
         env.reset()
         assert calls == ["1 of 2"]
         with pytest.raises(IzooError, match=f"intersection {BAD.intersection.name}: leg A is too short"):
             env.reset()
         env.reset()
-    finally:
-        env.close()

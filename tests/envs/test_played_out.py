@@ -339,15 +339,6 @@ def test_each_environment_ends_by_itself_and_rests_until_all_have_ended(make_twi
         assert same(alone["metrics"], last[k]["metrics"])
 
 
-def test_environments_that_end_at_their_horizon_refuse_further_steps(make_twin: MakeTwin) -> None:
-    """As before: a loop that forgot reset() is told."""
-    env = make_twin(2, config=dataclasses.replace(CONFIG, drain_s=0.0))
-    state = env.reset()
-    env.backend.frames["done"][1] = 1  # as when episodes were begun one after the other
-    with pytest.raises(IzooError, match="call reset"):
-        env.step_lean(hurry(state))
-
-
 def test_worker_processes_rest_where_their_episode_has_ended() -> None:
     config = dataclasses.replace(CONFIG, hold_s=2.0)
     with contextlib.closing(SumoParallelEnv(2, contexts_of_several_lengths, config=config)) as env:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -150,12 +151,9 @@ def test_reward_vector_holds_the_raw_columns() -> None:
 def test_an_episode_is_paid_by_the_equation(config: RewardConfig) -> None:
     """Recompute every reward of an episode from the vehicles that it reports."""
     settings = short(reward=config, emit=("vehicles", "signal", "context", "metrics", "reward_vector"))
-    env = EcoDrivingEnv(crossing(), config=settings, seed=2)
-    try:
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=settings, seed=2)) as env:
         steps = episode(env)
         limits = torch.tensor(env.road.lane_limit_mps)
-    finally:
-        env.close()
     leavers = 0
     # What a vehicle was doing: terms of the last step in which it was there, by its number.
     last: dict[int, torch.Tensor] = {}
@@ -214,11 +212,10 @@ def individual_terms(vehicles, accel_before, config, limits):  # type: ignore[no
 @pytest.mark.parametrize("engine", ["combustion", "electric"])
 def test_emission_is_the_surrogates(engine: str) -> None:
     """Every vehicle's CO2 is what the batched surrogate says of its reported state; electric CVs emit nothing."""
-    env = EcoDrivingEnv(crossing(engine=engine, temperature_c=31.0, grade=0.03), config=short(), seed=2)
-    try:
+    with contextlib.closing(
+        EcoDrivingEnv(crossing(engine=engine, temperature_c=31.0, grade=0.03), config=short(), seed=2)
+    ) as env:
         frames = episode(env)["next"]
-    finally:
-        env.close()
     v, context = frames["vehicles"], frames["context"]
     active = v["present"] & ~(v["is_cv"] & (engine == "electric"))
     weather = (context["temperature_c"].expand_as(v["speed_mps"]), context["humidity_pct"].expand_as(v["speed_mps"]))
@@ -252,27 +249,23 @@ def test_blocked_vehicles_burn_what_they_would_inside(engine: str, burning: list
 def test_vehicles_that_came_and_left_before_control_are_not_blocked() -> None:
     config = short(warmup_s=100.0, horizon_s=300.0, reward=RewardConfig.fuel_team())
     for simulator in SIMULATORS:
-        env = EcoDrivingEnv(crossing(inflow_vph_per_lane=200.0, adoption=0.0), config=config, simulator=simulator)
-        try:
+        with contextlib.closing(
+            EcoDrivingEnv(crossing(inflow_vph_per_lane=200.0, adoption=0.0), config=config, simulator=simulator)
+        ) as env:
             play(env, config.control_steps - 1, defer)
             run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
             fate, blocked, came = run.episode.demand_state
             assert (came == 0).sum() > 5 and ((fate == ENTERED) == (came != NEVER)).all()
             assert (fate == BLOCKED).sum() == blocked[:, 0].sum() > 0
             assert not came[fate == BLOCKED].tolist().count(0)
-        finally:
-            env.close()
 
 
 def test_reward_settings_do_not_change_what_happens() -> None:
     """Weights change what is paid, not the traffic."""
     speeds = []
     for reward in (RewardConfig(), replace(RewardConfig(), eta=0.0, comfort=1.0)):
-        env = EcoDrivingEnv(crossing(), config=short(reward=reward), seed=2)
-        try:
+        with contextlib.closing(EcoDrivingEnv(crossing(), config=short(reward=reward), seed=2)) as env:
             speeds.append(episode(env)["next", "vehicles", "speed_mps"])
-        finally:
-            env.close()
     assert torch.equal(*speeds)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -54,8 +55,9 @@ def test_red_crossings_are_noticed() -> None:
     """The count can fail: with SUMO's checks switched off by hand, the same driver runs red lights."""
     import libsumo
 
-    env = EcoDrivingEnv(crossing(adoption=1.0), config=EnvConfig(horizon_s=120.0, warmup_s=5.0, emit=("metrics",)))
-    try:
+    with contextlib.closing(
+        EcoDrivingEnv(crossing(adoption=1.0), config=EnvConfig(horizon_s=120.0, warmup_s=5.0, emit=("metrics",)))
+    ) as env:
         state = env.reset()
         for _ in range(env.config.control_steps - 1):
             for name in env.backend.ids.row_of:
@@ -64,8 +66,6 @@ def test_red_crossings_are_noticed() -> None:
         sums = frame["next", "metrics", "approach"]
         assert sums["red_crossings_cv"].sum() > 0
         assert sums["collisions_cv"].sum() > 0 and frame["next", "metrics", "episode", "collisions"].item() > 0
-    finally:
-        env.close()
 
 
 def rush(tensordict: TensorDictBase) -> TensorDictBase:
@@ -91,8 +91,7 @@ def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
     shown: list[np.ndarray] = []
     invented = 0
     for simulator in ("sumo", "twin"):
-        env = EcoDrivingEnv(context, config=config, simulator=simulator, worker=0)
-        try:
+        with contextlib.closing(EcoDrivingEnv(context, config=config, simulator=simulator, worker=0)) as env:
             state = env.reset()
             road, vehicles = env.road, state["vehicles"]
             early = set(vehicles["vehicle_number"][vehicles["present"]].tolist())
@@ -113,8 +112,6 @@ def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
             sums = frame["next", "metrics", "approach"]
             assert sums["crossed"].sum() > 100
             assert sums["red_crossings_cv"].sum() == on_red
-        finally:
-            env.close()
     assert invented > 0, "nobody crossed in a step in which red ended"
 
 
@@ -127,15 +124,12 @@ def test_measured_intersections(env: EcoDrivingEnv, dataset: ContextList) -> Non
 
 def beside_baseline(contexts: list[Context], episodes: int, config: EnvConfig) -> tuple[Counter[str], Counter[str]]:
     """Sums over episodes of random actions on one context after another, and over the same with nobody commanding."""
-    env = EcoDrivingEnv(crossing(), config=config)
-    commanded, baseline = Counter[str](), Counter[str]()
-    try:
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=config)) as env:
+        commanded, baseline = Counter[str](), Counter[str]()
         for k in range(episodes):
             context = contexts[k % len(contexts)]
             commanded += totals(env, context, 1000 + k, at_random(k))
             baseline += totals(env, context, 1000 + k, defer)
-    finally:
-        env.close()
     return commanded, baseline
 
 

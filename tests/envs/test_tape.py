@@ -52,11 +52,3 @@ def test_a_tape_holds_what_each_step_would_have_copied(threads: int) -> None:
     for k, whole in enumerate(zip(*batches, strict=True)):
         parts = zip(*(step[k] for step in copied), strict=True)
         assert torch.equal(torch.cat(whole, 1), torch.stack([torch.stack(part) for part in parts]))
-
-
-def test_a_tape_refuses_to_hand_over_half_a_batch() -> None:
-    with contextlib.closing(TwinEnv(1, crossing(), config=short(), threads=1)) as env:
-        tape = env.reader.observations = Tape(2, env.frames["observation"], env.frames["mask"])
-        env.step(steer(env.reset()))
-        with pytest.raises(RuntimeError, match="1 of 2 steps"):
-            tape.batch()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 import torch
-from tensordict import TensorDictBase
 
 from izoo.envs import TwinEnv
 from izoo.envs.config import EMIT_GROUPS
@@ -22,11 +23,8 @@ GOLDEN = "dc986a0f8ed211e7"
 @pytest.fixture(scope="module")
 def expected() -> dict[int, str]:
     """Digest of every numbered episode, played by a single environment."""
-    env = TwinEnv(1, schedule(), config=short(), threads=1)
-    try:
+    with contextlib.closing(TwinEnv(1, schedule(), config=short(), threads=1)) as env:
         digests = by_episode(play(env, EPISODES * env.config.control_steps))
-    finally:
-        env.close()
     assert len(set(digests.values())) == EPISODES
     return digests
 
@@ -48,38 +46,6 @@ def test_same_whatever_was_played_before(make_twin: MakeTwin, expected: dict[int
         _, state = env.step_and_maybe_reset(steer(state))
     frames = play(env, env.config.control_steps, start=env.reset(episode=[2, 0]))
     assert by_episode(frames) == {number: expected[number] for number in (0, 2)}
-
-
-def test_working_memory_keeps_nothing(make_twin: MakeTwin, expected: dict[int, str]) -> None:
-    """Environments of a thread share it, so whatever stands there when a step begins must not matter."""
-    env = make_twin(1, schedule())
-
-    def spoil(state: TensorDictBase) -> TensorDictBase:
-        blocks = [block for desk in env.backend._desks for block in desk._blocks.values()]
-        assert sum(len(block) for block in blocks) > 10_000
-        for block in blocks:
-            block[:] = 255  # -1, and not a number
-        return steer(state)
-
-    assert by_episode(play(env, env.config.control_steps, spoil)) == {0: expected[0]}
-
-
-def test_each_thread_copies_the_observations_of_its_environments(make_twin: MakeTwin) -> None:
-    """What is read is what was written, and stays as it is."""
-    env = make_twin(5, schedule(), threads=2)
-    state = env.reset()
-    copy, taken = env.backend.played, []
-    env.backend.played = lambda rows: (taken.append(rows), copy(rows))
-    kept = []
-    for _ in range(30):
-        taken.clear()
-        steer(state)
-        following, state = env.step_and_maybe_reset(state)
-        assert sorted((rows.start, rows.stop) for rows in taken) == [(0, 2), (2, 5)]
-        seen = following["next", "agents", "observation"]
-        assert torch.equal(seen, torch.from_numpy(env.frames["observation"]))
-        kept.append((seen, seen.clone()))
-    assert all(torch.equal(one, other) for one, other in kept) and not torch.equal(kept[0][0], kept[-1][0])
 
 
 def test_golden(expected: dict[int, str]) -> None:

@@ -8,14 +8,12 @@ steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET IN
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, play_sumo
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace
 from izoo.envs.twin.driving.lane_queues import insert_into_lane, remove_from_lane, set_tail
 from izoo.envs.twin.lane_change.cooperation import clear_memories
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
@@ -54,7 +52,6 @@ from izoo.envs.twin.runtime.layout import (
     open_traffic,
 )
 from izoo.envs.twin.runtime.simulation import TwinEpisode
-from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import read_road
 
 ROUNDING = 1e-9
@@ -233,20 +230,3 @@ def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
         state.waiting_next[before] = state.waiting_next[v]
     if state.waiting_last[lane] == v:
         state.waiting_last[lane] = before
-
-
-def main(folder: str, name: str, steps: int = 1200) -> None:
-    """Print the differences of an episode with demand from all approaches."""
-    context = next(c for c in load_dataset(Path(folder)) if name in c.name.split("/")).replace(approach=None)
-    case = Case.of(context, 7, 0.5 * steps)
-    sumo, count = play_sumo(case, steps), 0
-    lanes = (*case.world.lane_ids, "")
-    for t, v, theirs, ours in differences(case, sumo):
-        sides = [f"{lanes[side.lane]} {side.position_m:.4f} m {side.speed_mps:.4f} m/s" for side in (theirs, ours)]
-        print(f"step {t} vehicle {v}: SUMO {sides[0]}, twin {sides[1]}")
-        count += 1
-    print(f"{count} of {int((sumo.lane >= 0).sum())} vehicle steps differ")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:3])
