@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pytest
-import torch
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
@@ -22,7 +21,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.envs import MODEL_VERSION, EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.errors import IzooError
-from tests.envs.worlds import Driver, crossing, defer, set_action, steer_and_change
+from tests.envs.worlds import Driver, constant, crossing, defer, set_action, steer_and_change
 
 RECORD = Path(__file__).with_name("model_version.json")
 HOW = "python -m tests.envs.test_model_version"
@@ -69,7 +68,7 @@ def _driver(name: str, config: EnvConfig) -> Driver:
     if name == "changing":
         return steer_and_change
     if name == "constant":
-        return lambda state: set_action(state, torch.full((*state["agents", "mask"].shape, 1), 0.7))
+        return constant(0.7)
     from izoo.algos.drivers.scripted import make_driver
 
     driver = make_driver(name, config)

@@ -26,7 +26,7 @@ from izoo.traffic.sampling import sample_traffic
 from tests.envs.conftest import MakeTwin
 from tests.envs.outcomes import driving, glide, lane, outcome, shifting, standing, stopping, uncommanded
 from tests.envs.reference import run_fcd
-from tests.envs.worlds import Driver, crossing, defer, same, set_action
+from tests.envs.worlds import Driver, constant, crossing, defer, same
 
 SEED = 3
 CONFIG = EnvConfig(horizon_s=200.0, warmup_s=30.0, drain_s=600.0, emit=("metrics",))
@@ -35,9 +35,7 @@ TO_HORIZON = tuple(name for name in APPROACH_METRICS if name not in COHORT)
 Sums = dict[str, np.ndarray]
 
 
-def hurry(state: TensorDictBase) -> TensorDictBase:
-    """Let every CV accelerate where nothing keeps it from it."""
-    return set_action(state, torch.full((*state["agents", "mask"].shape, 1), 1.0))
+hurry = constant(1.0)
 
 
 def play_out(

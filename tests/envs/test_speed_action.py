@@ -15,7 +15,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
-from tests.envs.worlds import crossing, defer, digest, play, same
+from tests.envs.worlds import constant, crossing, defer, digest, play, same
 
 SEED = 7
 LIMIT_MPS = 16.0
@@ -29,14 +29,6 @@ def speeds(**changes: Any) -> EnvConfig:
 def one_lane(**changes: Any) -> Context:
     values = {"lane_count": 1, "phase_count": 1, "inflow_vph_per_lane": 500.0, "approach": "A", "adoption": 0.5}
     return procedural_context(**(values | changes))
-
-
-def share_for_all(share: float, parts: int = 1) -> Act:
-    def act(state: TensorDictBase) -> TensorDictBase:
-        state["agents", "action"] = torch.full((*state["agents", "mask"].shape, parts), share)
-        return state
-
-    return act
 
 
 def share_each(state: TensorDictBase) -> TensorDictBase:
@@ -84,7 +76,7 @@ def motion(frames: TensorDict) -> list[dict[int, tuple[float, float]]]:
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])
 def test_1_is_uncommanded(simulator: str) -> None:
     """Nothing at all is told to the simulator: on several lanes too, all is the same to the last bit."""
-    ours = episode(simulator, crossing(), speeds(), share_for_all(1.0))
+    ours = episode(simulator, crossing(), speeds(), constant(1.0))
     theirs = episode(simulator, crossing(), speeds(action="acceleration"), defer)
     for frames in (ours, theirs):
         del frames["agents", "action"]
@@ -94,7 +86,7 @@ def test_1_is_uncommanded(simulator: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("act", [share_for_all(0.5), share_for_all(0.8), share_each, Anew])
+@pytest.mark.parametrize("act", [constant(0.5), constant(0.8), share_each, Anew])
 @pytest.mark.parametrize(
     "features",
     [
@@ -130,7 +122,7 @@ def test_before_and_behind_the_line_alike() -> None:
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])
 def test_the_share_is_kept_to_gently(simulator: str) -> None:
     """Nobody is faster than its share once it is there, and nobody brakes hard to get there."""
-    frames = episode(simulator, one_lane(inflow_vph_per_lane=150.0, adoption=1.0), speeds(), share_for_all(0.6))
+    frames = episode(simulator, one_lane(inflow_vph_per_lane=150.0, adoption=1.0), speeds(), constant(0.6))
     vehicles = frames["next", "vehicles"]
     cvs = vehicles["present"] & vehicles["is_cv"]
     speed, accel = vehicles["speed_mps"][cvs], vehicles["accel_mps2"][cvs]
@@ -144,14 +136,14 @@ def test_the_share_is_kept_to_gently(simulator: str) -> None:
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])
 def test_nan_and_defer_leave_a_vehicle_alone(simulator: str) -> None:
     def nan(state: TensorDictBase) -> TensorDictBase:
-        return share_for_all(float("nan"))(state)
+        return constant(float("nan"))(state)
 
     def deferred(state: TensorDictBase) -> TensorDictBase:
         state["agents", "defer"] = state["agents", "mask"].clone()
-        return share_for_all(0.4)(state)
+        return constant(0.4)(state)
 
     config = speeds(horizon_s=120.0)
-    free, lost, left = (episode(simulator, one_lane(), config, a) for a in (share_for_all(1.0), nan, deferred))
+    free, lost, left = (episode(simulator, one_lane(), config, a) for a in (constant(1.0), nan, deferred))
     assert motion(free) == motion(lost) == motion(left)
     sums = [frames[-1]["next", "metrics", "approach"] for frames in (free, lost, left)]
     assert [s["nan_actions"].sum().item() > 0 for s in sums] == [False, True, False]
@@ -164,7 +156,7 @@ def test_a_cap_is_the_scripted_driver() -> None:
     driver = make_driver("cap_0.6", config)
     with torch.no_grad():
         ours = episode("twin", one_lane(), config, driver)
-    assert motion(ours) == motion(episode("twin", one_lane(), config, share_for_all(0.6)))
+    assert motion(ours) == motion(episode("twin", one_lane(), config, constant(0.6)))
     free = make_driver("uncommanded", config)(TensorDict({"agents": TensorDict({"mask": torch.ones(3, dtype=bool)})}))
     assert free["agents", "action"].tolist() == [[1.0]] * 3
 
@@ -188,13 +180,13 @@ def test_what_is_asked_for_is_said() -> None:
         contextlib.closing(EcoDrivingEnv(config=speeds(), worker=0, simulator="twin")) as env,
         pytest.raises(IzooError, match="shares of the speed limit"),
     ):
-        env.step(share_for_all(0.5, parts=2)(env.reset(context=one_lane(), seed=1)))
+        env.step(constant(0.5, parts=2)(env.reset(context=one_lane(), seed=1)))
 
 
 def test_speeds_below_the_least_share_are_the_least() -> None:
     """What is below the bounds of the action is cut to them, as accelerations are."""
     config = speeds(horizon_s=80.0)
-    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.01))
+    low, lower = (motion(episode("twin", one_lane(), config, constant(s))) for s in (0.1, 0.01))
     for ours, theirs in zip(low, lower, strict=True):
         assert ours.keys() == theirs.keys()
         for number, place in theirs.items():
@@ -207,13 +199,13 @@ def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float,
     with contextlib.closing(EcoDrivingEnv(config=speeds(decide=decide), worker=0, simulator="twin")) as env:
         state = env.reset(context=one_lane(), seed=1)
         while not state["agents", "mask"].any():
-            state = env.step(share_for_all(0.5)(state))["next"]
+            state = env.step(constant(0.5)(state))["next"]
         with pytest.raises(IzooError, match=r"desired speeds of \[.*above 0 and up to 1"):
-            env.step(share_for_all(share)(state))
-        wrong = share_for_all(share)(state)
+            env.step(constant(share)(state))
+        wrong = constant(share)(state)
         wrong["agents", "defer"] = state["agents", "mask"]
         state = env.step(wrong)["next"].exclude(("agents", "reward"))
-        others = share_for_all(0.5)(state)
+        others = constant(0.5)(state)
         others["agents", "action"][~state["agents", "mask"]] = share
         others["agents", "defer"] = torch.zeros_like(state["agents", "mask"])
         env.step(others)
@@ -226,12 +218,12 @@ def test_a_speed_before_the_line_alone_leaves_everybody_alone_behind_it(simulato
     before = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before",))
 
     def one_behind(state: TensorDictBase) -> TensorDictBase:
-        share = share_for_all(0.5)(state)["agents", "action"]
+        share = constant(0.5)(state)["agents", "action"]
         state["agents", "action"] = torch.cat([share, torch.ones_like(share)], -1)
         return state
 
     expected, found = (
         motion(episode(simulator, one_lane(), config, act))
-        for config, act in ((both, one_behind), (before, share_for_all(0.5)))
+        for config, act in ((both, one_behind), (before, constant(0.5)))
     )
     assert expected == found and any(expected)

@@ -44,8 +44,13 @@ def set_action(tensordict: TensorDictBase, action: torch.Tensor) -> TensorDictBa
     return tensordict.set(("agents", "action"), action)
 
 
+def constant(value: float, parts: int = 1) -> Driver:
+    """The same action for every CV."""
+    return lambda state: set_action(state, torch.full((*state["agents", "mask"].shape, parts), value))
+
+
 def defer(tensordict: TensorDictBase) -> TensorDictBase:
-    """Leave every CV to SUMO."""
+    """Leave every CV uncommanded."""
     mask = tensordict["agents", "mask"]
     tensordict["agents", "defer"] = torch.ones_like(mask)
     return set_action(tensordict, torch.zeros(*mask.shape, 1))
