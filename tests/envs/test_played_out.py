@@ -26,7 +26,7 @@ from izoo.traffic.sampling import sample_traffic
 from tests.envs.conftest import MakeTwin
 from tests.envs.outcomes import driving, glide, lane, outcome, shifting, standing, stopping, uncommanded
 from tests.envs.reference import run_fcd
-from tests.envs.worlds import Driver, constant, crossing, defer, same
+from tests.envs.worlds import Driver, constant, cramped, crossing, defer, same
 
 SEED = 3
 CONFIG = EnvConfig(horizon_s=200.0, warmup_s=30.0, drain_s=600.0, emit=("metrics",))
@@ -296,9 +296,7 @@ def test_without_demand_there_is_nothing_to_wait_for(simulator: str) -> None:
 
 def test_vehicles_that_the_simulator_drops_are_of_the_cohort() -> None:
     """They never leave, and are charged to the end, which they do not put off."""
-    from tests.envs.test_departures import cramped_context
-
-    frame = play_out(cramped_context(), config=dataclasses.replace(CONFIG, warmup_s=0.0))
+    frame = play_out(cramped(), config=dataclasses.replace(CONFIG, warmup_s=0.0))
     sums = sums_of(frame)
     assert sums["dropped"].sum() > 5 and steps_of(frame) < CONFIG.total_steps
     assert (sums["cohort"] - sums["cohort_left"] >= sums["dropped"]).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -33,6 +34,20 @@ def crossing(**changes: Any) -> Context:
         "offset_s": 2.0,
     }
     return procedural_context(**(values | changes))
+
+
+def cramped(lanes: int = 4, road_m: float = 40.0, source_m: float = 10.0) -> Context:
+    """Legs and sources too short for the lane changes that some vehicles need, and to stop at a red light."""
+    context = crossing(lane_count=lanes, lane_length_m=60.0)
+    spec = context.intersection
+    legs = tuple(
+        dataclasses.replace(leg, approach=dataclasses.replace(leg.approach, length_m=road_m)) if leg.approach else leg
+        for leg in spec.legs
+    )
+    ghosts = dataclasses.replace(spec.ghosts, straight_source_length_m=source_m, turning_source_length_m=source_m)
+    return context.replace(
+        intersection=dataclasses.replace(spec, name="cramped", source="osm", legs=legs, ghosts=ghosts)
+    )
 
 
 def short(**changes: Any) -> EnvConfig:

@@ -1,9 +1,7 @@
-"""The twin driven alongside SUMO: after every step vehicles that differ are put where SUMO has them.
+"""The twin driven alongside SUMO: after every step, vehicles that differ are moved to where SUMO has them.
 
-A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the first departure, since everything
-after it may follow
-from it. Here each difference is one step old, so that a single episode shows all of its causes, and what share of the
-steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET INTERSECTION`` lists them.
+A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the first difference, since all later ones
+may follow from it. Here each difference is one step old, so that a single episode shows all causes.
 """
 
 from __future__ import annotations
@@ -76,7 +74,7 @@ class Difference(NamedTuple):
 
 
 def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Difference]:
-    """Play ``case`` on the twin along the trace of SUMO and yield the vehicles that differ, step by step."""
+    """Play ``case`` on the twin along SUMO's trace and yield the vehicles that differ, step by step."""
     net = case.world.net
     episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(case.net_path), net), case.step_ms)
     edges = net.lane_ints[:, LANE_EDGE]
@@ -96,7 +94,7 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
                 passed[v][-1] = theirs.lane
             off = np.abs(np.subtract(theirs[1:], ours[1:])).max()
             if theirs.lane == ours.lane and off <= tolerance:
-                # Rounding stays: a speed that was advised before must not fall outside of what can be braked to.
+                # Rounding errors are removed: they could put an advised speed out of the range of braking.
                 if off > ROUNDING:
                     episode.state.floats[v, [POSITION, SPEED]] = theirs[1:]
             else:
@@ -110,7 +108,7 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
 
 
 def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], sumo: Trace) -> None:
-    """Put a vehicle where SUMO has it; ``passed`` are the lanes that its front was on, a lane for each edge."""
+    """Move a vehicle to where SUMO has it; ``passed`` are the lanes that its front was on, one for each edge."""
     t, v, theirs, ours = difference
     if theirs.lane < 0:
         later = (sumo.lane[t:, v] >= 0).any()
@@ -145,7 +143,7 @@ def _lanes_behind(episode: TwinEpisode, lane: int, passed: list[int]) -> list[in
 
 @compiled
 def _forget_tail(state_at, v):  # type: ignore[no-untyped-def]
-    """Take the tail of ``v`` off all lanes, whatever its own list says."""
+    """Remove the tail of ``v`` from all lanes, whatever its own list says."""
     state = open_state(state_at)
     for lane in range(state.tails.shape[0]):
         for j in range(state.lanes[lane, LANE_TAILS]):
@@ -191,16 +189,16 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
             waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
         if ints[v, ENTERED_MS] == NEVER_MS:
             ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = entered_ms
-        # Before its waiting point nobody has come into conflict, also one whom the twin had further on.
+        # Before its waiting point a vehicle is not in conflict, even if the twin had it further on.
         ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
         if net.lane_ints[before, LANE_INSIDE]:
-            # Who lost its turn has one again.
+            # A vehicle that lost right of way has it again.
             ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], entered_ms)
 
 
 @compiled
 def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped-def]
-    """Take ``v`` off the road; who is to wait is the next to enter on its lane."""
+    """Remove ``v`` from the road; a waiting vehicle is the next to enter on its lane."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     _forget_tail(state_at, v)
     remove_from_lane(state, v)
@@ -216,7 +214,7 @@ def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped
 
 @compiled
 def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
-    """Take ``v`` out of those who wait to enter."""
+    """Remove ``v`` from the vehicles that wait to enter."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     lane, before = traffic.ints[v, DEPART_LANE], -1
     w = state.waiting_first[lane]

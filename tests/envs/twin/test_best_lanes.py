@@ -64,12 +64,12 @@ def assert_best_lanes_equal(context: Context, folder: Path) -> int:
     return compared
 
 
-def test_best_lanes_are_sumos(tmp_path: Path) -> None:
+def test_best_lanes_equal_sumos(tmp_path: Path) -> None:
     world = procedural_context(lane_count=3, phase_count=2, approach="all", inflow_vph_per_lane=600.0)
     assert assert_best_lanes_equal(world, tmp_path) > 100
 
 
-def test_best_lanes_are_sumos_on_measured_intersections(dataset: ContextList, tmp_path: Path) -> None:
+def test_best_lanes_of_measured_intersections_equal_sumos(dataset: ContextList, tmp_path: Path) -> None:
     """Pockets, and several lanes to one exit of which some yield (number 110)."""
     contexts = {context.intersection.name.rsplit("/", 1)[-1]: context for context in dataset}
     for number in ("110", "106"):

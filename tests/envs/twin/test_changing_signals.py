@@ -1,4 +1,4 @@
-"""Signals change while vehicles wait inside the junction: who meets whom then does what he does in SUMO."""
+"""Signals that change while vehicles wait inside the junction."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ STEPS = 110
 GO, STAY = "GGg", "srr"
 NORTH_SOUTH, EAST_WEST = GO + STAY + GO + STAY, STAY + GO + STAY + GO
 ABRUPT = [(9.0, NORTH_SOUTH), (6.0, EAST_WEST), (5.0, NORTH_SOUTH), (10.0, EAST_WEST)]
-"""Without yellow, so that many are inside when the others set off."""
+"""Without yellow, so that many vehicles are inside when the others start."""
 EPISODES = 60
 LEAST_SAME = 51
 """Of 60 episodes 53 were measured to be the same."""
 
 
 def eight_vehicles(net: Path, seed: int) -> Case:
-    """Return the case of eight different vehicles that arrive within 14 s from anywhere."""
+    """Return a case of eight different vehicles that arrive within 14 s from anywhere."""
     rng = np.random.default_rng(seed)
     vehicles = []
     for _ in range(8):
@@ -43,7 +43,7 @@ def eight_vehicles(net: Path, seed: int) -> Case:
     return meeting(net, vehicles)
 
 
-def test_most_episodes_of_eight_vehicles_are_the_same(tmp_path: Path) -> None:
+def test_most_episodes_of_eight_vehicles_equal_sumos(tmp_path: Path) -> None:
     net = build_crossroads(tmp_path, ABRUPT)
     same = 0
     for seed in range(EPISODES):
@@ -73,8 +73,8 @@ def test_measured_junctions_are_not_blocked(dataset: ContextList, name: str) -> 
     assert abs(ours - theirs) <= 0.02 * theirs
 
 
-def test_nearly_every_step_of_every_vehicle_is_the_same(dataset: ContextList) -> None:
-    """From where SUMO has everybody: less than one in a thousand steps of vehicles was measured to differ."""
+def test_nearly_all_steps_of_vehicles_equal_sumos(dataset: ContextList) -> None:
+    """From SUMO's positions: less than one in a thousand steps of vehicles was measured to differ."""
     case = measured(dataset, "308")
     sumo = play_sumo(case, 800)
     assert len(list(differences(case, sumo))) <= 0.002 * (sumo.lane >= 0).sum()

@@ -16,8 +16,8 @@ from tests.envs.worlds import steer
 INPUTS = [SPEED, ACCEL, GRADE]
 
 
-def test_unchanged_vehicles_are_left_out_and_emit_what_they_did() -> None:
-    """In a queue before a red light a large part of them; everyone's CO2 is that of their present motion."""
+def test_steady_vehicles_keep_their_emission_without_evaluation() -> None:
+    """All CO2 is that of the present motion, and many vehicles are steady in a queue at a red light."""
     context = procedural_context(lane_count=2, inflow_vph_per_lane=500.0, adoption=0.3, green_s=20.0, red_s=40.0)
     config = EnvConfig(horizon_s=240.0, warmup_s=60.0, emit=())
     module = MovesSurrogate()
