@@ -1,4 +1,4 @@
-"""Vehicles placed by hand on the hand-written net, for tests of the kernels: no SUMO takes part."""
+"""Vehicles placed by hand on the hand-written net, for tests of the compiled functions without SUMO."""
 
 from __future__ import annotations
 
@@ -110,6 +110,6 @@ class Scene:
     def see(self, agent: int, **options: Any) -> dict[str, float]:
         """Return the observation of one vehicle by name."""
         neighbours = options.get("neighbours", NEIGHBOURS)
-        names = (*EGO_FEATURES, *(f"{who}_{what}" for who in neighbours for what in NEIGHBOUR_FEATURES))
+        names = (*EGO_FEATURES, *(f"{which}_{what}" for which in neighbours for what in NEIGHBOUR_FEATURES))
         line = self.look(agent, **options)[0]
         return dict(zip(names, line.tolist(), strict=False))

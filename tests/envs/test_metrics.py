@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
-from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.networks.road import APPROACHING
 from tests.envs.worlds import Driver, at_random, constant, crossing, defer, digest, play, set_action, short, steer
@@ -162,8 +162,11 @@ def test_without_cvs() -> None:
 
 
 def test_without_any_vehicle() -> None:
-    frames = run(crossing(inflow_vph_per_lane=0.0, approach="A"))
+    reward = RewardConfig(eta=0.5, safety=2.0)
+    config = short(horizon_s=150.0, warmup_s=25.0, reward=reward, emit=EMIT_GROUPS)
+    frames = run(crossing(inflow_vph_per_lane=0.0, approach="A"), config=config)
     assert not frames["next", "vehicles", "present"].any() and not frames["next", "agents", "reward"].any()
+    assert not frames["next", "agents", "reward_vector"].any() and not frames["next", "team_reward"].any()
     for name, value in final(frames).items():
         assert name == "mask" or not value.any(), name
     assert frames[-1]["next", "truncated"].all() and len(frames) == CONFIG.control_steps

@@ -1,4 +1,4 @@
-"""The tables behind a frame: motion, lanes, grades, leaders, what is emitted, with vehicles placed by hand."""
+"""The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders, emitted rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from izoo.envs.mdp.columns import (
     LANE,
     LANE_POSITION,
     LEADER_SPEED,
-    LENGTH,
     LOCATION,
     MOVEMENT,
     PREV_ACCEL,
@@ -25,7 +24,7 @@ from izoo.envs.mdp.columns import (
 )
 from izoo.envs.mdp.step import emit_vehicles
 from izoo.networks.road import APPROACHING
-from izoo.networks.turning import LEFT, STRAIGHT
+from izoo.networks.turning import LEFT
 from tests.envs.placed import STEP_S, Scene
 
 
@@ -63,7 +62,7 @@ def test_lane_columns(scene: Scene) -> None:
         ("TL2B_0", "AB", 0),
     ],
 )
-def test_lanes_that_do_not_lead_to_the_exit(scene: Scene, lane: str, way: str, wrong: int) -> None:
+def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, way: str, wrong: int) -> None:
     me = scene.put(lane, 1.0, way=way)
     scene.read()
     assert scene.flags[me, WRONG_LANE] == wrong
@@ -118,27 +117,17 @@ def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
     assert scene.floats[slow, TTC] == np.inf
 
 
-def test_time_to_collision_needs_closing_speed(scene: Scene) -> None:
+def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Scene) -> None:
     me = scene.put("A2TL_0", 100.0, speed=4.0)
-    scene.put("A2TL_0", 135.0, speed=4.0)
+    other = scene.put("A2TL_0", 135.0, speed=4.0)
     scene.read()
     assert scene.floats[me, TTC] == np.inf
-
-
-def test_bodies_in_contact_have_no_time_left(scene: Scene) -> None:
-    me = scene.put("A2TL_0", 100.0, speed=4.0)
-    scene.put("A2TL_0", 103.0, speed=0.0)
+    scene.move(other, "A2TL_0", 103.0, 0.0)
     scene.read()
     assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0
 
 
-def test_straight_is_known_from_the_way(scene: Scene) -> None:
-    me = scene.put("A2TL_0", 1.0, way="AC")
-    scene.read()
-    assert scene.ints[me, MOVEMENT] == STRAIGHT and scene.floats[me, SPEED] == 10.0 and scene.floats[me, LENGTH] == 5.0
-
-
-def test_emitted_rows_are_zero_where_nobody_is(scene: Scene) -> None:
+def test_emitted_rows_without_a_vehicle_are_zero(scene: Scene) -> None:
     scene.put("A2TL_0", 100.0, row=1)
     scene.floats[0] = np.nan  # what an earlier occupant has left
     scene.ints[0] = 99
