@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv, check_env_specs
 
 from izoo.contexts.source import RoundRobinSchedule
@@ -17,7 +17,7 @@ from izoo.envs import EcoDrivingEnv
 from izoo.envs.config import EMIT_GROUPS, NEIGHBOURS
 from izoo.errors import IzooError
 from tests.envs.conftest import Make
-from tests.envs.worlds import crossing, defer, digest, play, same, short, steer
+from tests.envs.worlds import constant, crossing, defer, digest, play, same, short, steer
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -194,6 +194,55 @@ def test_the_base_seed_decides(make: Make) -> None:
             env.set_seed(seed)
             digests.append(digest(play(env, 30, defer)))
     assert digests[0] == digests[1] != digests[2]
+
+
+@pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
+def test_shards_share_the_episodes_of_a_schedule(make: Make, simulator: str) -> None:
+    def episodes(num_envs: int, **shards: int) -> list[tuple[int, int]]:
+        with contextlib.closing(make(simulator, num_envs, **shards)) as env:
+            parts = [env.reset()["context"] for _ in range(2)]
+        return [
+            pair
+            for c in parts
+            for pair in zip(c["episode"].flatten().tolist(), c["seed"].flatten().tolist(), strict=True)
+        ]
+
+    whole, parts = episodes(4), [episodes(2, shard=shard, num_shards=2) for shard in range(2)]
+    assert [episode for episode, _ in parts[1]] == [2, 3, 6, 7]
+    assert sorted(parts[0] + parts[1]) == sorted(whole)
+
+
+@pytest.mark.parametrize("simulator", ["sumo", "twin"])
+def test_wrong_shards_are_refused(make: Make, simulator: str) -> None:
+    for wrong in ({"shard": 2, "num_shards": 2}, {"shard": -1}, {"num_shards": 0}, {"num_shards": 2}, {"shard": 1.5}):
+        with pytest.raises(IzooError, match=next(iter(wrong)) if len(wrong) == 1 else "shard"):
+            make(simulator, 2, **wrong)
+    with pytest.raises(IzooError, match=r"num_workers is 4, and .*; give worker=k, too"):
+        make(simulator, num_workers=4)
+
+
+@pytest.mark.parametrize("simulator", ["sumo", "twin"])
+def test_lane_change_commands_move_vehicles(make: Make, simulator: str) -> None:
+    """Right, keep and left: the mean lane of approaching CVs, and its mean change in a step; none collides."""
+    config = short(lane_change=True, horizon_s=100.0)
+    context = crossing(lane_count=3, lane_length_m=250.0, inflow_vph_per_lane=200.0, adoption=1.0)
+    lanes, changes = [], []
+    for command in range(3):
+
+        def act(state: TensorDictBase, command: int = command) -> TensorDictBase:
+            state["agents", "lane_change"] = torch.full(state["agents", "mask"].shape, command)
+            return constant(1.0)(state)
+
+        with contextlib.closing(make(simulator, contexts=context, config=config)) as env:
+            frames = play(env, config.control_steps, act)
+        before, after = frames["vehicles"], frames["next", "vehicles"]
+        there = before["present"] & after["present"] & (before["vehicle_number"] == after["vehicle_number"])
+        there &= (before["location"] == 0) & (after["location"] == 0)
+        assert frames["next", "metrics", "episode", "collisions"][-1].item() == 0
+        lanes.append(after["lane"][there].float().mean())
+        changes.append((after["lane"] - before["lane"])[there].float().mean())
+    assert lanes[0] < lanes[1] - 0.1 < lanes[2] - 0.2
+    assert changes[0] < changes[1] < changes[2]
 
 
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])

@@ -1,4 +1,4 @@
-"""Notices where episodes come out otherwise than recorded, so that nobody forgets to raise ``MODEL_VERSION``.
+"""Fails if recorded episodes change and ``MODEL_VERSION`` was not raised.
 
 After raising it, record: ``python -m tests.envs.test_model_version``.
 """
@@ -17,11 +17,10 @@ import pytest
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import procedural_context
 from izoo.envs import MODEL_VERSION, EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.errors import IzooError
-from tests.envs.worlds import Driver, constant, crossing, defer, set_action, steer_and_change
+from tests.envs.worlds import Driver, constant, crossing, defer, one_lane, set_action, steer_and_change
 
 RECORD = Path(__file__).with_name("model_version.json")
 HOW = "python -m tests.envs.test_model_version"
@@ -31,7 +30,7 @@ Sums = dict[str, float]
 
 
 class Case(NamedTuple):
-    """An episode: what is played, by whom, and settings besides."""
+    """An episode: context, driver, and settings."""
 
     context: Context
     drive: str = "uncommanded"
@@ -39,9 +38,7 @@ class Case(NamedTuple):
 
 
 def lane(**changes: Any) -> Context:
-    """One lane from one leg."""
-    road = {"lane_count": 1, "approach": "A", "inflow_vph_per_lane": 500.0, "lane_length_m": 200.0, "adoption": 0.4}
-    return procedural_context(**({"phase_count": 1, "offset_s": 2.0} | road | changes))
+    return one_lane(**({"lane_length_m": 200.0, "adoption": 0.4} | changes))
 
 
 DRAINED = {"drain_s": 300.0}
@@ -116,24 +113,24 @@ def check(record: dict[str, Any], version: int, found: dict[str, Sums]) -> None:
         raise IzooError(f"MODEL_VERSION is {version}, the record that of {record['model_version']}: record with {HOW}")
     if lines := differences(record["episodes"], found):
         raise IzooError(
-            f"episodes come out otherwise than recorded for MODEL_VERSION {version}. If that is meant, raise it in "
+            f"episodes differ from the record for MODEL_VERSION {version}. If that is intended, raise it in "
             f"envs/model_version.py, and record with {HOW}:\n" + "\n".join(lines)
         )
 
 
-def test_episodes_come_out_as_recorded() -> None:
+def test_episodes_equal_the_record() -> None:
     record = json.loads(RECORD.read_text())
     assert set(record["episodes"]) == set(KEYS)
     check(record, MODEL_VERSION, {key: played(key) for key in KEYS})
 
 
-def test_a_record_of_another_version_is_to_be_made_anew() -> None:
+def test_a_record_of_another_version_is_refused() -> None:
     record = json.loads(RECORD.read_text())
     with pytest.raises(IzooError, match=f"MODEL_VERSION is {MODEL_VERSION + 1}, the record .*: record with {HOW}"):
         check(record, MODEL_VERSION + 1, record["episodes"])
 
 
-def test_a_millionth_is_noticed_and_so_is_a_sum_that_is_new() -> None:
+def test_a_change_of_a_millionth_and_a_new_sum_are_found() -> None:
     record = json.loads(RECORD.read_text())
     for changes in ({"cohort_region_co2_g": 1.000002}, {"crossed": 1.01}):
         found = {key: dict(sums) for key, sums in record["episodes"].items()}

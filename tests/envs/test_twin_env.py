@@ -10,7 +10,6 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.twin import backend
@@ -22,15 +21,9 @@ from izoo.networks.road import read_road
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.worlds import Driver, at_random, crossing, defer, play, same, short, steer
+from tests.envs.worlds import Driver, at_random, crossing, defer, one_lane, play, same, short, steer
 
 # -- the same MDP as behind SUMO ---------------------------------------------------------------------------------------
-
-
-def single_lane(**changes: Any) -> Context:
-    """An approach of one lane, where the twin drives exactly as SUMO does."""
-    values = {"lane_count": 1, "phase_count": 1, "approach": "A", "lane_length_m": 150.0, "adoption": 0.4}
-    return crossing(**(values | {"inflow_vph_per_lane": 500.0} | changes))
 
 
 def briskly(tensordict: TensorDictBase) -> TensorDictBase:
@@ -53,7 +46,7 @@ def briskly(tensordict: TensorDictBase) -> TensorDictBase:
 def test_every_key_equals_sumos(act: Driver, seed: int, changes: dict[str, Any], roads: dict[str, Any]) -> None:
     """On scenarios with identical driving, everything computed from it is identical too."""
     config = EnvConfig(**({"horizon_s": 150.0, "warmup_s": 20.0, "emit": EMIT_GROUPS} | changes))
-    context = single_lane(**roads)
+    context = one_lane(**({"lane_length_m": 150.0, "adoption": 0.4} | roads))
     blinking = 0
     envs = [EcoDrivingEnv(context, config=config, simulator=name) for name in ("sumo", "twin")]
     compared = 0

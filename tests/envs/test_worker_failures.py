@@ -22,11 +22,11 @@ from tensordict import TensorDict
 from torchrl.envs import ObservationNorm, TransformedEnv
 
 from izoo.contexts.context import Context
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.envs.sumo.worker import POLL_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from tests.envs.worlds import crossing, digest, play, play_on, process_of, same, set_action, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, set_action, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -180,6 +180,27 @@ def test_a_bad_net_is_named_and_the_next_episodes_play(broken: Context, workers:
         assert workers == 1 or ({process_of(env, k) for k in range(2)} == pids and env.restarts == 0)
         frames, _ = play_on(env, 5, steer, state)
         assert (frames["metrics", "episode", "steps"].view(workers, -1)[:, -1] == 4.0).all()
+
+
+@pytest.mark.slow
+def test_memory_of_a_worker_does_not_grow() -> None:
+    config, resident_kib = EnvConfig(horizon_s=200.0), []
+    with contextlib.closing(SumoParallelEnv(1, crossing(), config=config)) as env:
+        state = env.reset()
+        for _ in range(40):
+            _, state = play_on(env, config.control_steps, defer, state)
+            lines = Path(f"/proc/{process_of(env, 0)}/status").read_text().splitlines()
+            resident_kib += [int(line.split()[1]) for line in lines if line.startswith("VmRSS")]
+        assert env.restarts == 0
+    assert resident_kib[-1] / resident_kib[14] < 1.03
+
+
+@pytest.mark.slow
+def test_sixteen_workers() -> None:
+    with contextlib.closing(SumoParallelEnv(16, crossing(), config=short())) as env:
+        frames = play(env, env.config.control_steps + 5)
+        assert frames.shape[0] == 16 and env.restarts == 0
+        assert frames["context", "episode"][:, 0].flatten().tolist() == list(range(16))
 
 
 # -- the end -----------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 
 UNHASHED = ("due", "dropped", "outside", "early", *(name for name in APPROACH_METRICS if name.startswith("cohort")))
-"""Metrics that are younger than the golden digests."""
+"""Metrics that were added after the golden digests."""
 Driver = Callable[[TensorDictBase], TensorDictBase]
 
 
@@ -33,6 +33,12 @@ def crossing(**changes: Any) -> Context:
         "adoption": 0.5,
         "offset_s": 2.0,
     }
+    return procedural_context(**(values | changes))
+
+
+def one_lane(**changes: Any) -> Context:
+    """An approach of one lane from leg A, on which the twin drives exactly as SUMO does."""
+    values = {"lane_count": 1, "phase_count": 1, "approach": "A", "inflow_vph_per_lane": 500.0, "offset_s": 2.0}
     return procedural_context(**(values | changes))
 
 
@@ -126,7 +132,7 @@ def episode(env: EcoDrivingBase, act: Driver = steer) -> TensorDict:
 
 
 def digest(frames: TensorDictBase) -> str:
-    """Hash what happened in steps ``[T]``: who was where and how fast, what was seen and paid, and the final counts."""
+    """Hash steps ``[T]``: positions, speeds, observations, rewards, and the final counts."""
     result = hashlib.sha256()
     for part in (frames, frames["next"]):
         vehicles = part["vehicles"]
