@@ -1,4 +1,4 @@
-"""With nobody commanding, an episode is what the ``sumo`` program makes of the same files, step for step."""
+"""An uncommanded episode equals that of the ``sumo`` program with the same files, step by step."""
 
 from __future__ import annotations
 
@@ -55,19 +55,16 @@ def assert_equal_steps(context: Context, folder: Path, config: EnvConfig = CONFI
 
 
 @pytest.mark.parametrize("adoption", [0.0, 0.5, 1.0])
-def test_uncommanded_episodes_are_sumos_own(adoption: float, tmp_path: Path) -> None:
+def test_uncommanded_episodes_equal_sumos(adoption: float, tmp_path: Path) -> None:
     assert_equal_steps(crossing(adoption=adoption), tmp_path)
 
 
-def test_vehicles_past_the_stop_line_at_the_end_of_the_warm_up_are_there(tmp_path: Path) -> None:
-    assert_equal_steps(crossing(), tmp_path, EnvConfig(horizon_s=90.0, warmup_s=40.0))
+def test_uncommanded_episodes_equal_sumos_with_other_warm_up_and_drivers(tmp_path: Path) -> None:
+    """With vehicles past the stop line when the warm-up ends."""
+    assert_equal_steps(crossing(cv_vehicle="human"), tmp_path, EnvConfig(horizon_s=90.0, warmup_s=40.0))
 
 
-def test_uncommanded_human_cvs_are_sumos_own(tmp_path: Path) -> None:
-    assert_equal_steps(crossing(adoption=0.5, cv_vehicle="human"), tmp_path)
-
-
-def test_uncommanded_measured_intersections_are_sumos_own(dataset: ContextList, tmp_path: Path) -> None:
+def test_uncommanded_measured_intersections_equal_sumos(dataset: ContextList, tmp_path: Path) -> None:
     """Busy approaches of measured intersections, and whole ones: pockets, permissive lefts, right on red, gates."""
     busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
     for context in (busy[0], busy[25].replace(approach=None), busy[60].replace(approach=None)):
@@ -90,16 +87,16 @@ def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
     return np.array(ours), np.array(theirs)
 
 
-def test_grade_is_sumos_slope() -> None:
-    """Also of vehicles that stand across a change of grade."""
+def test_grade_equals_sumos_slope() -> None:
+    """Also for vehicles across a change of grade."""
     ours, theirs = slopes(crossing(grade=0.04))
     assert ours.min() == pytest.approx(-4.0, abs=1e-4) and ours.max() == pytest.approx(4.0, abs=1e-4)
     assert len(np.unique(theirs.round(3))) > 10
     np.testing.assert_allclose(ours, theirs, atol=0.05)
 
 
-def test_grade_is_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
-    """Exact but for newcomers, whose back is still on roads outside the controlled region, and for sharp bends."""
+def test_grade_equals_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
+    """Exact except for newcomers, whose back is still outside the controlled region, and for sharp bends."""
     for context in sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))[:3]:
         ours, theirs = slopes(context)
         error = np.abs(ours - theirs)

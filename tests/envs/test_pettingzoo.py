@@ -1,4 +1,4 @@
-"""The PettingZoo view: its own tests, agents that come and go, the state, and what it refuses."""
+"""The PettingZoo view: PettingZoo's own tests, agents that enter and leave, the state, and what is refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def forward(env: EcoDrivingParallel) -> dict[str, np.ndarray]:
 
 
 def play(env: EcoDrivingParallel, seed: int = 0) -> Frames:
-    """Play an episode; return the agents before and what came out of every step."""
+    """Play an episode; return the agents before and the results of every step."""
     env.reset(seed=seed)
     frames = []
     while env.agents:
@@ -45,25 +45,11 @@ def play(env: EcoDrivingParallel, seed: int = 0) -> Frames:
 
 
 @pytest.mark.filterwarnings("ignore:unknown reset option", "ignore:No agents present")
-def test_api(env: EcoDrivingParallel) -> None:
+def test_pettingzoos_own_tests(env: EcoDrivingParallel) -> None:
     parallel_api_test(env, 200)
-
-
-@pytest.mark.filterwarnings("ignore:unknown reset option", "ignore:No agents present")
-def test_api_with_lane_changes() -> None:
-    with contextlib.closing(parallel_env(crossing(), short(lane_change=True), in_process=True)) as env:
-        parallel_api_test(env, 100)
-        env.reset(seed=1)
-        agent = env.agents[0]
-        actions = {other: env.action_space(other).sample() for other in env.agents}
-        with pytest.raises(IzooError, match=rf"the action of {agent} is a ndarray.*'lane_change'"):
-            env.step(actions | {agent: np.zeros(1, np.float32)})
-        env.step(actions)
-
-
-def test_seeds() -> None:
-    """Two environments side by side in one process."""
     parallel_seed_test(functools.partial(parallel_env, crossing(), short(horizon_s=25.0)))
+    with contextlib.closing(parallel_env(crossing(), short(lane_change=True), in_process=True)) as changing:
+        parallel_api_test(changing, 100)
 
 
 def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
@@ -71,7 +57,7 @@ def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
     seen: set[str] = set()
     left: set[str] = set()
     for before, (observations, rewards, terminated, truncated, infos) in frames:
-        assert not left & set(before), "a vehicle that has left is back"
+        assert not left & set(before)
         newcomers = observations.keys() - set(before)
         assert list(observations) == list(rewards) == list(terminated) == list(truncated) == list(infos)
         assert set(before) <= observations.keys()
@@ -87,7 +73,7 @@ def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
 
 
 def test_a_reset_gives_agents() -> None:
-    """Also after episodes in which, by chance, none comes; PettingZoo's own conversion divides by their number."""
+    """Also after episodes in which by chance no CV enters; PettingZoo's conversion divides by their number."""
     rare = crossing(inflow_vph_per_lane=100.0, adoption=0.05)
     with contextlib.closing(parallel_env(rare, short(horizon_s=40.0), simulator="twin")) as env:
         skipped = 0
@@ -103,24 +89,30 @@ def test_a_reset_gives_agents() -> None:
         assert turns.agent_selection in turns.agents
         with pytest.raises(IzooError, match=r"none can: the adoption of .* is 0"):
             env.reset(options={"context": rare.replace(adoption=0.0)})
+
+
+@pytest.mark.filterwarnings("ignore:CVs beyond the")
+def test_vehicles_beyond_max_vehicles_are_uncommanded() -> None:
+    with contextlib.closing(parallel_env(crossing(), short(), max_vehicles=8, simulator="twin")) as env:
+        frames = play(env)
+        assert {agent for before, _ in frames for agent in before} <= set(env.possible_agents)
+        assert len(env.possible_agents) == 8
+    config = short(warmup_s=50.0, horizon_s=80.0)
     with (
-        contextlib.closing(
-            parallel_env(crossing(), short(warmup_s=50.0, horizon_s=80.0), simulator="twin", max_vehicles=1)
-        ) as env,
-        pytest.warns(UserWarning),
+        contextlib.closing(parallel_env(crossing(), config, simulator="twin", max_vehicles=1)) as env,
         pytest.raises(IzooError, match="beyond the 1 possible agents; raise max_vehicl"),
     ):
         env.reset(seed=0)
 
 
 def test_agents_is_empty_only_at_the_end() -> None:
-    """Whoever loops ``while env.agents`` sees the whole episode, however thin the traffic."""
+    """So that loops over ``while env.agents`` play the whole episode in light traffic too."""
     with contextlib.closing(
         parallel_env(crossing(inflow_vph_per_lane=100.0, adoption=0.3), short(horizon_s=200.0), in_process=True)
     ) as env:
         frames = play(env, seed=4)
         assert frames and env.session.over and env.session.time_s == 200.0
-        assert len(frames) < env.config.control_steps, "the scenario must have steps without CVs"
+        assert len(frames) < env.config.control_steps
         assert env.step({}) == ({}, {}, {}, {}, {})
         assert env.metrics()["episode"]["steps"] == env.config.control_steps
 
@@ -142,14 +134,6 @@ def test_state_holds_every_vehicle(env: EcoDrivingParallel) -> None:
     observed = [env.session.frame["observation"][slot, own] * 15.0 for slot in env._slot.values()]
     np.testing.assert_allclose(sorted(observed), sorted(speed), rtol=1e-5)
     assert state[layout["context"]][CONTEXT_VALUES.index("adoption")] == 0.5
-
-
-def test_vehicles_beyond_the_bound_are_left_to_sumo() -> None:
-    with contextlib.closing(parallel_env(crossing(), short(), max_vehicles=8, in_process=True)) as env:
-        with pytest.warns(UserWarning, match="raise max_vehicles"):
-            frames = play(env)
-        assert {agent for before, _ in frames for agent in before} <= set(env.possible_agents)
-        assert len(env.possible_agents) == 8
 
 
 @pytest.mark.parametrize(

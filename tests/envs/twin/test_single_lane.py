@@ -36,11 +36,12 @@ LIGHT = {"inflow_vph_per_lane": 250.0}
 SHORT = {"inflow_vph_per_lane": 700.0, "lane_length_m": 150.0, "offset_s": 3.0}
 LEFTS = {"inflow_vph_per_lane": 600.0, "phase_count": 2, "lane_length_m": 500.0, "green_s": 20.0}
 FAST = {"inflow_vph_per_lane": 500.0, "approach": "B", "speed_limit_mps": 20.0}
+CROSSING = {"phase_count": 2, "inflow_vph_per_lane": 350.0, "approach": "all"}
 BETWEEN_STEPS = {"green_s": 24.385, "red_s": 21.517, "offset_s": 2.938}
 """Signals that change between two steps."""
 
 
-@pytest.mark.parametrize("features", [LIGHT, SHORT, LEFTS, FAST, BETWEEN_STEPS])
+@pytest.mark.parametrize("features", [LIGHT, SHORT, LEFTS, FAST, CROSSING, BETWEEN_STEPS])
 @pytest.mark.parametrize("commands", [None, waves])
 def test_whole_episodes(features: dict[str, Any], commands: Any) -> None:
     assert (assert_same(single_lane(7, **features), int(2 * HORIZON_S), commands=commands).lane >= 0).sum() > 50

@@ -1,4 +1,4 @@
-"""Environments that begin together, or are to begin, have their nets built in one call of netconvert."""
+"""The nets of environments that begin together are built in one call of netconvert."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return made
 
 
-def test_the_twin_builds_what_begins_and_what_comes_next_together(make_twin: MakeTwin, calls: list[str]) -> None:
+def test_the_twin_builds_the_nets_of_all_next_episodes_in_one_call(make_twin: MakeTwin, calls: list[str]) -> None:
     env = make_twin(3, RoundRobinSchedule(GOOD[:6]), config=short())
     env.reset()
     assert calls[0] == "1 of 3"
@@ -41,7 +41,7 @@ def test_the_twin_builds_what_begins_and_what_comes_next_together(make_twin: Mak
     assert calls == []
 
 
-def test_a_context_without_a_net_stops_only_who_plays_it(make_twin: MakeTwin) -> None:
+def test_a_context_without_a_net_raises_when_it_is_played(make_twin: MakeTwin) -> None:
     env = make_twin(2, RoundRobinSchedule([*GOOD[:2], BAD, *GOOD[2:]]), config=short())
     env.reset()
     with pytest.raises(IzooError, match=f"intersection {BAD.intersection.name}: leg A is too short"):
@@ -50,7 +50,7 @@ def test_a_context_without_a_net_stops_only_who_plays_it(make_twin: MakeTwin) ->
     assert [play.context for play in env.backend.plays()] == GOOD[3:5]
 
 
-def test_workers_find_their_nets(calls: list[str]) -> None:
+def test_nets_are_built_in_one_call_for_all_workers(calls: list[str]) -> None:
     with contextlib.closing(SumoParallelEnv(2, RoundRobinSchedule([*GOOD[:2], BAD, GOOD[2]]), config=short())) as env:
         env.reset()
         assert calls == ["1 of 2"]
