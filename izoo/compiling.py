@@ -31,10 +31,10 @@ from izoo.files import cache_root
 
 SOURCES = {
     "izoo": ("compiling.py",),
-    "izoo.algos": ("acting.py", "resting.py"),
+    "izoo.algos": ("networks/*.py",),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "tape.py", "mdp/*.py", "twin/*.py"),
+    "izoo.envs": ("config.py", "observation_buffer.py", "mdp/*.py", "twin/**/*.py"),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
