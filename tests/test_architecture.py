@@ -18,7 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
-    {"files", "console", "gpu"},
+    {"files", "console", "gpu", "processes"},
     {"compiling"},
     {"metrics", "emissions"},
     {"contexts"},

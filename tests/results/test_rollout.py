@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.contexts.context import Context
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
