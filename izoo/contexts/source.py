@@ -7,13 +7,12 @@ number of workers (worker ``k`` of ``N`` takes episodes ``k``, ``k + N``, ...) v
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from izoo.contexts.context import Context
-from izoo.contexts.population import DriverPopulation
 from izoo.errors import IzooError
 
 
@@ -64,22 +63,22 @@ class MixedSource:
         return self.sources[int(generator.integers(len(self.sources)))].sample(generator)
 
 
-class _WithDrivers:
-    """A source whose contexts have other drivers."""
+class _Changed:
+    """A source whose contexts have some fields changed."""
 
-    def __init__(self, source: ContextSource, drivers: DriverPopulation) -> None:
-        self.source, self.drivers = source, drivers
+    def __init__(self, source: ContextSource, changes: Mapping[str, Any]) -> None:
+        self.source, self.changes = source, changes
 
     def sample(self, generator: np.random.Generator) -> Context:
         """Draw one context."""
-        return self.source.sample(generator).replace(drivers=self.drivers)
+        return self.source.sample(generator).replace(**self.changes)
 
 
-class _ListWithDrivers(Sequence[Context]):
-    """The contexts of a sequence with other drivers, each made when it is asked for."""
+class _ChangedList(Sequence[Context]):
+    """The contexts of a sequence with some fields changed, each made when it is asked for."""
 
-    def __init__(self, contexts: Sequence[Context], drivers: DriverPopulation) -> None:
-        self.contexts, self.drivers = contexts, drivers
+    def __init__(self, contexts: Sequence[Context], changes: Mapping[str, Any]) -> None:
+        self.contexts, self.changes = contexts, changes
 
     def __len__(self) -> int:
         return len(self.contexts)
@@ -87,19 +86,17 @@ class _ListWithDrivers(Sequence[Context]):
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
         if isinstance(index, slice):
             return [self[position] for position in range(*index.indices(len(self)))]
-        return self.contexts[index].replace(drivers=self.drivers)
+        return self.contexts[index].replace(**self.changes)
 
 
-def with_drivers(source: ContextSource, drivers: DriverPopulation | None) -> ContextSource:
-    """Return the source with another population of drivers in every context; ``None`` keeps the built-in one.
+def with_changes(source: ContextSource, changes: Mapping[str, Any]) -> ContextSource:
+    """Return the source with fields of every context changed, such as its drivers.
 
     A finite source stays one, in the same order, and is gone through as lazily as before.
     """
-    if drivers is None:
-        return source
     if isinstance(source, Sequence):
-        return ContextList(_ListWithDrivers(source, drivers))
-    return _WithDrivers(source, drivers)
+        return ContextList(_ChangedList(source, changes))
+    return _Changed(source, changes)
 
 
 class Schedule(Protocol):

@@ -204,6 +204,7 @@ class IntersectionSpec:
         imputed: names of the values that were guessed because the source lacks them.
         net_path: a finished SUMO net, for the published dataset.
         net_sha256: digest of that file, so that a context's hash covers its content.
+        lonlat: where it lies, in degrees; ``None`` where nobody knows.
     """
 
     name: str
@@ -216,9 +217,12 @@ class IntersectionSpec:
     imputed: tuple[str, ...] = ()
     net_path: str | None = None
     net_sha256: str | None = None
+    lonlat: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         hold_floats(self)
+        if self.lonlat is not None:
+            object.__setattr__(self, "lonlat", tuple(self.lonlat))
         check_line("the name of an intersection", self.name)
         check_choice("intersection source", self.source, SOURCES)
         names = [leg.name for leg in self.legs]

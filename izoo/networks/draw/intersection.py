@@ -71,7 +71,7 @@ def draw_intersection(
         kinds = sorted({name.rsplit(" of ", 1)[0] for name in spec.imputed})
         notes.append("imputed on some legs: " + ", ".join(kinds))
     figure.text(0.02, 0.928, "; ".join(notes), fontsize=9, color="#555555")
-    return _save(figure, path)
+    return save_png(figure, path)
 
 
 def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: str = "") -> Path:
@@ -104,7 +104,7 @@ def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: st
             axes.set_ylabel("share of approaches", fontsize=9, color=_TEXT)
     figure.suptitle(f"{title or 'Approach features'} ({count} approaches)", fontsize=13, weight="bold", color=_TEXT)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
-    return _save(figure, path)
+    return save_png(figure, path)
 
 
 def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
@@ -281,7 +281,8 @@ def _histogram(axes: Axes, values: np.ndarray, width: float | None) -> None:
     axes.hist(values, bins=bins, weights=np.full(values.size, 1.0 / values.size), color=GROUP_COLOURS[0], rwidth=0.92)
 
 
-def _save(figure: Figure, path: Path | str) -> Path:
+def save_png(figure: Figure, path: Path | str) -> Path:
+    """Write a picture, whole or not at all; return its path."""
     path = expanded(path)
     if path.suffix.lower() != ".png":
         raise IzooError(f"pictures are written as PNG; {path} must end in .png.")

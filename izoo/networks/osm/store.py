@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,10 +85,11 @@ def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
     """
     record = _read(file)
     try:
-        spec = spec_from_dict(record["spec"])
+        lon, lat = map(float, record["lonlat"])
+        spec = replace(spec_from_dict(record["spec"]), lonlat=(lon, lat))
         streets = {str(leg): str(name) for leg, name in record["streets"].items()}
         plan = record["spec"]["signal_plan"]
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
     try:
         check_exit_counts(spec)
