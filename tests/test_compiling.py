@@ -147,8 +147,13 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
+QUICK = ("empty", "a byte in the middle")
+
+
 @pytest.mark.parametrize("number", [0, 1], ids=["code", "index"])
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize(
+    "damage", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in DAMAGES]
+)
 def test_damaged_entries_are_compiled_anew_once(installation: Installation, damage: str, number: int) -> None:
     assert installation.use() == "42 False True" and installation.use() == "42 True True"
     path = installation.entries()[number]

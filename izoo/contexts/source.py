@@ -7,13 +7,16 @@ number of workers (worker ``k`` of ``N`` takes episodes ``k``, ``k + N``, ...) v
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.errors import IzooError
+
+T = TypeVar("T")
 
 
 @runtime_checkable
@@ -48,6 +51,28 @@ class ContextList(Sequence[Context]):
         return self[int(generator.integers(len(self)))]
 
 
+class Lazy(Sequence[T]):
+    """A sequence whose entries are made when they are asked for.
+
+    Args:
+        count: how many there are.
+        make: returns the entry number ``0 <= index < count``; it must be picklable.
+    """
+
+    def __init__(self, count: int, make: Callable[[int], T]) -> None:
+        self.count, self.make = count, make
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        if isinstance(index, slice):
+            return [self[position] for position in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"entry {index} of {len(self)} does not exist.")
+        return self.make(int(index) % len(self))
+
+
 class MixedSource:
     """Several CMDPs at once: a draw chooses one of them, each as likely, and draws from it.
 
@@ -74,19 +99,8 @@ class _Changed:
         return self.source.sample(generator).replace(**self.changes)
 
 
-class _ChangedList(Sequence[Context]):
-    """The contexts of a sequence with some fields changed, each made when it is asked for."""
-
-    def __init__(self, contexts: Sequence[Context], changes: Mapping[str, Any]) -> None:
-        self.contexts, self.changes = contexts, changes
-
-    def __len__(self) -> int:
-        return len(self.contexts)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        return self.contexts[index].replace(**self.changes)
+def _changed(contexts: Sequence[Context], changes: Mapping[str, Any], index: int) -> Context:
+    return contexts[index].replace(**changes)
 
 
 def with_changes(source: ContextSource, changes: Mapping[str, Any]) -> ContextSource:
@@ -95,7 +109,7 @@ def with_changes(source: ContextSource, changes: Mapping[str, Any]) -> ContextSo
     A finite source stays one, in the same order, and is gone through as lazily as before.
     """
     if isinstance(source, Sequence):
-        return ContextList(_ChangedList(source, changes))
+        return ContextList(Lazy(len(source), functools.partial(_changed, source, changes)))
     return _Changed(source, changes)
 
 

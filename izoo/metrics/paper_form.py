@@ -85,8 +85,9 @@ def paper_aggregates(rows: pd.DataFrame) -> dict[str, Any]:
         rows: as :func:`paper_form` returns them, of one or several training seeds.
 
     Returns:
-        ``approaches`` (that count), ``left_out`` (how many do not), ``train_seeds``, ``closed_by`` (of intersections with
-        demand from all approaches, sentences that name the approaches that closed the gate for all of them); means over training seeds of
+        ``approaches`` (that count), ``left_out`` (how many do not), ``train_seeds``; ``closed_by``: of intersections
+        with demand from all approaches, which approaches closed the gate for all of them, in words; means over training
+        seeds of
         ``ratio_of_sums`` (``1 - sum of the policy's g per vehicle / sum of the baseline's``, the baseline's own where
         the gate is closed), ``mean``, ``share_positive``, ``share_gated``, ``throughput_mean`` (relative change) and
         ``share_kept`` (approaches whose throughput did not fall); and ``best_ratio_of_sums``: of the best training

@@ -299,8 +299,12 @@ def counts(summary: Mapping[str, Any]) -> str:
     text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
     text += f"played on {' and '.join(SIMULATOR_NAMES[name] for name in summary['simulators'])}. "
     if n["intersections"] == 1:
-        text += f"Brackets: 95 % intervals over the {n['eval_seeds']} episode seeds of this intersection (Student's t of "
-        text += f"paired seeds, from {MIN_EPISODE_SEEDS} on); they say nothing of other intersections or training seeds."
+        text += (
+            f"Brackets: 95 % intervals over the {n['eval_seeds']} episode seeds of this intersection (Student's t of "
+        )
+        text += (
+            f"paired seeds, from {MIN_EPISODE_SEEDS} on); they say nothing of other intersections or training seeds."
+        )
     else:
         text += "Interquartile means over intersections; brackets: 95 % intervals."
     if any(entry.get("slower") for entry in summary["entries"].values()):

@@ -83,7 +83,9 @@ def test_every_source_takes_drivers_and_a_fleet(words: list[str], own_file: Path
 
 @pytest.mark.parametrize("source", ["pcg", "city", "catalogue", "osm"])
 def test_a_fleet_that_is_none_is_a_sentence(source: str) -> None:
-    with pytest.raises(IzooError, match=r"contexts\.fleet: the fleet is \[0\.7, 0\.7\]; give the shares of passenger cars,"):
+    with pytest.raises(
+        IzooError, match=r"contexts\.fleet: the fleet is \[0\.7, 0\.7\]; give the shares of passenger cars,"
+    ):
         chosen(f"contexts={source}", "contexts.fleet=[0.7,0.7]")
 
 

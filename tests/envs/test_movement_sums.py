@@ -16,8 +16,8 @@ CONFIG = EnvConfig(horizon_s=140.0, warmup_s=20.0, drain_s=300.0, num_vehicles=1
 
 @pytest.mark.parametrize("simulator", ["twin", "sumo"])
 def test_movements_add_up_to_their_approach_and_queues_are_what_stands(simulator: str) -> None:
-    shown = torch.zeros(4, 3)
-    most = torch.zeros(4, 3)
+    shown = torch.zeros(CONFIG.num_approaches, 3)
+    most = torch.zeros(CONFIG.num_approaches, 3)
     with contextlib.closing(EcoDrivingEnv(crossing(), config=CONFIG, simulator=simulator)) as env:
         state = env.reset(seed=5)
         while not state["done"].item():

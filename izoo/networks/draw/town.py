@@ -14,8 +14,10 @@ from izoo.contexts.spec import IntersectionSpec
 METRES_PER_DEGREE = 111_320.0
 ATTRIBUTION = "Contains information from OpenStreetMap (ODbL 1.0)"
 _STREET, _TEXT, _CIRCLE = "#b4b8bd", "#222222", "#0072b2"
-_LARGEST_PT2 = 900.0
+_LARGEST_PT2 = 500.0
 """Area of the circle with the largest volume."""
+LONGEST_LEG_M = 150.0
+"""No more of a leg is drawn."""
 
 
 def peak_volume_vph(spec: IntersectionSpec) -> float:
@@ -53,7 +55,7 @@ def draw_town(
     most = max(max(volumes.values()), 1.0)
     for spec, (x, y) in zip(specs, places_m(specs), strict=True):
         for leg in spec.legs:
-            length_m = leg.approach.length_m if leg.approach else leg.exit_length_m
+            length_m = min(leg.approach.length_m if leg.approach else leg.exit_length_m, LONGEST_LEG_M)
             lanes = (leg.approach.lane_count if leg.approach else 0) + leg.exit_lanes
             east, north = (f(math.radians(leg.bearing_deg)) for f in (math.sin, math.cos))
             ends = [x, x + length_m * east], [y, y + length_m * north]
@@ -62,8 +64,9 @@ def draw_town(
         axes.scatter(x, y, s=max(area, 20.0), color=colour, edgecolors="white", zorder=2)
         word = (words or {}).get(spec.name, f"{volumes[spec.name]:,.0f} veh/h")
         text = f"{spec.name.rpartition('/')[2]}\n{word}"
-        style = {"fontsize": 8, "color": _TEXT, "ha": "center", "va": "top", "parse_math": False, "zorder": 3}
-        axes.annotate(text, (x, y), (0, -4.0 - 0.5 * math.sqrt(area)), textcoords="offset points", **style)
+        style = {"fontsize": 8, "color": _TEXT, "va": "bottom", "parse_math": False, "zorder": 3}
+        away = 2.0 + 0.4 * math.sqrt(area)
+        axes.annotate(text, (x, y), (away, away), textcoords="offset points", **style)
     for label, colour in (legend or {}).items():
         axes.scatter([], [], color=colour, label=label)
     if legend:
