@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
-from izoo.console import plain
+from izoo.console import counted, plain
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.files import check_replaceable, expanded, os_reason, replacing_folder, write_json
@@ -64,10 +64,8 @@ class ImportReport:
     def __str__(self) -> str:
         legs = sum(len(row.approaches) for row in self.usable)
         idle = legs - sum(len(row.with_demand) for row in self.usable)
-        lines = [
-            f"imported {len(self.usable)} intersections with {legs} approaches ({idle} of them without demand) "
-            f"into {self.target}"
-        ]
+        places = counted(len(self.usable), "intersection")
+        lines = [f"imported {places} with {legs} approaches ({idle} of them without demand) into {self.target}"]
         lines += [f"unusable: {place}: {reason}" for place, reason in self.unusable.items()]
         return "\n".join(map(plain, lines))
 
