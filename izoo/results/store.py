@@ -23,6 +23,7 @@ import izoo
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
 from izoo.files import claimed, read_text, write_json, write_text
@@ -283,7 +284,10 @@ def _lines(rows: Iterable[Row], header: bool) -> str:
 
 
 def _read_rows(path: Path) -> tuple[bool, list[Row]]:
-    """Return whether a table is whole, and its rows without those of an episode that was cut short."""
+    """Return whether a table is whole, and its rows without those of an episode that was cut short.
+
+    Rows may lack what is kept by movement.
+    """
     try:
         text = read_text(path)
         raw = pd.read_csv(
@@ -295,13 +299,14 @@ def _read_rows(path: Path) -> tuple[bool, list[Row]]:
         )
     except (OSError, ValueError) as error:
         raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; evaluate into another folder.") from error
-    missing = [column for column in COLUMNS if column not in raw]
+    absent = [column for column in COLUMNS if column not in raw]
+    missing = [column for column in absent if column not in MOVEMENT_METRICS]
     if missing:
         raise IzooError(
             f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
         )
-    raw = raw.drop_duplicates(list(KEY), keep="last")[list(COLUMNS)].astype(object)
-    return text.endswith("\n\n"), raw.where(raw.notna(), None).to_dict("records")
+    raw = raw.drop_duplicates(list(KEY), keep="last").reindex(columns=list(COLUMNS)).astype(object)
+    return text.endswith("\n\n") and not absent, raw.where(raw.notna(), None).to_dict("records")
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
