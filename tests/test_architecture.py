@@ -27,7 +27,7 @@ FLOORS = (
     {"drivers", "envs"},
     {"algos"},
     {"conf"},
-    {"zoo"},
+    {"tasks", "zoo"},
     {"results"},
     {"training"},
     {"report"},
