@@ -20,6 +20,7 @@ import cloudpickle
 
 from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError
+from izoo.networks.net.build import build_nets
 
 if TYPE_CHECKING:  # worker processes come up before torch is loaded
     from izoo.results.playing import Measured, Play, Setup
@@ -65,6 +66,7 @@ class Processes:
             cloudpickle.dump(self.setup, setup)
             setup.flush()
             workers += [_Worker(setup.fileno(), watchdog_s) for _ in range(min(self.setup.workers, len(plays)))]
+            _build_nets(plays)
             while queue or any(worker.current for worker in workers):
                 for worker in workers:
                     if worker.current is None and queue:
@@ -91,6 +93,7 @@ class Processes:
     def _play_here(self, plays: Sequence[Play]) -> Iterator[tuple[Play, Measured]]:
         from izoo.results.playing import EpisodeFailed, Player
 
+        _build_nets(plays)
         with contextlib.closing(Player(self.setup)) as player:
             for play in plays:
                 try:
@@ -100,6 +103,12 @@ class Processes:
                 except Exception as error:
                     raise EpisodeFailed(f"{play}: {type(error).__name__}: {error}") from error
                 yield play, found
+
+
+def _build_nets(plays: Sequence[Play]) -> None:
+    """Build the nets of all plays together, in a tenth of the time; one that cannot be built fails its own play."""
+    with contextlib.suppress(IzooError):
+        build_nets([play.context.intersection for play in plays])
 
 
 @dataclass(frozen=True)
