@@ -26,7 +26,13 @@ from izoo.envs.mdp.columns import (
 from izoo.envs.mdp.commands import plan_caps, plan_commands
 from izoo.envs.mdp.credit import assign_credit, count_blocked
 from izoo.envs.mdp.displacement import update_motion
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, accumulate_cohort, accumulate_episode, accumulate_step
+from izoo.envs.mdp.metric_sums import (
+    EPISODE_METRIC,
+    accumulate_cohort,
+    accumulate_episode,
+    accumulate_step,
+    count_queues,
+)
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation_kernel import write_observations
 from izoo.envs.mdp.reward_kernel import NUM_TERMS, compute_rewards, evaluate_terms, team_step_reward
@@ -169,6 +175,7 @@ def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
         colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
         accumulate_step(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
         accumulate_cohort(rows, floats, ints, flags, tables.sums)
+        count_queues(rows, floats, ints, sums)
     read_clock(time_s, clock)
     begins = tables.cursor[DECISION_STEPS] == 0
     fleet, shared, own = work.fleet, work.shared, work.own

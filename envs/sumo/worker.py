@@ -7,33 +7,29 @@ the memory that it maps has no name in the file system.
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import os
 import pickle
 import socket
-import struct
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any, BinaryIO
+from typing import Any
 
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import map_frames, row_of
 from izoo.errors import IzooError
+from izoo.processes import ChildProcess, receive, send
 
-STEP, BEGIN, INIT, CLOSE = b"s", b"b", b"i", b"q"
+STEP, BEGIN, INIT = b"s", b"b", b"i"
 DONE, FAILED = b"k", b"e"
-_STARTUP_S = 300.0
 POLL_S = 1e-3
 """How long a process polls for a message before it sleeps, where a core is free for that: waking up takes 5 to 90 us,
 up to a fifth of a step."""
-_LENGTH = struct.Struct("!Q")
 
 
 class WorkerLost(Exception):
@@ -51,31 +47,7 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-def start_process(call: str, *descriptors: int, output: BinaryIO | None = None) -> subprocess.Popen[bytes]:
-    """Start ``from MODULE import FUNCTION; FUNCTION(...)`` in a fresh interpreter that imports what this one can.
-
-    Unlike with ``multiprocessing``, the process does not run the user's script again, so that scripts need no
-    ``if __name__ == "__main__"``. It reads the environment and the user's site packages only if this process does. A
-    session of its own shields it from the terminal's Ctrl-C: the parent decides when it ends.
-
-    Args:
-        call: the statements.
-        descriptors: open files that the process inherits under the same numbers.
-        output: file for the output of the process; ``None``: that of this process.
-    """
-    program = f"import sys; sys.path[:] = {sys.path!r}; {call}"
-    flags = {"-I": sys.flags.isolated, "-E": sys.flags.ignore_environment, "-s": sys.flags.no_user_site}
-    return subprocess.Popen(
-        [sys.executable, *(flag for flag, is_set in flags.items() if is_set), "-c", program],
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=output,
-        pass_fds=descriptors,
-        start_new_session=True,
-    )
-
-
-class Worker:
+class Worker(ChildProcess):
     """Parent's handle to one worker process, which starts in the background.
 
     Attributes:
@@ -84,11 +56,7 @@ class Worker:
     """
 
     def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
-        self._socket, child = socket.socketpair()
-        call = f"from izoo.envs.sumo.worker import main; main({child.fileno()}, {memory})"
-        self.process = start_process(call, child.fileno(), memory)
-        child.close()
-        self._watchdog_s = watchdog_s
+        super().__init__("izoo.envs.sumo.worker:main", memory, inherited=(memory,), watchdog_s=watchdog_s)
         self.episodes, self.busy = 0, False
         self._send(INIT, setup)
         self._ready = False
@@ -103,9 +71,9 @@ class Worker:
         """Ask for a step; :meth:`wait` for its frame."""
         self.busy = True
         try:
-            self._socket.send(STEP)
+            self.socket.send(STEP)
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
+            raise WorkerLost(self.end_text()) from error
 
     def wait(self, poll_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         """Wait for the answer: poll for ``poll_s`` seconds, then sleep.
@@ -118,80 +86,42 @@ class Worker:
             WorkerLost: the process ended or did not answer in time.
             IzooError: the worker refused for a reason that the user can fix.
         """
-        timeout_s = self._watchdog_s
         if not self._ready:
-            # The first episode also loads the compiled code, or compiles it.
-            timeout_s = max(timeout_s, _STARTUP_S)
-            self._answer(timeout_s)
+            self._answer()
             self._ready = True
-        self._answer(timeout_s, poll_s, meanwhile)
+        self._answer(poll_s, meanwhile)
+        self.answered()  # the first episode also loads the compiled code, or compiles it
 
-    def _answer(self, timeout_s: float, poll_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
+    def _answer(self, poll_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         try:
-            answer = _receive_polling(self._socket, poll_s, meanwhile)
+            answer = _receive_polling(self.socket, poll_s, meanwhile)
             if answer is None:
-                self._socket.settimeout(timeout_s)
-                answer = self._socket.recv(1)
+                self.socket.settimeout(self.patience_s)
+                answer = self.socket.recv(1)
             if answer == DONE:
                 self.busy = not self._ready
                 return
             if answer == FAILED:
-                self._socket.settimeout(timeout_s)
-                is_user_error, text = pickle.loads(_receive(self._socket))
+                self.socket.settimeout(self.patience_s)
+                is_user_error, text = pickle.loads(receive(self.socket))
                 self.busy = not self._ready
                 raise IzooError(text) if is_user_error else RuntimeError(f"a simulation worker failed:\n{text}")
         except TimeoutError as error:
-            raise WorkerLost(f"no answer for {timeout_s:g} s") from error
+            raise WorkerLost(f"no answer for {self.patience_s:g} s") from error
         except (OSError, EOFError) as error:
             raise WorkerLost(str(error) or "it ended while it answered") from error
-        raise WorkerLost(f"its process has ended ({self.process.poll()})")
+        raise WorkerLost(self.end_text())
 
     def _send(self, kind: bytes, message: Any) -> None:
-        data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            self._socket.sendall(kind + _LENGTH.pack(len(data)) + data)
+            self.socket.send(kind)
+            send(self.socket, pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
-
-    def kill(self) -> None:
-        """End the process at once."""
-        self._socket.close()
-        self.process.kill()
-        self.process.wait()
-
-    def request_close(self) -> None:
-        """Ask the process to end, without waiting."""
-        with contextlib.suppress(OSError):
-            self._socket.send(CLOSE)
-        self._socket.close()
-
-    def close(self, timeout_s: float = 5.0) -> None:
-        """Ask the process to end, wait, and kill it if it does not."""
-        self.request_close()
-        try:
-            self.process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-
-def _receive(connection: socket.socket) -> bytes:
-    (length,) = _LENGTH.unpack(_receive_exactly(connection, _LENGTH.size))
-    return _receive_exactly(connection, length)
-
-
-def _receive_exactly(connection: socket.socket, length: int) -> bytes:
-    chunks = []
-    while length:
-        chunk = connection.recv(min(length, 1 << 20))
-        if not chunk:
-            raise EOFError
-        chunks.append(chunk)
-        length -= len(chunk)
-    return b"".join(chunks)
+            raise WorkerLost(self.end_text()) from error
 
 
 def main(descriptor: int, memory: int) -> None:
-    """Serve the parent until it asks to close or is gone; then end the process.
+    """Serve the parent until it closes the socket or is gone; then end the process.
 
     It ends without the interpreter's clean-up, which would take 0.4 s.
     """
@@ -210,22 +140,23 @@ def _serve(descriptor: int, memory: int) -> None:
             kind = _receive_polling(connection, poll_s)
             if kind is None:
                 kind = connection.recv(1)
-            if kind in (b"", CLOSE):
+            if kind == b"":
                 return
             try:
                 if kind == STEP:
                     simulator.step()
                 elif kind == BEGIN:
-                    simulator.begin({0: pickle.loads(_receive(connection))})
+                    simulator.begin({0: pickle.loads(receive(connection))})
                 elif kind == INIT:
-                    config, index, num_workers, weights = pickle.loads(_receive(connection))
+                    config, index, num_workers, weights = pickle.loads(receive(connection))
                     simulator = _make_simulator(memory, config, index, num_workers, weights)
                     poll_s = POLL_S if may_poll(index, num_workers) else 0.0
                 connection.send(DONE)
             except Exception as error:
                 is_user_error = isinstance(error, IzooError)
                 data = pickle.dumps((is_user_error, str(error) if is_user_error else traceback.format_exc()))
-                connection.sendall(FAILED + _LENGTH.pack(len(data)) + data)
+                connection.send(FAILED)
+                send(connection, data)
     except (BrokenPipeError, ConnectionResetError, EOFError):
         return
     finally:

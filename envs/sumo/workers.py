@@ -120,7 +120,7 @@ class SumoWorkers:
             self._collect(waiting, lost, meanwhile)
         except BaseException:
             self._end_busy()
-            self._plays[:] = [None] * self.num_workers  # other environments have moved
+            self._plays[:] = [None] * self.num_workers  # others have moved, so the step cannot be repeated
             raise
         for index, reason in lost.items():
             self._replace(index, reason)
@@ -177,7 +177,7 @@ def _close(workers: list[Worker | None], memory: int, owner: int) -> None:
         return  # a forked process ends; the workers belong to its parent
     for worker in workers:
         if worker is not None:
-            worker.request_close()
+            worker.dismiss()
     for index, worker in enumerate(workers):
         if worker is not None:
             worker.close()

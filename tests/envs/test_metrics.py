@@ -14,6 +14,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.config import EMIT_GROUPS
+from izoo.envs.mdp.metric_sums import MOVEMENTS, OF_COHORT, STOPPED_MPS
 from izoo.networks.road import APPROACHING
 from tests.envs.worlds import Driver, at_random, constant, crossing, defer, digest, play, set_action, short, steer
 
@@ -97,7 +98,7 @@ def test_sums_agree_with_the_vehicles(frames: TensorDict) -> None:
         add("stopped_time_s", approach, 0.5 * sum(step["speed_mps"] < 1.0 for step in part))
         add("abs_accel_sum", approach, sum(abs(step["accel_mps2"]) for step in part))
         accel = [step["accel_mps2"] for step in part]
-        # A newcomer has no acceleration before the first.
+        # A new vehicle has no acceleration before its first step.
         add("abs_jerk_sum", approach, sum(abs(b - a) / 0.5 for a, b in itertools.pairwise(accel)))
     sums = final(frames)
     for name, values in expected.items():
@@ -105,7 +106,7 @@ def test_sums_agree_with_the_vehicles(frames: TensorDict) -> None:
 
 
 def test_distance_is_the_approach(frames: TensorDict) -> None:
-    """A vehicle that crossed has driven its approach and at most one step's way of the junction."""
+    """A vehicle that crossed has driven its approach and at most one step's distance of the junction."""
     sums = final(frames)
     crossed = sums["crossed"] > 0
     mean = sums["distance_m"][crossed] / sums["crossed"][crossed]
@@ -138,7 +139,34 @@ def test_sums_only_grow(frames: TensorDict) -> None:
     mask = sums.pop("mask")
     assert (mask == mask[0]).all() and 2 <= mask[0].sum() <= 6
     for name, value in sums.items():
-        assert (value.diff(dim=0) >= 0).all() and not value[-1][~mask[0]].any(), name
+        assert not value[-1][~mask[0]].any(), name
+        assert name.endswith("_queue") or (value.diff(dim=0) >= 0).all(), name  # a queue is the present one
+
+
+@pytest.mark.parametrize("simulator", ["twin", "sumo"])
+def test_sums_by_movement_add_up_and_queues_are_the_stopped_vehicles(simulator: str) -> None:
+    config = EnvConfig(horizon_s=140.0, warmup_s=20.0, drain_s=300.0, num_vehicles=128, emit=("metrics", "vehicles"))
+    queue = longest = torch.zeros(config.num_approaches, len(MOVEMENTS))
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=config, simulator=simulator)) as env:
+        state = env.reset(seed=5)
+        while not state["done"].item():
+            state = env.step_lean(defer(state))
+            if state["metrics", "episode", "steps"].item() > config.control_steps:
+                continue
+            vehicles = state["vehicles"]
+            stopped = vehicles["present"] & (vehicles["location"] == APPROACHING)
+            stopped &= vehicles["speed_mps"] < STOPPED_MPS
+            where = (vehicles["approach"][stopped].long(), vehicles["movement"][stopped].long())
+            queue = torch.zeros_like(queue).index_put_(where, torch.ones(int(stopped.sum())), accumulate=True)
+            longest = torch.maximum(longest, queue)
+        sums = state["metrics", "approach"]
+    for name in OF_COHORT:
+        parts = torch.stack([sums[f"{movement}_{name}"] for movement in MOVEMENTS])
+        assert (parts > 0).sum() > 4, name
+        torch.testing.assert_close(parts.sum(0), sums[name], rtol=1e-5, atol=1e-3)
+    for name, expected in (("queue", queue), ("queue_max", longest)):
+        torch.testing.assert_close(torch.stack([sums[f"{movement}_{name}"] for movement in MOVEMENTS], -1), expected)
+    assert longest.max() >= 2 and queue.sum() > 0
 
 
 def test_waiting_vehicles_are_spill_back() -> None:
@@ -199,7 +227,7 @@ def test_deferred_flag_marks_uncommanded_cvs() -> None:
     after = frames["next", "vehicles"]
     count = (after["deferred"] & after["present"]).sum()
     left = final(frames)["deferred_steps"].sum() - count
-    assert 0 <= left <= frames["next", "agents", "terminated"].sum(), "only leavers may be missing"
+    assert 0 <= left <= frames["next", "agents", "terminated"].sum(), "only vehicles that left may be missing"
     assert 0 < final(frames)["deferred_steps"].sum() < final(frames)["agent_steps"].sum()
 
 
@@ -237,7 +265,7 @@ def test_commands_are_applied() -> None:
     # Where SUMO intervenes it is for safety: it brakes harder, never less.
     moving = mask & (speed > 1.0) & (v["location"] != 1)
     assert (realised[moving] <= value + 1e-3).all() and (realised[moving] < value - 0.1).any()
-    # Inside the junction it drives alone.
+    # Inside the junction SUMO's own models drive it.
     deferred = torch.gather(frames["next", "vehicles", "deferred"], 1, row)
     inside = mask & (v["location"] == 1)
     assert deferred[inside].all() and not deferred[free].any()

@@ -66,7 +66,7 @@ def _driver(name: str, config: EnvConfig) -> Driver:
         return steer_and_change
     if name == "constant":
         return constant(0.7)
-    from izoo.algos.drivers.scripted import make_driver
+    from izoo.algos.drivers.by_name import make_driver
 
     driver = make_driver(name, config)
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from izoo.algos.drivers.scripted import make_driver
+from izoo.algos.drivers.by_name import make_driver
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
