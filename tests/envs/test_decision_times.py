@@ -25,7 +25,7 @@ from izoo.training import offline
 from tests.envs.conftest import Make, MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.test_env import KINDS
-from tests.envs.worlds import crossing, play_on, same
+from tests.envs.worlds import crossing, places, play_on, same
 
 SIMULATORS = ("sumo", "twin")
 SEED = 7
@@ -62,12 +62,6 @@ def whole(simulator: str, config: EnvConfig, act: Act = by_number, **context: An
         return list(steps(env, act, env.reset(context=crossing(**context), seed=SEED)))
 
 
-def places(state: TensorDictBase) -> dict[int, tuple[float, float]]:
-    vehicles = state["vehicles"]
-    columns = (vehicles[n][vehicles["present"]].tolist() for n in ("vehicle_number", "path_position_m", "speed_mps"))
-    return {number: (position, speed) for number, position, speed in zip(*columns, strict=True)}
-
-
 def returns(frames: list[TensorDictBase]) -> dict[int, float]:
     """The sum of each vehicle's rewards."""
     sums: dict[int, float] = defaultdict(float)
@@ -92,7 +86,7 @@ def test_a_decision_equals_one_repeated_in_every_step(simulator: str) -> None:
     assert len(once) < len(every) / 3
     by_step = {played(frame): frame["next"] for frame in every}
     for frame in once:
-        assert places(frame["next"]) == places(by_step[played(frame)])
+        assert places(frame["next", "vehicles"]) == places(by_step[played(frame)]["vehicles"])
     assert returns(once) == pytest.approx(returns(every), abs=1e-3)
     ours, theirs = once[-1]["next", "metrics"], every[-1]["next", "metrics"]
     for group in ("approach", "episode"):

@@ -51,7 +51,7 @@ def test_a_decision_equals_its_steps(decisions: TensorDict) -> None:
         state = env.reset(context=crossing(), seed=SEED)
         for frame in decisions.unbind(0):
             assert sorted(numbers(state)) == sorted(numbers(frame))
-            actions, paid = decide(state), defaultdict(float)
+            actions, rewards = decide(state), defaultdict(float)
             for _ in range(HOLD_STEPS):
                 asked = numbers(state)
                 following = env.step(command(state, actions))["next"]
@@ -59,14 +59,14 @@ def test_a_decision_equals_its_steps(decisions: TensorDict) -> None:
                     asked, following["agents", "reward"], following["agents", "terminated"], strict=True
                 ):
                     if number in actions:
-                        paid[number] += float(reward)
+                        rewards[number] += float(reward)
                         ended |= {number} if bool(over) else set()
                 state = following.exclude(("agents", "reward"))
                 if bool(following["done"]):
                     break
             ours = dict(zip(numbers(frame), frame["next", "agents", "reward"].squeeze(-1).tolist(), strict=True))
             ours.pop(-1, None)
-            assert ours == pytest.approx(dict(paid), abs=1e-4)
+            assert ours == pytest.approx(dict(rewards), abs=1e-4)
             one, other = following["vehicles"], frame["next", "vehicles"]
             for name in ("vehicle_number", "speed_mps", "path_position_m"):
                 mine, theirs = (part[name][part["present"]].sort().values for part in (one, other))
@@ -92,7 +92,7 @@ def test_the_last_decision_may_be_shorter(decisions: TensorDict) -> None:
 
 def test_next_shows_the_same_vehicle_or_an_empty_slot(decisions: TensorDict) -> None:
     """A slot whose vehicle left during a decision is empty when it ends, even if others entered meanwhile."""
-    came = 0
+    entered = 0
     for frame in decisions.unbind(0):
         before, after = numbers(frame), numbers(frame["next"])
         for slot, (now, then) in enumerate(zip(before, after, strict=True)):
@@ -101,8 +101,8 @@ def test_next_shows_the_same_vehicle_or_an_empty_slot(decisions: TensorDict) -> 
                 assert then == (-1 if left else now)
             else:
                 assert not left and float(frame["next", "agents", "reward"][slot]) == 0.0
-                came += then >= 0
-    assert came > 10, "newcomers make their first decision when the present one ends"
+                entered += then >= 0
+    assert entered > 10, "new vehicles make their first decision when the present one ends"
 
 
 def test_several_environments_hold_decisions() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -55,13 +53,6 @@ def test_episodes_equal_their_golden_digests(request: pytest.FixtureRequest, nam
 
 def test_another_seed_gives_another_episode() -> None:
     assert play_alone(crossing(), SEED + 1) != play_alone(crossing())
-
-
-@pytest.mark.slow
-def test_same_in_another_process() -> None:
-    program = "from tests.envs.test_determinism import *; print(play_alone(crossing()))"
-    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
-    assert output.stdout.split()[-1] == play_alone(crossing())
 
 
 def test_same_after_other_episodes_on_sumo() -> None:

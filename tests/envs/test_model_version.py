@@ -13,13 +13,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import pytest
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
 from izoo.envs import MODEL_VERSION, EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
-from izoo.errors import IzooError
 from tests.envs.worlds import Driver, constant, crossing, defer, one_lane, set_action, steer_and_change
 
 RECORD = Path(__file__).with_name("model_version.json")
@@ -95,11 +93,11 @@ def played(key: str) -> Sums:
 def differences(recorded: dict[str, Sums], found: dict[str, Sums]) -> list[str]:
     """Return what differs, a line per episode."""
     lines = []
-    for key, sums in found.items():
-        old = recorded.get(key, {})
-        names = [name for name in {**old, **sums} if not _close(old.get(name), sums.get(name))]
+    for key in sorted({*recorded, *found}):
+        old, new = recorded.get(key, {}), found.get(key, {})
+        names = [name for name in {**old, **new} if not _close(old.get(name), new.get(name))]
         if names:
-            lines.append(f"{key}: {', '.join(f'{name} {old.get(name)} -> {sums.get(name)}' for name in names[:4])}")
+            lines.append(f"{key}: {', '.join(f'{name} {old.get(name)} -> {new.get(name)}' for name in names[:4])}")
     return lines
 
 
@@ -107,39 +105,19 @@ def _close(one: float | None, other: float | None) -> bool:
     return one is not None and other is not None and math.isclose(one, other, rel_tol=RTOL, abs_tol=ATOL)
 
 
-def check(record: dict[str, Any], version: int, found: dict[str, Sums]) -> None:
-    """Raise :class:`IzooError` where episodes differ from the record, or the record is of another version."""
-    if record["model_version"] != version:
-        raise IzooError(f"MODEL_VERSION is {version}, the record that of {record['model_version']}: record with {HOW}")
-    if lines := differences(record["episodes"], found):
-        raise IzooError(
-            f"episodes differ from the record for MODEL_VERSION {version}. If that is intended, raise it in "
-            f"envs/model_version.py, and record with {HOW}:\n" + "\n".join(lines)
-        )
-
-
 def test_episodes_equal_the_record() -> None:
     record = json.loads(RECORD.read_text())
-    assert set(record["episodes"]) == set(KEYS)
-    check(record, MODEL_VERSION, {key: played(key) for key in KEYS})
-
-
-def test_a_record_of_another_version_is_refused() -> None:
-    record = json.loads(RECORD.read_text())
-    with pytest.raises(IzooError, match=f"MODEL_VERSION is {MODEL_VERSION + 1}, the record .*: record with {HOW}"):
-        check(record, MODEL_VERSION + 1, record["episodes"])
+    assert record["model_version"] == MODEL_VERSION, f"the record is of another version: record with {HOW}"
+    lines = differences(record["episodes"], {key: played(key) for key in KEYS})
+    assert not lines, "\n".join([f"if intended, raise it in envs/model_version.py, and record with {HOW}:", *lines])
 
 
 def test_a_change_of_a_millionth_and_a_new_sum_are_found() -> None:
-    record = json.loads(RECORD.read_text())
-    for changes in ({"cohort_region_co2_g": 1.000002}, {"crossed": 1.01}):
-        found = {key: dict(sums) for key, sums in record["episodes"].items()}
-        for name, factor in changes.items():
-            found[KEYS[0]][name] *= factor
-        with pytest.raises(IzooError, match=f"raise it in (?s:.*){KEYS[0]}: {next(iter(changes))} "):
-            check(record, record["model_version"], found)
-    with pytest.raises(IzooError, match=r"one lane: own None -> 0.0"):
-        check(record, record["model_version"], {KEYS[0]: {**record["episodes"][KEYS[0]], "own": 0.0}})
+    recorded = json.loads(RECORD.read_text())["episodes"]
+    sums = recorded[KEYS[0]]
+    for name, value in (("cohort_region_co2_g", 1.000002 * sums["cohort_region_co2_g"]), ("own", 0.0)):
+        (line,) = differences(recorded, {**recorded, KEYS[0]: {**sums, name: value}})
+        assert line.startswith(f"{KEYS[0]}: {name} {sums.get(name)} -> ")
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import SIMULATORS
 from izoo.errors import IzooError
-from tests.envs.worlds import constant, crossing, defer, digest, one_lane, play, same, set_action
+from tests.envs.worlds import constant, crossing, defer, digest, one_lane, places, play, same, set_action
 
 SEED = 7
 LIMIT_MPS = 16.0
@@ -57,12 +57,7 @@ def episode(simulator: str, context: Context, config: EnvConfig, act: Act) -> Te
 
 def motion(frames: TensorDict) -> list[dict[int, tuple[float, float]]]:
     """Position and speed of every vehicle by its number, step by step."""
-    found = []
-    for vehicles in frames["next", "vehicles"].unbind(0):
-        there = vehicles["present"]
-        columns = (vehicles[name][there].tolist() for name in ("vehicle_number", "path_position_m", "speed_mps"))
-        found.append({number: (position, speed) for number, position, speed in zip(*columns, strict=True)})
-    return found
+    return [places(vehicles) for vehicles in frames["next", "vehicles"].unbind(0)]
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
@@ -96,14 +91,14 @@ def assert_same_motion(context: Context, config: EnvConfig, act: Callable[[], Ac
     ],
 )
 def test_sumo_and_twin_drive_alike(features: dict[str, Any], act: Callable[[], Act]) -> None:
-    places = assert_same_motion(one_lane(adoption=0.5, **features), speeds(), act)
-    assert sum(map(len, places)) > 3000
+    steps = assert_same_motion(one_lane(adoption=0.5, **features), speeds(), act)
+    assert sum(map(len, steps)) > 3000
 
 
 def test_sumo_and_twin_drive_alike_with_a_speed_before_and_one_behind_the_line() -> None:
     config = speeds(action_parts=("speed_before", "speed_behind"))
-    places = assert_same_motion(one_lane(adoption=0.5), config, lambda: two_parts)
-    free = [speed for step in places for number, (x, speed) in step.items() if number % 2 and x < -30.0]
+    steps = assert_same_motion(one_lane(adoption=0.5), config, lambda: two_parts)
+    free = [speed for step in steps for number, (x, speed) in step.items() if number % 2 and x < -30.0]
     assert max(free) > 0.9 * LIMIT_MPS
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.twin import backend
 from izoo.envs.twin.net.reader import twin_traffic
@@ -21,7 +20,7 @@ from izoo.networks.road import read_road
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.twin.crossroads import build_crossroads, meeting
-from tests.envs.worlds import Driver, at_random, crossing, defer, one_lane, play, same, short, steer
+from tests.envs.worlds import Driver, at_random, crossing, defer, one_lane, play, play_on, same, short, steer
 
 # -- the same MDP as behind SUMO ---------------------------------------------------------------------------------------
 
@@ -104,41 +103,27 @@ def test_advance_plays_each_environment_uncommanded(make_twin: MakeTwin) -> None
             env.advance(wrong)
 
 
-class _Interrupted(BaseException):
-    """An unexpected exception like Ctrl-C."""
-
-
-def _interrupt(env: TwinEnv, call: Callable[[], object], monkeypatch: pytest.MonkeyPatch, surrogate: str) -> None:
-    """Interrupt a call during its simulation: on torch before, with compiled code after the step was counted."""
-    name = "conclude_all" if surrogate == "torch" else "play_all"
-    whole = getattr(backend, name)
-
-    def broken(*arguments: object) -> None:
-        if name == "play_all":
-            whole(*arguments)
-        raise _Interrupted
-
-    with monkeypatch.context() as patch, pytest.raises(_Interrupted):
-        patch.setattr(backend, name, broken)
-        call()
-
-
-@pytest.mark.parametrize("surrogate", ["torch", "compiled"])
+@pytest.mark.parametrize(("surrogate", "stage"), [("torch", "conclude_all"), ("compiled", "play_all")])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_interrupted_environment_needs_a_reset(
-    make_twin: MakeTwin, monkeypatch: pytest.MonkeyPatch, surrogate: str, threads: int
+    make_twin: MakeTwin, monkeypatch: pytest.MonkeyPatch, surrogate: str, stage: str, threads: int
 ) -> None:
     """Otherwise the simulation would be ahead of the metrics."""
     env, fresh = (make_twin(3, surrogate=surrogate, threads=threads) for _ in range(2))
-    state = env.reset()
-    for _ in range(4):
-        _, state = env.step_and_maybe_reset(steer(state))
-    _interrupt(env, lambda: env.step_lean(steer(state)), monkeypatch, surrogate)
+    state, real = play_on(env, 4, steer, env.reset())[1], getattr(backend, stage)
+
+    def interrupted(*arguments: object) -> None:
+        if stage == "play_all":
+            real(*arguments)  # which counts the step
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(backend, stage, interrupted)
+        env.step_lean(steer(state))
     for call in (lambda: env.step(steer(state)), env.present, lambda: env.advance([1, 1, 1])):
         with pytest.raises(IzooError, match=r"\(\) came before reset"):
             call()
-    numbers = [0, 1, 2]
-    ours, theirs = (play(each, 20, start=each.reset(episode=numbers))["next"] for each in (env, fresh))
+    ours, theirs = (play(each, 20, start=each.reset(episode=[0, 1, 2]))["next"] for each in (env, fresh))
     assert same(ours, theirs)
 
 

@@ -1,4 +1,4 @@
-"""The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders, emitted rows."""
+"""The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from izoo.envs.mdp.columns import (
     LOCATION,
     MOVEMENT,
     PREV_ACCEL,
-    SPEED,
     STOP_LINE,
     TTC,
     WRONG_LANE,
 )
-from izoo.envs.mdp.step import emit_vehicles
 from izoo.networks.road import APPROACHING
 from izoo.networks.turning import LEFT
 from tests.envs.placed import STEP_S, Scene
@@ -92,19 +90,6 @@ def test_grade_is_the_mean_under_the_vehicle(scene: Scene, lane: str, position: 
     assert scene.floats[me, GRADE] == pytest.approx(grade, abs=5e-3)
 
 
-def test_sort_by_lane_and_position(scene: Scene) -> None:
-    generator = np.random.default_rng(1)
-    lanes = generator.choice(["A2TL_0", "A2TL_intern_1", "TL2C_0"], 12)
-    for lane, position in zip(lanes, generator.uniform(0.0, 100.0, 12), strict=True):
-        scene.put(str(lane), float(position))
-    scene.read()
-    numbers = [scene.road.lane_ids.index(str(lane)) for lane in lanes]
-    expected = sorted(range(12), key=lambda r: (numbers[r], scene.floats[r, LANE_POSITION]))
-    assert scene.order.tolist() == expected
-    for number in range(len(scene.road.lane_ids)):
-        assert scene.start[number + 1] - scene.start[number] == numbers.count(number)
-
-
 def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
     fast = scene.put("A2TL_0", 100.0, speed=14.0)
     slow = scene.put("A2TL_0", 135.0, speed=4.0)
@@ -125,15 +110,3 @@ def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Sc
     scene.move(other, "A2TL_0", 103.0, 0.0)
     scene.read()
     assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0
-
-
-def test_emitted_rows_without_a_vehicle_are_zero(scene: Scene) -> None:
-    scene.put("A2TL_0", 100.0, row=1)
-    scene.floats[0] = np.nan  # what an earlier occupant has left
-    scene.ints[0] = 99
-    scene.read()
-    floats, ints, flags = np.full((4, 10), np.nan), np.full((4, 8), 7), np.full((4, 6), 7, np.uint8)
-    emit_vehicles(scene.floats, scene.ints, scene.flags, floats, ints, flags)
-    for row in (0, 2, 3):
-        assert not floats[row].any() and not ints[row].any() and not flags[row].any()
-    assert floats[1, SPEED] == 10.0 and flags[1, 0] == 1

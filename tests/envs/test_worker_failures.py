@@ -23,10 +23,9 @@ from torchrl.envs import ObservationNorm, TransformedEnv
 
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
-from izoo.envs.sumo.worker import POLL_S
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, set_action, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, set_action, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -56,12 +55,6 @@ def undisturbed(steps: int) -> TensorDict:
     """The first steps of the two environments of :func:`pair`."""
     with contextlib.closing(SumoParallelEnv(2, crossing(), config=short(), seed=6)) as env:
         return play(env, steps)
-
-
-@pytest.mark.parametrize("poll_s", [0.0, POLL_S])
-def test_frames_do_not_depend_on_polling(pair: SumoParallelEnv, poll_s: float) -> None:
-    pair.backend._poll_s = [poll_s, poll_s]
-    assert [digest(row) for row in play(pair, 101)] == [digest(row) for row in undisturbed(101)]
 
 
 @pytest.mark.parametrize(
@@ -134,18 +127,6 @@ def test_after_ctrl_c_in_a_step_the_next_reset_works(pair: SumoParallelEnv) -> N
     assert [digest(row) for row in played] == [digest(row) for row in undisturbed(101)]
 
 
-def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
-    """The lost worker's next episode begins, and the other environment keeps its state."""
-    _, state = play_on(pair, 30, steer, pair.reset())
-    os.kill(process_of(pair, 0), signal.SIGKILL)
-    frame, after = pair.step_and_maybe_reset(steer(state))
-    assert frame["next", "truncated"].flatten().tolist() == [True, False]
-    assert after["context", "episode"].flatten().tolist() == [2, 1]
-    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
-    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
-    assert not after["done"].any()
-
-
 def test_a_worker_killed_while_it_begins_an_episode_is_replaced(pair: SumoParallelEnv) -> None:
     pair.reset()
     os.kill(process_of(pair, 1), signal.SIGKILL)
@@ -195,21 +176,7 @@ def test_memory_of_a_worker_does_not_grow() -> None:
     assert resident_kib[-1] / resident_kib[14] < 1.03
 
 
-@pytest.mark.slow
-def test_sixteen_workers() -> None:
-    with contextlib.closing(SumoParallelEnv(16, crossing(), config=short())) as env:
-        frames = play(env, env.config.control_steps + 5)
-        assert frames.shape[0] == 16 and env.restarts == 0
-        assert frames["context", "episode"][:, 0].flatten().tolist() == list(range(16))
-
-
 # -- the end -----------------------------------------------------------------------------------------------------------
-
-
-def shared_segments(pids: set[int]) -> set[Path]:
-    """Return the named shared memory that processes map."""
-    lines = [line for pid in pids for line in Path(f"/proc/{pid}/maps").read_text().splitlines()]
-    return {Path(line.split()[-1]) for line in lines if line.split()[-1].startswith("/dev/shm/")}
 
 
 def open_descriptors() -> int:
@@ -221,7 +188,6 @@ def test_close_leaves_nothing() -> None:
     env = SumoParallelEnv(2, crossing(), config=short())
     env.reset()
     pids = {process_of(env, 0), process_of(env, 1)}
-    assert not shared_segments(pids)
     env.close()
     env.close()
     with pytest.raises(IzooError, match="is closed; make another one"):
@@ -262,7 +228,6 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         assert parent.stdout is not None
         pids = {int(word) for word in parent.stdout.readline().split()}
         assert len(pids) == 2
-        segments = shared_segments({*pids, parent.pid} if number is not None else set())
         if number is not None:
             time.sleep(0.3)
             assert all(alive(pid) for pid in pids)
@@ -272,5 +237,4 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         parent.kill()
         parent.communicate()
     assert not wait_until_gone(pids), "workers have outlived their parent"
-    assert not any(path.exists() for path in segments)
     assert list(tmp_path.iterdir()) == []

@@ -160,6 +160,12 @@ def same(one: TensorDictBase, other: TensorDictBase) -> bool:
     return bool((one == other).all())
 
 
+def places(vehicles: TensorDictBase) -> dict[int, tuple[float, float]]:
+    """Path position and speed of every vehicle by its number."""
+    columns = (vehicles[n][vehicles["present"]].tolist() for n in ("vehicle_number", "path_position_m", "speed_mps"))
+    return {number: (position, speed) for number, position, speed in zip(*columns, strict=True)}
+
+
 def process_of(env: SumoParallelEnv, index: int) -> int:
     """Return the process number of a worker."""
     worker = env.backend._workers[index]

@@ -52,6 +52,7 @@ from izoo.envs.twin.runtime.layout import (
 from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.road import read_road
 
+TOLERANCE = 1e-3
 ROUNDING = 1e-9
 """Differences (m, m/s) up to this are rounding."""
 
@@ -73,7 +74,7 @@ class Difference(NamedTuple):
     twin: Place
 
 
-def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Difference]:
+def differences(case: Case, sumo: Trace) -> Iterator[Difference]:
     """Play ``case`` on the twin along SUMO's trace and yield the vehicles that differ, step by step."""
     net = case.world.net
     episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(case.net_path), net), case.step_ms)
@@ -93,7 +94,7 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
                     passed[v].append(theirs.lane)
                 passed[v][-1] = theirs.lane
             off = np.abs(np.subtract(theirs[1:], ours[1:])).max()
-            if theirs.lane == ours.lane and off <= tolerance:
+            if theirs.lane == ours.lane and off <= TOLERANCE:
                 # Rounding errors are removed: they could put an advised speed out of the range of braking.
                 if off > ROUNDING:
                     episode.state.floats[v, [POSITION, SPEED]] = theirs[1:]

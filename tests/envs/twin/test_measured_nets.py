@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from izoo.benchmarks.fidelity.single_vehicle import Case, play_sumo
+from izoo.benchmarks.fidelity.single_vehicle import Case, play_sumo, play_twin
 from izoo.contexts.catalogue import Scenario, build
 from izoo.networks.dataset.intersections import load_dataset
 from tests.envs.twin.alongside import differences
@@ -88,6 +89,16 @@ def test_free_episodes_are_those_of_sumo(rule: str) -> None:
     net, seed, steps = FREE[rule]
     case = _case(net, 1000.0, seed)
     assert_same(case, steps, 1e-6)
+
+
+@pytest.mark.parametrize("net", ["308", "110"])
+def test_junctions_are_not_blocked(net: str) -> None:
+    """By left-turners that wait for each other inside."""
+    case = _case(net, 600.0)
+    exits = np.array([*(name.startswith("TL2") for name in case.world.lane_ids), False])
+    theirs, ours = (exits[play(case, 1200).lane].any(axis=0).sum() for play in (play_sumo, play_twin))
+    assert theirs > 200
+    assert abs(ours - theirs) <= 0.02 * theirs
 
 
 def test_where_lanes_are_added_before_a_signal() -> None:

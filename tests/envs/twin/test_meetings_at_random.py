@@ -49,9 +49,8 @@ def draw_vehicles(generator: np.random.Generator, lanes: int, most: int) -> list
     return vehicles
 
 
-def departures(folder: Path, lanes: int, links: int, most: int) -> list[Departure]:
+def departures(nets: list[Path], lanes: int, most: int) -> list[Departure]:
     """Return the first difference of every episode in which the twin differs from SUMO."""
-    nets = [build_crossroads(folder / str(k), plan, lanes=lanes) for k, plan in enumerate(plans(links))]
     found = []
     for seed in range(EPISODES):
         case = meeting(nets[seed % len(nets)], draw_vehicles(np.random.default_rng(seed), lanes, most))
@@ -66,5 +65,14 @@ BOUNDS = {(1, 6): 1, (1, 16): 2, (2, 6): 0, (2, 16): 5, (3, 6): 0, (3, 16): 4}
 
 @pytest.mark.parametrize(("lanes", "most"), sorted(BOUNDS))
 def test_few_random_episodes_differ(tmp_path: Path, lanes: int, most: int) -> None:
-    found = departures(tmp_path, lanes, 2 + lanes, most)
+    nets = [build_crossroads(tmp_path / str(k), plan, lanes=lanes) for k, plan in enumerate(plans(2 + lanes))]
+    found = departures(nets, lanes, most)
     assert len(found) <= BOUNDS[lanes, most], "\n".join(map(str, found))
+
+
+def test_few_random_episodes_differ_if_signals_change_without_yellow(tmp_path: Path) -> None:
+    """So that many vehicles are inside the junction when the others start."""
+    north_south, east_west = "GGgsrr" * 2, "srrGGg" * 2
+    plan = [(9.0, north_south), (6.0, east_west), (5.0, north_south), (10.0, east_west)]
+    found = departures([build_crossroads(tmp_path, plan)], 1, 8)
+    assert len(found) <= 7, "\n".join(map(str, found))
