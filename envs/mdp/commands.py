@@ -60,9 +60,9 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
             continue
         p = ints[r, APPROACH]
         sums[p, _AGENT_STEPS] += 1
-        newcomer = tables.acting[a] < 0
-        is_nan = not newcomer and np.isnan(action[a, 0])
-        deferred = newcomer or defer[a] != 0
+        is_new = tables.acting[a] < 0
+        is_nan = not is_new and np.isnan(action[a, 0])
+        deferred = is_new or defer[a] != 0
         if is_nan:
             sums[p, _NAN_ACTIONS] += 1
         inside = ints[r, LOCATION] == INSIDE
@@ -119,10 +119,10 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
         sums[p, _AGENT_STEPS] += 1
         before_line = ints[r, LOCATION] == APPROACHING
         share = action[a, 0 if before_line else action.shape[1] - 1]
-        newcomer = tables.acting[a] < 0
-        if not newcomer and np.isnan(share):
+        is_new = tables.acting[a] < 0
+        if not is_new and np.isnan(share):
             sums[p, _NAN_ACTIONS] += 1
-        free = newcomer or defer[a] != 0 or not share < 1.0
+        free = is_new or defer[a] != 0 or not share < 1.0
         flags[r, DEFERRED] = free
         speed, max_speed, slowing = floats[r, SPEED], TOP_SPEED_MPS, False
         if free:

@@ -112,7 +112,7 @@ def update_motion(rows, reading, vehicles, road, step_s):  # type: ignore[no-unt
 def mean_grade_pct(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
     """Return the mean grade in percent under a vehicle, positive uphill, which is SUMO's slope from back to front.
 
-    The junction before the controlled region, where a newcomer's back still is, counts as level.
+    The junction before the controlled region, where the rear of a vehicle that enters still is, counts as level.
     """
     left, rise = length, 0.0
     for _ in range(ROUTE_LIMIT):

@@ -187,13 +187,13 @@ class SumoSimulator:
         reading = session.read(ids.members, self._lane_numbers)
         if session.count_on(self._entry_edges) == np.count_nonzero(self._is_entry_lane[reading[0]]):
             return reading
-        newcomers = [
+        entered = [
             name for edge in self._entry_edges for name in filterfalse(ids.row_of.__contains__, session.on_edge(edge))
         ]
-        for name in newcomers:
+        for name in entered:
             self._register(name, counted=True)
         lane, position, speed, signals = map(
-            np.concatenate, zip(reading, session.read(newcomers, self._lane_numbers), strict=True)
+            np.concatenate, zip(reading, session.read(entered, self._lane_numbers), strict=True)
         )
         return lane, position, speed, signals
 

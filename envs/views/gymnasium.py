@@ -276,14 +276,14 @@ class EcoDrivingEgo(_View[np.ndarray]):
             result = self.others(seen)
         if result is None or ("agents", "action") not in result.keys(include_nested=True):
             raise IzooError("the policy 'others' wrote no ('agents', 'action'); it must return [A, D] actions.")
-        wanted = {name: result.get(("agents", name), None) for name in Commands._fields}
+        chosen = {name: result.get(("agents", name), None) for name in Commands._fields}
         passing = [("agents", name) for name in (*agents, *Commands._fields)]
         kept, following = result.exclude("next"), result.get("next", None)
         self._kept = (kept if following is None else kept.update(following)).exclude("next", "is_init", *passing)
         commands.defer[:] = False
         for name, values in commands._asdict().items():
-            if wanted[name] is not None:
-                values[:] = wanted[name].reshape(values.shape).numpy()
+            if chosen[name] is not None:
+                values[:] = chosen[name].reshape(values.shape).numpy()
         return commands
 
 

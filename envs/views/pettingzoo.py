@@ -75,7 +75,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
       is true if it must, and the actions of others are not read.
     - :meth:`step` returns entries for the agents that acted and those that entered in the step: an agent that left is
       terminated, with a zero observation (its value is zero) and its last reward; agents present at the horizon are
-      truncated, with their last observation; a newcomer's reward is 0.
+      truncated, with their last observation; the reward of a new agent is 0.
     - ``agents`` is empty only when the episode is over: steps without any CV are simulated in one go.
 
     All agents share one observation and one action space, so seeding one seeds those of vehicles yet to come.
@@ -184,11 +184,11 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         self._find_agents()
         if not self.agents:
             self._advance_while_empty()
-        newcomers = [agent for agent in self.agents if agent not in rewards]
-        observations |= self._observe(newcomers)
-        infos |= {agent: self._info(agent) for agent in newcomers}
-        rewards |= dict.fromkeys(newcomers, 0.0)
-        terminated |= dict.fromkeys(newcomers, False)
+        entered = [agent for agent in self.agents if agent not in rewards]
+        observations |= self._observe(entered)
+        infos |= {agent: self._info(agent) for agent in entered}
+        rewards |= dict.fromkeys(entered, 0.0)
+        terminated |= dict.fromkeys(entered, False)
         truncated = {agent: self.session.over and not left for agent, left in terminated.items()}
         if self.session.over:
             self.agents = []

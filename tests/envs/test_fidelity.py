@@ -96,7 +96,7 @@ def test_grade_equals_sumos_slope() -> None:
 
 
 def test_grade_equals_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
-    """Exact except for newcomers, whose back is still outside the controlled region, and for sharp bends."""
+    """Exact except for vehicles that enter, whose rear is still outside the controlled region, and for sharp bends."""
     for context in sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))[:3]:
         ours, theirs = slopes(context)
         error = np.abs(ours - theirs)

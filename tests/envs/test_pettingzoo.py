@@ -58,10 +58,10 @@ def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:
     left: set[str] = set()
     for before, (observations, rewards, terminated, truncated, infos) in frames:
         assert not left & set(before)
-        newcomers = observations.keys() - set(before)
+        entered = observations.keys() - set(before)
         assert list(observations) == list(rewards) == list(terminated) == list(truncated) == list(infos)
         assert set(before) <= observations.keys()
-        assert not newcomers & seen and not any(rewards[agent] for agent in newcomers)
+        assert not entered & seen and not any(rewards[agent] for agent in entered)
         for agent in observations:
             assert observations[agent].any() != terminated[agent]
             assert not (terminated[agent] and truncated[agent])

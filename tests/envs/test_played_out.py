@@ -160,7 +160,7 @@ def test_sums_equal_those_of_sumos_own_output(context: Context, tmp_path: Path) 
 # -- rewards and the measure -------------------------------------------------------------------------------------------
 
 
-def test_gaming_the_papers_measure_does_not_pay() -> None:
+def test_gaming_the_papers_measure_worsens_the_own_measure_and_the_reward() -> None:
     """Keeping vehicles out, blocking the road, and shifting CO2 from before the stop line to behind it.
 
     The first and the last save CO2 in the paper's form.

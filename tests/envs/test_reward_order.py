@@ -74,6 +74,6 @@ def test_own_rewards_add_up_to_the_teams() -> None:
             asked = state["agents", "mask"].clone()
             before = set(state["agents", "vehicle"][asked].tolist())
             state = env.step_lean(defer(state))
-            if set(state["agents", "vehicle"][state["agents", "mask"]].tolist()) <= before:  # a newcomer has no reward
+            if set(state["agents", "vehicle"][state["agents", "mask"]].tolist()) <= before:  # a new agent has no reward
                 total = torch.tensor(float(state["agents", "reward"].sum()) * scale)
                 torch.testing.assert_close(total, state["team_reward"][0], rtol=1e-3, atol=1e-3)

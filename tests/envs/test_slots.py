@@ -1,4 +1,4 @@
-"""Slots of agents and vehicles: leavers, newcomers, the horizon, and too few slots."""
+"""Slots of agents and vehicles: vehicles that leave and enter, the horizon, and too few slots."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_next_shows_the_same_vehicle_or_an_empty_slot(frames: TensorDict, occupa
     assert (held & (after == -1)).any()
 
 
-def test_a_leaver_is_terminated(frames: TensorDict) -> None:
+def test_an_agent_that_leaves_is_terminated(frames: TensorDict) -> None:
     after, agents = frames["next", "agents"], frames["agents"]
     left = agents["mask"] & ~after["mask"]
     assert left.any()
@@ -66,12 +66,12 @@ def test_a_leaver_is_terminated(frames: TensorDict) -> None:
 
 
 def test_empty_slots_are_zero(frames: TensorDict) -> None:
-    """And a newcomer, which is in ``next`` but did not act, has no reward."""
+    """And a new agent, which is in ``next`` but did not act, has no reward."""
     idle = ~frames["agents", "mask"]
     after = frames["next", "agents"]
     for name in ("reward", "done", "terminated", "truncated"):
         assert not after[name].squeeze(-1)[:-1][idle[:-1]].any(), name
-    assert (idle & after["mask"]).any(), "no newcomer in the scenario"
+    assert (idle & after["mask"]).any(), "no vehicle enters in the scenario"
     for part in (frames, frames["next"]):
         empty = ~part["agents", "mask"]
         assert not part["agents", "observation"][empty].any() and not part["agents", "vehicle"][empty].any()

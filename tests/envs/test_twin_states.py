@@ -170,7 +170,7 @@ def test_a_refused_state_leaves_the_environments_unchanged(
 
 
 @pytest.mark.parametrize("simulator", ["one", "several"])
-def test_a_closed_environment_says_so(make: Make, saved: dict[str, Any], simulator: str) -> None:
+def test_calls_of_a_closed_environment_are_refused(make: Make, saved: dict[str, Any], simulator: str) -> None:
     env = make("twin", 2 if simulator == "several" else None, schedule())
     state = env.reset()
     env.close()

@@ -28,7 +28,7 @@ from tests.envs.placed import STEP_S, Scene
 
 def test_speed_and_acceleration(scene: Scene) -> None:
     me = scene.put("A2TL_0", 50.0, speed=10.0)
-    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a newcomer
+    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a new vehicle
     scene.flags[me, FRESH] = 1
     scene.read()
     assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (1.5, 1.5)

@@ -101,7 +101,7 @@ def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no
     if state.ints[v, VARIANT] < 0:
         # Set once, although the signals may change while it waits.
         state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
-    wish = net.lane_floats[lane, LANE_LIMIT]
+    desired = net.lane_floats[lane, LANE_LIMIT]
     position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     seen = -position
     leader = state.lanes[lane, LANE_BACK]
@@ -119,7 +119,7 @@ def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no
         if seen >= reach:
             break
         link = net.route_link[traffic.ints[v, ROUTE], lane]
-        stops = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s) >= speed
+        stops = stop_speed(driver, seen, speed, desired, driver[DECEL], step_s) >= speed
         if link < 0:
             if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]] and not stops:
                 verdict = DROP
@@ -130,7 +130,7 @@ def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no
                 verdict = DROP if _never_has_priority(net, link, letter) else WAIT
             break
         lane = net.link_ints[link, LINK_NEXT]
-        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], wish, step_s) < speed:
+        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], desired, step_s) < speed:
             verdict = DROP
             break
         onward = net.route_link[traffic.ints[v, ROUTE], lane]

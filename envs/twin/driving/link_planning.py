@@ -89,20 +89,20 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     variant = ints[v, VARIANT]
     speed, lane = floats[v, SPEED], ints[v, LANE]
     top = floats[v, TOP_SPEED]
-    wish = min(net.lane_floats[lane, LANE_LIMIT], top)
+    desired = min(net.lane_floats[lane, LANE_LIMIT], top)
     fastest = max_speed(driver, speed, top, step_s)
     slowest = min_speed(driver, speed, step_s)
     reach = fastest * step_s + brake_gap(fastest, driver[DECEL], driver[TAU], step_s)
     seen = net.lane_floats[lane, LANE_LENGTH] - floats[v, POSITION]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1
     seen_roads, seen_inside = 0.0, seen if inside else 0.0
-    best = min(fastest, wish)
+    best = min(fastest, desired)
     command = floats[v, COMMAND]
     if not math.isnan(command):
         best = max(min(command, best), slowest)
-    passing = min(wish, accelerated_speed(seen, best, driver[MAX_ACCEL], top))
+    passing = min(desired, accelerated_speed(seen, best, driver[MAX_ACCEL], top))
     beyond = slowed_for_minor = False
-    lane_limit = wish
+    lane_limit = desired
     # On a free road the speed depends on the limit alone, which most lanes share.
     free_limit, freely = -1.0, 0.0
     first = state.clock[ITEM_TOTAL]
@@ -114,7 +114,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         if leader >= 0:
             back = rear_position(net, traffic, state, leader, lane)
             gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
-            safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], wish, step_s)
+            safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], desired, step_s)
             if count == 0 and inside and ints[leader, LANE] != lane and gap < driver[MIN_GAP]:
                 # Behind a vehicle that has left the junction except for its tail.
                 safe = 0.0
@@ -123,7 +123,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             if count > 0:
                 # The leave speed of the last link is that of following from there at the present gap.
                 leave = state.item_floats[first + count - 1, ITEM_LEAVE_SPEED]
-                later = follow_speed(driver, gap - driver[MIN_GAP], leave, floats[leader, SPEED], wish, step_s)
+                later = follow_speed(driver, gap - driver[MIN_GAP], leave, floats[leader, SPEED], desired, step_s)
                 state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(leave, later)
         item = first + count
         values, numbers = state.item_floats[item], state.item_ints[item]
@@ -135,9 +135,9 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         link = net.best_link[variant, lane]
         if link < 0:
             if net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[route]:
-                safe = max(EPS, free_speed(driver, seen, speed, lane_limit, wish, step_s))
+                safe = max(EPS, free_speed(driver, seen, speed, lane_limit, desired, step_s))
             else:
-                safe = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s)
+                safe = stop_speed(driver, seen, speed, desired, driver[DECEL], step_s)
             best = min(best, safe)
             if count > 1:
                 state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], safe)
@@ -153,7 +153,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         if seen >= braking:
             offset = min(offset, seen - braking)
         offset = max(POSITION_EPS, offset)
-        waiting = min(best, stop_speed(driver, max(0.0, seen - offset), speed, wish, decel, step_s))
+        waiting = min(best, stop_speed(driver, max(0.0, seen - offset), speed, desired, decel, step_s))
         numbers[ITEM_LINK] = link
         values[ITEM_WAIT] = waiting
         values[ITEM_PASS] = passing
@@ -196,10 +196,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         lane = next_lane
         inside = net.lane_ints[lane, LANE_INSIDE] == 1
         if speed > lane_limit:
-            free = free_speed(driver, seen, speed, lane_limit, wish, step_s)
+            free = free_speed(driver, seen, speed, lane_limit, desired, step_s)
         else:
             if lane_limit != free_limit:
-                free_limit, freely = lane_limit, unlimited_speed(driver, speed, lane_limit, wish, step_s)
+                free_limit, freely = lane_limit, unlimited_speed(driver, speed, lane_limit, desired, step_s)
             free = limit_ahead(driver, seen, freely, lane_limit)
         best = min(best, max(free, slowest - EPS))
         if inside:

@@ -107,8 +107,8 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
-            wish = desired_speed(net, state, v, state.ints[v, LANE])
-            stop = stop_speed(driver, needed_m, speed, wish, driver[DECEL], step_s)
+            desired = desired_speed(net, state, v, state.ints[v, LANE])
+            stop = stop_speed(driver, needed_m, speed, desired, driver[DECEL], step_s)
             safe, waits = min(safe, max(slowest, stop)), True
         # A vehicle that goes on is not slowed for lane changes.
         needed = 0.0 if waits and safe < speed else min(needed, safe)

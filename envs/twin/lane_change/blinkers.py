@@ -19,14 +19,14 @@ _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
 
-    The wishes of the step before come first, except keeping right, for which vehicles do not blink. With wishes to both
-    sides it blinks to the left if they are for speed alone, otherwise to the right.
+    Requests of the step before come first, except keeping right, for which vehicles do not blink. With requests to both
+    sides it blinks to the left if those are for speed alone, otherwise to the right.
     """
-    wishes = state.ints[v, CHANGE_STATE]
-    rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD
-    if leftward and not (rightward and wishes & _MORE_THAN_SPEED):
+    state_bits = state.ints[v, CHANGE_STATE]
+    rightward, leftward = state_bits & RIGHTWARD, state_bits & LEFTWARD
+    if leftward and not (rightward and state_bits & _MORE_THAN_SPEED):
         return _LEFT
-    if rightward and not wishes & RIGHT_KEEPING:
+    if rightward and not state_bits & RIGHT_KEEPING:
         return _RIGHT
     lane = state.ints[v, LANE]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]

@@ -112,10 +112,10 @@ def _advised_accel_mps2(state, v, k, step_s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advised_speed(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed in ``[low, high]`` (m/s) for the coming step, ``wish`` without advice."""
+def advised_speed(net, traffic, state, v, low, desired, high, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed in ``[low, high]`` (m/s) for the coming step, ``desired`` without advice."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    best, advised = wish, False
+    best, advised = desired, False
     blocker = state.floats[v, BLOCKER_LENGTH]
     if blocker != 0.0:
         space = state.floats[v, LEFT_SPACE] - blocker - POSITION_EPS
@@ -124,7 +124,7 @@ def advised_speed(net, traffic, state, v, low, wish, high, step_s):  # type: ign
             limit = desired_speed(net, state, v, state.ints[v, LANE])
             safe = stop_speed(driver, space, speed, limit, driver[DECEL], step_s)
             high = min(high, safe)
-            if safe < wish:
+            if safe < desired:
                 best, advised = max(low, safe), True
     for k in range(state.ints[v, ADVICES]):
         advice = speed + _advised_accel_mps2(state, v, k, step_s) * step_s
@@ -135,17 +135,17 @@ def advised_speed(net, traffic, state, v, low, wish, high, step_s):  # type: ign
     flags = state.ints[v, CHANGE_STATE]
     if flags & WANTS_CHANGE and flags & BLOCKED:
         if flags & STRATEGIC:
-            return (high + wish) * 0.5
+            return (high + desired) * 0.5
         if flags & COOPERATIVE:
             if flags & BLOCKED_BY_LEADER:
-                return (low + wish) * 0.5
+                return (low + desired) * 0.5
             if flags & BLOCKED_BY_FOLLOWER:
-                return (high + wish) * 0.5
+                return (high + desired) * 0.5
     if flags & BLOCKS_LEADER:
-        return (high + wish) * 0.5
+        return (high + desired) * 0.5
     if net.edge_ints[net.lane_ints[state.ints[v, LANE], LANE_EDGE], EDGE_LANES] == 1:
         clear_memories(state, v)
-    return wish
+    return desired
 
 
 @compiled

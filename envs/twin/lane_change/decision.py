@@ -119,7 +119,7 @@ class Change(NamedTuple):
 
 @compiled
 def apply_request(net, state, v, flags):  # type: ignore[no-untyped-def]
-    """Let a commanded lane override the wishes in ``flags``, and the mode forbid some; return the new state bits."""
+    """Let a commanded lane override the requests in ``flags``, and the mode forbid some; return the new state bits."""
     request = 0
     if state.ints[v, CHANGE_UNTIL_MS] >= state.clock[NOW_MS]:
         lane, target = state.ints[v, LANE], state.ints[v, CHANGE_TARGET]
@@ -137,13 +137,13 @@ def apply_request(net, state, v, flags):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_permitted(net, state, v, wish):  # type: ignore[no-untyped-def]
-    return apply_request(net, state, v, wish) == wish
+def _is_permitted(net, state, v, request):  # type: ignore[no-untyped-def]
+    return apply_request(net, state, v, request) == request
 
 
 @compiled
 def decide_lane_change(net, traffic, state, v, side, around, blocked, step_s):  # type: ignore[no-untyped-def]
-    """Return the state bits of the wish to change to ``side`` (-1 right, 1 left), without the blocking bits.
+    """Return the state bits of the request to change to ``side`` (-1 right, 1 left), without the blocking bits.
 
     Args:
         around: the :class:`~izoo.envs.twin.lane_change.neighbours.Neighbours` for this change.
@@ -273,7 +273,7 @@ def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flag
 
 @compiled
 def _discretionary_change(net, traffic, state, v, change, around, flags, step_s):  # type: ignore[no-untyped-def]
-    """Return the state bits of a wish that the route does not press for: cooperation, speed gain, keeping right."""
+    """Return the state bits of a request that the route does not press for: cooperation, speed gain, keeping right."""
     floats, driver = state.floats, traffic.floats[v]
     lane, variant = state.ints[v, LANE], state.ints[v, VARIANT]
     target, right = lane + change.side, change.side < 0
@@ -286,9 +286,9 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
     own = state.ints[v, CHANGE_STATE]
     if own & BLOCKS_FOLLOWER and own & wanted and (change.to_best or allowed):
-        wish = flags | toward | COOPERATIVE | URGENT
-        if _is_permitted(net, state, v, wish):
-            return wish
+        request = flags | toward | COOPERATIVE | URGENT
+        if _is_permitted(net, state, v, request):
+            return request
 
     leader, leader_gap = around.leader, around.leader_gap
     target_leader, target_gap = around.target_leader, around.target_leader_gap
@@ -310,13 +310,13 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
                 driver, state, speed, limit, share, target_length, target_leader, target_gap, step_s
             )
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
-                wish = flags | toward | RIGHT_KEEPING
-                if _is_permitted(net, state, v, wish):
-                    return wish
+                request = flags | toward | RIGHT_KEEPING
+                if _is_permitted(net, state, v, request):
+                    return request
         if floats[v, SPEED_GAIN_RIGHT] > _RIGHT_THRESHOLD and lasting:
-            wish = flags | toward | SPEED_GAINING
-            if _is_permitted(net, state, v, wish):
-                return wish
+            request = flags | toward | SPEED_GAINING
+            if _is_permitted(net, state, v, request):
+                return request
     else:
         if here > there:
             floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] * math.pow(0.5, step_s))
@@ -325,18 +325,18 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
         else:
             floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] + step_s * gain)
         if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or change.overtakes_left) and lasting:
-            wish = flags | toward | SPEED_GAINING
-            if _is_permitted(net, state, v, wish):
-                return wish
+            request = flags | toward | SPEED_GAINING
+            if _is_permitted(net, state, v, request):
+                return request
     if (
         change.to_best
         and change.offset == net.best_offset[variant, lane]
         and gain >= 0.0
         and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
     ):
-        wish = flags | toward | STRATEGIC
-        if _is_permitted(net, state, v, wish):
-            return wish
+        request = flags | toward | STRATEGIC
+        if _is_permitted(net, state, v, request):
+            return request
     return flags
 
 

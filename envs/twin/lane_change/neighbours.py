@@ -128,7 +128,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
     variant = state.ints[v, VARIANT]
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
     seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    wish = desired_speed(net, state, v, state.ints[v, LANE])
+    desired = desired_speed(net, state, v, state.ints[v, LANE])
     found, found_gap, least = -1, 0.0, math.inf
     while seen <= reach or net.lane_ints[lane, LANE_INSIDE]:
         link = net.best_link[variant, lane]
@@ -148,7 +148,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
                 return leader, gap
             safe = 0.0
             if gap >= 0.0:
-                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], wish, step_s)
+                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], desired, step_s)
             if safe < least:
                 found, found_gap, least = leader, gap, safe
         limit = desired_speed(net, state, v, lane)

@@ -53,6 +53,7 @@ from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.road import read_road
 
 TOLERANCE = 1e-3
+"""Differences up to this are left as they are."""
 ROUNDING = 1e-9
 """Differences (m, m/s) up to this are rounding."""
 
