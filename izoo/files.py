@@ -1,6 +1,6 @@
-"""Files and folders on disk: whole or absent whoever reads meanwhile, used by one process at a time, and free names.
+"""Files and folders on disk: whole or absent at any time, used by one process at a time, and free names.
 
-What is being written lies beside its place under a name of its own (:func:`partial_of`) and is renamed at the end.
+A file is written under a name of its own beside its place (:func:`partial_of`) and renamed at the end.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<place>[0-9a-f]{8})-(?P<pid>\
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with the home folder in place of ``~`` or ``~name``; where nobody has that name, as it is."""
-    return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises where nobody has that name)
+    """Return a path with the home folder in place of ``~`` or ``~name``; if there is no such user, as it is."""
+    return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises without such a user)
 
 
 @contextlib.contextmanager
@@ -144,6 +144,26 @@ def read_text(path: Path, most: int | None = None) -> str:
         raise ValueError(f"it is no text ({error.reason} at byte {error.start:,})") from error
 
 
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while one of izoo's own files is read and used into one sentence.
+
+    Raises:
+        IzooError: it is missing, damaged, or another version of izoo wrote it.
+    """
+    try:
+        yield
+    except IzooError:
+        raise
+    except FileNotFoundError:
+        raise IzooError(f"there is no {path}.") from None
+    except Exception as error:  # what damaged content raises depends on the content
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(
+            f"cannot read {path}: {reason}. It is damaged, or another version of izoo or other options wrote it."
+        ) from error
+
+
 class DamagedError(Exception):
     """A part of a file is not what was written."""
 
@@ -232,7 +252,7 @@ def is_partial(path: Path) -> bool:
 def discard_partials(folder: Path, name: str | None = None) -> None:
     """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it.
 
-    What those of other machines and containers write is left alone: nobody can tell here whether they live.
+    What processes of other machines and containers write is left alone: whether they run is not known here.
     """
     for path in folder.iterdir():
         match = _PARTIAL.fullmatch(path.name)

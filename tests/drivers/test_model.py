@@ -206,10 +206,9 @@ def test_the_environments_drivers_are_found() -> None:
     """One data set of the recovery study."""
     from izoo.benchmarks.calibration import recover
 
-    result = recover(0, 30, SamplerConfig(warmup=150, draws=250))
-    assert result["converged"]
-    table = pd.DataFrame(result["quantities"]).T
+    table = pd.DataFrame(recover(0, 30, SamplerConfig(warmup=150, draws=250)))
+    assert table["converged"].all()
     held = (table["low"] <= table["true"]) & (table["true"] <= table["high"])
     assert held.mean() >= 0.6
-    medians = table[table.index.str.startswith("median")]
+    medians = table[table["name"].str.startswith("median")]
     assert ((medians["mean"] / medians["true"] - 1.0).abs() < 0.12).all()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from izoo.benchmarks.fidelity.driving_statistics import COUNTS, Conduct, rates
+from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics, rates
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.mdp.snapshot import Scene
 from izoo.networks.road import RoadNet, read_road
@@ -38,16 +38,18 @@ def scene(road: RoadNet, time_s: float, movements: dict[int, tuple[int, int]], r
     return Scene(procedural_context(), road, time_s, vehicles, np.zeros((2, 3)), np.zeros((2, 1)))
 
 
-def counted(road: RoadNet, movements: dict[int, tuple[int, int]], *moments: tuple[float, dict[int, Row]]) -> Conduct:
-    conduct = Conduct()
+def counted(
+    road: RoadNet, movements: dict[int, tuple[int, int]], *moments: tuple[float, dict[int, Row]]
+) -> DrivingStatistics:
+    driving = DrivingStatistics()
     for time_s, rows in moments:
-        conduct.add(scene(road, time_s, movements, rows))
-    return conduct
+        driving.add(scene(road, time_s, movements, rows))
+    return driving
 
 
-def of(conduct: Conduct) -> dict[str, float]:
+def of(driving: DrivingStatistics) -> dict[str, float]:
     """Return the counts that are not 0."""
-    return {name: count for name, count in conduct.counts().items() if count}
+    return {name: count for name, count in driving.counts().items() if count}
 
 
 @pytest.mark.parametrize(
@@ -63,7 +65,7 @@ def of(conduct: Conduct) -> dict[str, float]:
         (FROM_B_TO_A, "B2TL_0", ":TL_4_0", 50.0, "passed_right_priority"),
     ],
 )
-def test_who_passes_on_which_signal(
+def test_vehicles_that_pass_on_each_signal(
     road: RoadNet, movement: tuple[int, int], lane: str, inside: str, time_s: float, expected: str
 ) -> None:
     before, after = {5: (lane, 90.0, 8.0)}, {5: (inside, 2.0, 8.0)}
@@ -78,7 +80,7 @@ def test_changes_of_lane_by_reason_and_place(road: RoadNet) -> None:
     assert found == {"changes_needed_approach": 1, "changes_right_approach": 1, "changes_left_exit": 1}
 
 
-def test_who_goes_on_to_the_next_edge_changes_nothing(road: RoadNet) -> None:
+def test_going_on_to_the_next_edge_changes_nothing(road: RoadNet) -> None:
     before, after = {1: ("A2TL_0", 99.0, 9.0), 2: ("A2TL_0", 50.0, 9.0)}, {1: ("A2TL_intern_0", 2.0, 9.0)}
     found = of(counted(road, {1: TO_C, 2: TO_C, 3: TO_C}, (10.0, before), (10.5, after | {3: ("A2TL_0", 0.5, 9.0)})))
     assert found == {}
@@ -105,15 +107,15 @@ def test_how_a_queue_leaves(road: RoadNet) -> None:
 
 def test_asking_changes_no_count(road: RoadNet) -> None:
     at_s = dict(enumerate([73.0, 75.5, 77.5, 79.0, 81.0, 83.5]))
-    conduct = Conduct()
+    driving = DrivingStatistics()
     for time_s in np.arange(70.0, 90.0, 0.5).tolist():
-        conduct.add(scene(road, time_s, dict.fromkeys(at_s, TO_C), leaving(at_s, time_s)))
+        driving.add(scene(road, time_s, dict.fromkeys(at_s, TO_C), leaving(at_s, time_s)))
         if time_s == 80.0:  # four have left
-            assert conduct.counts()["queues"] == 1 and conduct.counts()["headways"] == 0
-    assert (conduct.counts()["queues"], conduct.counts()["headways"]) == (1, 2)
+            assert driving.counts()["queues"] == 1 and driving.counts()["headways"] == 0
+    assert (driving.counts()["queues"], driving.counts()["headways"]) == (1, 2)
 
 
-def test_who_comes_later_is_not_of_the_queue(road: RoadNet) -> None:
+def test_later_vehicles_are_not_of_the_queue(road: RoadNet) -> None:
     at_s = {0: 73.0, 1: 75.5, 2: 120.0}  # the third waits for the next green
     moments = [(time_s, leaving(at_s, time_s)) for time_s in np.arange(70.0, 125.0, 0.5).tolist()]
     passing = {7: ("A2TL_intern_0", 3.0, 9.0)}

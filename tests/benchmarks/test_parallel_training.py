@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.campaign.parallel_training import SideRuns, shares
+from izoo.benchmarks.campaign.parallel_training import ParallelRuns, shares
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -51,7 +51,7 @@ def test_the_cores_are_shared_out() -> None:
 
 @pytest.mark.slow
 def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path) -> None:
-    with SideRuns(2) as beside:
+    with ParallelRuns(2) as beside:
         for seed in (0, 1):
             assert beside.has_room
             beside.begin(seed, *order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
@@ -70,7 +70,7 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "something").touch()
     failed = pytest.raises(IzooError, match=r"run failed: .*taken.* is not empty.* \(all that it said: .*taken\.log\)")
-    with failed, SideRuns(2) as beside:
+    with failed, ParallelRuns(2) as beside:
         beside.begin("long", *order(tmp_path, "long", 10**8))
         wait_until(lambda: MetricsTable.read(long / run_folder.METRICS_FILE).rows, "the first batch")
         beside.begin("taken", *order(tmp_path, "taken", 200))
@@ -84,7 +84,7 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
 def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
     """A second request would stop it at once."""
     words = [f"import sys; sys.path[:] = {sys.path!r}"]
-    words += ["from tests.benchmarks.test_side_runs import stopped; from pathlib import Path"]
+    words += ["from tests.benchmarks.test_parallel_training import stopped; from pathlib import Path"]
     words += [f"stopped(Path({str(tmp_path)!r}))"]
     parent = subprocess.Popen([sys.executable, "-c", "; ".join(words)])
     wait_until(lambda: (tmp_path / "asked").exists(), "the request")
@@ -97,9 +97,9 @@ def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_ord
 
 def stopped(folder: Path) -> None:
     """Begin a run, and ask it to stop once it has learned something."""
-    with SideRuns(1) as beside:
+    with ParallelRuns(1) as beside:
         beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
         wait_until(lambda: MetricsTable.read(folder / "long" / run_folder.METRICS_FILE).rows, "the first batch")
-        beside.going[0].ask_to_stop()
+        beside.going[0].dismiss()
         (folder / "asked").touch()
         time.sleep(PATIENCE_S)
