@@ -19,7 +19,7 @@ import secrets
 import shutil
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -204,17 +204,31 @@ def replacing_folder(target: Path) -> Iterator[Path]:
 
     What killed processes left beside ``target`` is removed first.
     """
-    staging = partial_of(target)
+    staging, old = partial_of(target), partial_of(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         discard_partials(target.parent, target.name)
         staging.mkdir()
         yield staging
         if target.exists():
-            shutil.rmtree(target)
+            target.replace(old)
         staging.replace(target)
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        for left in (staging, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def check_replaceable(target: Path, known: Callable[[], Collection[str]]) -> None:
+    """Refuse a target of :func:`replacing_folder` that is no folder, or holds anything that nobody knows.
+
+    Args:
+        known: returns the names of what the same command wrote there before; called if the folder holds anything.
+    """
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        raise IzooError(f"the target {target} is not a folder; choose a new one.")
+    held = {child.name for child in target.iterdir()} if target.exists() else set()
+    if held and (foreign := sorted(held - set(known()))):
+        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
 
 
 def partial_of(path: Path) -> Path:

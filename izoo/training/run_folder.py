@@ -18,7 +18,7 @@ from izoo.algos.learners.ppo_config import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.own_drivers import driver_files
+from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
 from izoo.envs.mdp.frame import observation_names
