@@ -15,7 +15,8 @@ import yaml
 
 from izoo import collect, console, evaluate, train
 from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.benchmarks import generalization
+from izoo.benchmarks import twin
+from izoo.benchmarks.campaign import __main__ as campaign
 from izoo.cli.option_command import OptionCommand
 from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
@@ -195,10 +196,10 @@ def test_commands_that_compose_options_can_be_swept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["protocol=systematicity", "algos=[uncommanded]", "test_limit=1", "horizon_s=60", "num_workers=0"]
-    outs = ["eval_seeds=3,4", f"out={tmp_path}/${{eval_seeds}}"]
-    assert generalization.main(["-m", *words, *outs, f"cache={tmp_path / 'cache'}"]) == 0
-    assert all(read_manifest(tmp_path / name).complete for name in "34")
+    words = ["contexts=pcg_easy", "num_contexts=1", "env.horizon_s=60", "adoptions=[0.5]", "demand=[given]", "late=0"]
+    words += ["policies=[uncommanded]", "exact=[]", "num_workers=0", f"cache={tmp_path / 'cache'}"]
+    assert twin.main(["-m", *words, "seeds=1,2", f"out={tmp_path}/${{seeds}}"]) == 0
+    assert all(read_manifest(tmp_path / name).complete for name in "12")
 
 
 @pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])
@@ -246,12 +247,12 @@ def test_cfg_of_a_large_sweep_says_that_not_all_is_shown(
 
 
 def test_entries_of_a_list_that_need_quotes_are_shown_with_them(capsys: pytest.CaptureFixture[str]) -> None:
-    remedy = 'train_options=["algo.frames_per_batch=200","algo.hidden=[8,8]"]'
+    remedy = 'parts=["algo.frames_per_batch=200","algo.hidden=[8,8]"]'
     unquoted = remedy.replace('"', "")
-    assert generalization.main(["--cfg", unquoted]) == 2
+    assert campaign.main(["--cfg", unquoted]) == 2
     error = capsys.readouterr().err
     assert "put double quotes around entries that hold =" in error and f"'{remedy}'" in error
-    assert generalization.main(["--cfg", remedy]) == 0
+    assert campaign.main(["--cfg", remedy]) == 0
     assert "- algo.hidden=[8,8]" in capsys.readouterr().out
 
 
@@ -267,7 +268,7 @@ def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
     assert elapsed < 1.0
 
 
-COMMANDS = ("train", "evaluate", "collect", "benchmarks.generalization", "benchmarks.tradeoffs")
+COMMANDS = ("train", "evaluate", "collect", "benchmarks.campaign.__main__", "benchmarks.twin")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -300,8 +301,6 @@ MISSING = {
     "report nowhere": "nowhere is no folder",
     "leaderboard validate nowhere.json": "nowhere.json does not exist",
     "contexts import nowhere data": "nowhere does not exist",
-    "benchmarks.generalization train=nowhere": "unknown city 'nowhere'",
-    "benchmarks.tradeoffs train=./nowhere": "nowhere is no folder",
 }
 
 
@@ -321,7 +320,6 @@ def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path
 FILLING = {
     "collect": "policy=random frames=50 out={}",
     "evaluate": "policy=glide contexts=pcg_easy num_contexts=1 seeds=1 num_workers=0 out={}",
-    "benchmarks.generalization": "protocol=systematicity algos=[glide] test_limit=1 num_workers=0 out={}",
     "benchmarks.planner": "contexts=pcg_easy num_contexts=1 out={}",
     "benchmarks.twin": "contexts=pcg_easy num_contexts=1 out={}",
 }

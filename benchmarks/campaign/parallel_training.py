@@ -19,11 +19,9 @@ from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
 from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError, UnfinishedError
 
-_COMMAND = "train"
 
-
-class SideRuns:
-    """Training runs beside this process. Those that still learn when the block ends are closed in good order.
+class ParallelRuns:
+    """Training runs in other processes. Those that still learn when the block ends save themselves first.
 
     Args:
         at_once: how many may learn at the same time.
@@ -33,7 +31,7 @@ class SideRuns:
         self._free = shares(at_once)
         self._runs: dict[Hashable, _Run] = {}
 
-    def __enter__(self) -> SideRuns:
+    def __enter__(self) -> ParallelRuns:
         return self
 
     def __exit__(
@@ -42,7 +40,7 @@ class SideRuns:
         going = self.going
         try:
             if going:
-                text = f"Closing {counted(len(going), 'training run')} in good order. Ctrl-C stops at once."
+                text = f"Saving {counted(len(going), 'training run')}. Ctrl-C stops at once."
                 print(f"\n{text}", file=sys.stderr, flush=True)
             for run in going:
                 run.ask_to_stop()
@@ -71,7 +69,7 @@ class SideRuns:
         self._runs[name] = _Run(config, given, log, self._free.pop())
 
     def is_done(self, name: Hashable) -> bool:
-        """Return whether a run has come to its end, and make room for others where some have.
+        """Return whether a run has ended, and make room for others where some have.
 
         Raises:
             IzooError, UnfinishedError: this or another one has failed; the message is the last that it said.
@@ -85,7 +83,7 @@ class SideRuns:
 
 
 class _Run:
-    """A process that trains; it ends in good order when this process is gone.
+    """A process that trains; it saves its run and ends when this process is gone.
 
     Attributes:
         cores: which it runs on.
@@ -104,21 +102,17 @@ class _Run:
             self.process = start_process(call, child.fileno(), setup.fileno(), output=output)
 
     def require_success(self) -> None:
-        """Raise what the process said last, unless it came to its end."""
+        """Raise what the process said last, unless it has finished its run."""
         code = self.process.returncode
         if code == 0:
             return
         said = self._log.read_bytes()[self._said_before :].decode(errors="replace").splitlines()
-        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if said else f"it said nothing, and ended with code {code}"
-        if code < 0:
-            last = f"it was ended by signal {-code}"
+        last = said[-1].removeprefix("izoo train: ") if said else f"it said nothing, and ended with code {code}"
         kind = IzooError if code == EXIT_BAD_INPUT else UnfinishedError
         raise kind(f"a training run failed: {last} (all that it said: {self._log})")
 
     def ask_to_stop(self) -> None:
-        """Let the process close its run in good order: it does so when this end of the socket is gone, for whichever
-        reason, and once, since it takes a second request for one to stop at once.
-        """
+        """Let the process save its run and end, as it does when this end of the socket is gone for any reason."""
         self._parent.close()
 
     def close(self) -> None:
@@ -159,7 +153,7 @@ def worker_main(parent: int, setup: int) -> None:
         train(config, given)
         return 0
 
-    sys.exit(exit_code(_COMMAND, work))
+    sys.exit(exit_code("train", work))
 
 
 def _stop_with(parent: int) -> None:

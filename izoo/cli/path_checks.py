@@ -11,7 +11,6 @@ import yaml
 
 from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.quoting import written
-from izoo.contexts.cities.rebuilt import city_name
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import check_folder, expanded, read_text
 from izoo.training import checkpoint
@@ -84,18 +83,6 @@ def check_collect(config: CollectConfig) -> None:
         error = unknown_choice("policy", config.policy, [*drivers, "zoo:NAME", "FILE.pt", "module:function"])
         raise IzooError(f"{error} Or name the folder of a training run; there is none at that path.")
     _check_contexts(config.contexts)
-
-
-def check_benchmark(config: Any) -> None:
-    """Refuse places that are neither a folder nor a city, and a missing folder of trained policies."""
-    if config.trained_in is not None:
-        check_folder(Path(config.trained_in), "trained_in takes the results folder of another benchmark")
-    for name in ("train", "test"):
-        place = getattr(config, name)
-        if place is not None and not Path(place).is_dir():
-            if Path(place).is_absolute():
-                raise IzooError(f"{name}={place} is no folder; give one of intersections, or one of the ten cities.")
-            city_name(place)
 
 
 def check_report(config: ReportConfig) -> None:

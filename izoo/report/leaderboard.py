@@ -29,7 +29,7 @@ from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, PAIR, UNCOMMANDED, pair
+from izoo.metrics.pairing import BASELINES, PAIR, UNCOMMANDED, pair, simulators
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
@@ -77,7 +77,7 @@ def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = out or folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
-    table = table[table["task"] == manifest.task]
+    table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
     for name in sorted(set(table["policy"]) - set(BASELINES)):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))

@@ -18,8 +18,7 @@ from izoo.algos.actions.action_modes import AdviseAction, DirectAction, Residual
 from izoo.algos.drivers.scripted import GlideConfig
 from izoo.algos.learners import registry
 from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
-from izoo.benchmarks.tradeoffs import TradeoffsConfig
+from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
@@ -37,8 +36,7 @@ CONFIGS: dict[str, Any] = {
     "evaluate catalogue": EvaluateConfig(contexts=CatalogueContexts(ids=(1,))),
     "collect": CollectConfig(contexts=CityContexts()),
     "report": ReportConfig(),
-    "benchmarks.generalization": GeneralizationConfig(),
-    "benchmarks.tradeoffs": TradeoffsConfig(),
+    "benchmarks.campaign": CampaignConfig(),
 }
 """Options that between them hold every group."""
 NOT_A_NUMBER = ("soon", [], {}, True, math.nan, math.inf, -math.inf)
