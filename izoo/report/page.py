@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from plotly.offline import get_plotlyjs
 
 from izoo import __version__
 from izoo.errors import IzooError
@@ -29,7 +28,7 @@ from izoo.training.plots import Chart, curves
 
 PAGE_FILE = "report.html"
 TEMPLATES = "templates"
-SCRIPTS = ("common.js", "charts.js", "table.js", "replay.js")
+SCRIPTS = ("common.js", "features.js", "table.js", "replay.js")
 REPLAY_POLICIES = 6
 REPLAY_BYTES = 4_000_000
 """Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
@@ -103,7 +102,6 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
     drawn = _charts(results)
     policies = dict.fromkeys(name for evaluation in results.evaluations for name in evaluation.policies)
     content = {
-        "figures": {chart.name: plots.to_plotly(chart) for part in drawn.values() for chart in part},
         "rows": context_rows(results.evaluations),
         "columns": _columns(several=len(results.evaluations) > 1),
         "features": FEATURES,
@@ -124,11 +122,10 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
         facts=results.facts,
         parts=[_part(evaluation) for evaluation in results.evaluations],
         several=len(results.evaluations) > 1,
-        charts=drawn,
+        charts={part: [(chart, plots.svg(chart)) for chart in of] for part, of in drawn.items()},
         lost=lost,
         style=_asset("style.css"),
         script="\n".join(_asset(name) for name in SCRIPTS),
-        plotly=_pack(get_plotlyjs().encode()),
         content=_pack(_json(content)),
         replays=[base64.b64encode(packed).decode() for _, packed in played],
     )
@@ -147,7 +144,7 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],
-        "paper": paper_table(evaluation.paper, "", evaluation.task).html(),
+        "paper": paper_table(evaluation.paper, "", evaluation.task).html() if published_for(evaluation.task) else "",
     }
 
 
