@@ -1,4 +1,4 @@
-"""The algorithms and drivers that can be chosen by name, for everyone above: one line for each.
+"""The algorithms and drivers that can be chosen by name: one line for each.
 
 Nothing here loads PyTorch before an algorithm is built, so that commands can read names and options at once.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig
 
 DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "glide")
-"""Scripted drivers (:data:`izoo.algos.drivers.scripted.DRIVERS`); ``cap_SHARE`` is one for any share:
+"""Scripted drivers (:data:`izoo.algos.drivers.by_name.DRIVERS`); ``cap_SHARE`` is one for any share:
 :func:`cap_share`."""
 CAP = "cap_"
 

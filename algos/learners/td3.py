@@ -10,7 +10,7 @@ from typing import Any
 
 from izoo.algos.learners.ddpg import DDPG
 from izoo.algos.learners.ddpg_config import TD3Config
-from izoo.algos.losses.losses import MaskedTD3Loss
+from izoo.algos.losses import MaskedTD3Loss
 
 
 class TD3(DDPG):

@@ -10,12 +10,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import yaml
+
 from izoo.conf.evaluate_options import check_policy
 from izoo.conf.mapping import from_mapping
 from izoo.envs.config import SIMULATORS
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
 from izoo.files import expanded, read_text
-from izoo.training.run_folder import plain_yaml
 from izoo.zoo import catalog
 
 UNTRAINED = "_untrained"
@@ -151,14 +152,14 @@ def read_experiment(name: str) -> Experiment:
     if name not in shipped() and not Path(str(path)).is_file():
         raise IzooError(f"{unknown_choice('experiment', name, shipped())} Or name a YAML file.")
     try:
-        values = plain_yaml(read_text(Path(str(path))))
+        values = yaml.safe_load(read_text(Path(str(path))))
         parts = {key: from_mapping(Part, value, f"parts.{key}") for key, value in values["parts"].items()}
         entries = {
             key: from_mapping(Entry, value or {}, f"entries.{key}") for key, value in values.get("entries", {}).items()
         }
     except IzooError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
         raise IzooError(f"experiment {path} cannot be read: {error!r}.") from error
     for key, entry in entries.items():
         if entry.policy is not None:

@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 
 from izoo import tasks, zoo
-from izoo.algos.drivers.scripted import Glide, GlideConfig
+from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks import planner
 from izoo.benchmarks.campaign.experiment import UNTRAINED, Entry, Experiment
@@ -36,7 +36,7 @@ from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import SHARED, Store, flat
 from izoo.tasks import Task, limited
 from izoo.training import checkpoint, run_folder
-from izoo.training.collectors import check_collector
+from izoo.training.option_checks import check_options
 from izoo.zoo import catalog
 
 ROLES = ("train", "validation", "test")
@@ -109,7 +109,7 @@ class PartRun:
         validated = {entry for entry, (_, of) in self.entries.items() if of.select == "best"}
         self.runs = TrainingRuns(trained, self.trainer.folder, validated)
         for config in trained.values():
-            check_collector(config)
+            check_options(config)
         self.store = Store(self.folder, task=self.task.name, config=evaluated(self.task.env))
 
     def _task(self) -> Task:

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pickle
 import signal
-import socket
 import sys
 import tempfile
-import threading
 from collections.abc import Hashable
 from pathlib import Path
 from types import TracebackType
 
 from izoo.conf.train_options import TrainConfig
 from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
-from izoo.envs.sumo.worker import start_process
 from izoo.errors import IzooError, UnfinishedError
+from izoo.processes import ChildProcess, end_with_parent
+
+_COMMAND = "train"
 
 
 class ParallelRuns:
-    """Training runs in other processes. Those that still learn when the block ends save themselves first.
+    """Training runs beside this process. Those that still learn when the block ends are saved.
 
     Args:
         at_once: how many may learn at the same time.
@@ -43,12 +42,12 @@ class ParallelRuns:
                 text = f"Saving {counted(len(going), 'training run')}. Ctrl-C stops at once."
                 print(f"\n{text}", file=sys.stderr, flush=True)
             for run in going:
-                run.ask_to_stop()
+                run.dismiss()
             for run in going:
                 run.process.wait()
         finally:
             for run in self._runs.values():
-                run.close()
+                run.kill()
 
     @property
     def going(self) -> list[_Run]:
@@ -69,7 +68,7 @@ class ParallelRuns:
         self._runs[name] = _Run(config, given, log, self._free.pop())
 
     def is_done(self, name: Hashable) -> bool:
-        """Return whether a run has ended, and make room for others where some have.
+        """Return whether a run has come to its end, and make room for others where some have.
 
         Raises:
             IzooError, UnfinishedError: this or another one has failed; the message is the last that it said.
@@ -82,7 +81,7 @@ class ParallelRuns:
         return self._runs[name].ended
 
 
-class _Run:
+class _Run(ChildProcess):
     """A process that trains; it saves its run and ends when this process is gone.
 
     Attributes:
@@ -92,34 +91,23 @@ class _Run:
 
     def __init__(self, config: TrainConfig, given: frozenset[str], log: Path, cores: frozenset[int]) -> None:
         self.cores, self.ended, self._log = cores, False, log
-        self._parent, child = socket.socketpair()
         log.parent.mkdir(parents=True, exist_ok=True)
         self._said_before = log.stat().st_size if log.exists() else 0
-        with child, tempfile.TemporaryFile() as setup, log.open("ab") as output:
+        with tempfile.TemporaryFile() as setup, log.open("ab") as output:
             pickle.dump((config, given, cores), setup)
             setup.flush()
-            call = f"from {__name__} import worker_main; worker_main({child.fileno()}, {setup.fileno()})"
-            self.process = start_process(call, child.fileno(), setup.fileno(), output=output)
+            place, file = f"{__name__}:worker_main", setup.fileno()
+            super().__init__(place, file, inherited=(file,), output=output)
 
     def require_success(self) -> None:
-        """Raise what the process said last, unless it has finished its run."""
+        """Raise what the process said last, unless it came to its end."""
         code = self.process.returncode
         if code == 0:
             return
         said = self._log.read_bytes()[self._said_before :].decode(errors="replace").splitlines()
-        last = said[-1].removeprefix("izoo train: ") if said else f"it said nothing, and ended with code {code}"
+        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if said and code > 0 else self.end_text()
         kind = IzooError if code == EXIT_BAD_INPUT else UnfinishedError
         raise kind(f"a training run failed: {last} (all that it said: {self._log})")
-
-    def ask_to_stop(self) -> None:
-        """Let the process save its run and end, as it does when this end of the socket is gone for any reason."""
-        self._parent.close()
-
-    def close(self) -> None:
-        """End the process, if it has not ended by itself."""
-        self.process.kill()
-        self.process.wait()
-        self._parent.close()
 
 
 def shares(count: int) -> list[frozenset[int]]:
@@ -140,24 +128,16 @@ def worker_main(parent: int, setup: int) -> None:
         parent: descriptor of a socket, which closes when the parent is gone.
         setup: descriptor of a file with the options and the cores.
     """
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which may be ignored in the parent
     config, given, cores = pickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
     if cores:
         os.sched_setaffinity(0, cores)
-    threading.Thread(target=_stop_with, args=(parent,), daemon=True).start()
 
     @unheard()
     def work() -> int:
+        end_with_parent(parent, lambda: os.kill(os.getpid(), signal.SIGTERM))  # which saves the run
         from izoo.training.loop import train  # once the cores are known, which PyTorch counts when it is loaded
 
         train(config, given)
         return 0
 
-    sys.exit(exit_code("train", work))
-
-
-def _stop_with(parent: int) -> None:
-    """Wait until the parent is gone, then ask this process to stop, as Ctrl-C would."""
-    with contextlib.suppress(OSError):
-        os.read(parent, 1)
-    os.kill(os.getpid(), signal.SIGINT)
+    sys.exit(exit_code(_COMMAND, work))

@@ -20,6 +20,7 @@ from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.report import plots, tables
+from izoo.report.movements import movements_table, town_maps
 from izoo.report.paper_results import paper_table, published_for
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import Evaluation, Results, collect, context_rows
@@ -133,7 +134,7 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
 
 def _part(evaluation: Evaluation) -> dict[str, Any]:
     """What the page says of an evaluation in tables."""
-    summary = evaluation.summary
+    summary, movements = evaluation.summary, movements_table(evaluation)
     return {
         "name": evaluation.name,
         "verdict": summary["verdict"],
@@ -144,6 +145,9 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],
+        "movements": movements.html() if movements else "",
+        "maps": town_maps(evaluation),
+        "closed_by": {name: of["closed_by"] for name, of in evaluation.paper.items() if of["closed_by"]},
         "paper": paper_table(evaluation.paper, "", evaluation.task).html() if published_for(evaluation.task) else "",
     }
 

@@ -23,15 +23,22 @@ class RowsFile:
         path: of the file; ``None`` keeps rows in memory.
         columns: in order.
         text, whole: names of columns of words and of whole numbers; all others are floats.
+        optional: names of columns that a file may lack; they are then empty.
 
     Attributes:
         rows: those of the groups that are whole.
     """
 
     def __init__(
-        self, path: Path | None, columns: Sequence[str], text: Sequence[str] = (), whole: Sequence[str] = ()
+        self,
+        path: Path | None,
+        columns: Sequence[str],
+        text: Sequence[str] = (),
+        whole: Sequence[str] = (),
+        optional: Sequence[str] = (),
     ) -> None:
         self.path, self.columns, self.text, self.whole = path, tuple(columns), tuple(text), tuple(whole)
+        self.optional = frozenset(optional)
         self.rows: list[Row] = []
 
     def read(self, mend: bool = True) -> RowsFile:
@@ -53,15 +60,16 @@ class RowsFile:
             )
         except (OSError, ValueError) as error:
             raise IzooError(f"cannot read {self.path}: {str(error).splitlines()[0]}; choose another folder.") from error
-        missing = [column for column in self.columns if column not in raw]
+        absent = [column for column in self.columns if column not in raw]
+        missing = [column for column in absent if column not in self.optional]
         if missing:
             raise IzooError(
                 f"{self.path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose "
                 "another folder."
             )
-        raw = raw[list(self.columns)].astype(object)
+        raw = raw.reindex(columns=list(self.columns)).astype(object)
         self.rows = raw.where(raw.notna(), None).to_dict("records")
-        if mend and not text.endswith("\n\n"):
+        if mend and (absent or not text.endswith("\n\n")):
             self.replace(self.rows)
         return self
 

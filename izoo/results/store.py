@@ -18,6 +18,7 @@ import izoo
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
 from izoo.files import claimed, read_text, write_json
@@ -198,7 +199,7 @@ def read_table(folder: Path | str) -> pd.DataFrame:
 
 def rows_file(folder: Path | None) -> RowsFile:
     """Return the file of a results folder that holds its table."""
-    return RowsFile(None if folder is None else folder / ROWS_FILE, COLUMNS, TEXT, WHOLE)
+    return RowsFile(None if folder is None else folder / ROWS_FILE, COLUMNS, TEXT, WHOLE, MOVEMENT_METRICS)
 
 
 def read_manifest(folder: Path | str) -> Manifest:

@@ -26,7 +26,7 @@ WORDS = [
 PATIENCE_S = 120.0
 
 
-def options(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
+def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
     run_dir = folder / name
     words = [*WORDS, f"total_frames={frames}", f"run_dir={run_dir}", *more]
     return compose_config("train", TrainConfig, words), frozenset(), folder / f"{name}.log"
@@ -50,11 +50,11 @@ def test_the_cores_are_shared_out() -> None:
 
 
 @pytest.mark.slow
-def test_runs_learn_at_the_same_time_and_make_room_when_they_end(tmp_path: Path) -> None:
+def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path) -> None:
     with ParallelRuns(2) as beside:
         for seed in (0, 1):
             assert beside.has_room
-            beside.begin(seed, *options(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
+            beside.begin(seed, *order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
         assert not beside.has_room and len(beside.going) == 2 and 0 in beside and 2 not in beside
         wait_until(lambda: beside.is_done(0) and beside.is_done(1), "two runs of 200 frames")
         assert beside.has_room
@@ -65,15 +65,15 @@ def test_runs_learn_at_the_same_time_and_make_room_when_they_end(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_run_that_fails_says_why_and_the_others_are_saved(tmp_path: Path) -> None:
+def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: Path) -> None:
     long = tmp_path / "long"
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "something").touch()
     failed = pytest.raises(IzooError, match=r"run failed: .*taken.* is not empty.* \(all that it said: .*taken\.log\)")
     with failed, ParallelRuns(2) as beside:
-        beside.begin("long", *options(tmp_path, "long", 10**8))
+        beside.begin("long", *order(tmp_path, "long", 10**8))
         wait_until(lambda: MetricsTable.read(long / run_folder.METRICS_FILE).rows, "the first batch")
-        beside.begin("taken", *options(tmp_path, "taken", 200))
+        beside.begin("taken", *order(tmp_path, "taken", 200))
         wait_until(lambda: beside.is_done("taken"), "the run that cannot begin")
     assert "go on with: python -m izoo.train resume=" in (tmp_path / "long.log").read_text()
     learned, _ = MetricsTable.read(long / run_folder.METRICS_FILE).series("seconds")
@@ -81,7 +81,7 @@ def test_a_run_that_fails_says_why_and_the_others_are_saved(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_run_that_is_asked_to_stop_and_then_loses_its_parent_is_still_saved(tmp_path: Path) -> None:
+def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
     """A second request would stop it at once."""
     words = [f"import sys; sys.path[:] = {sys.path!r}"]
     words += ["from tests.benchmarks.test_parallel_training import stopped; from pathlib import Path"]
@@ -98,8 +98,8 @@ def test_a_run_that_is_asked_to_stop_and_then_loses_its_parent_is_still_saved(tm
 def stopped(folder: Path) -> None:
     """Begin a run, and ask it to stop once it has learned something."""
     with ParallelRuns(1) as beside:
-        beside.begin("long", *options(folder, "long", 10**8, "checkpoint.every_batches=1000"))
+        beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
         wait_until(lambda: MetricsTable.read(folder / "long" / run_folder.METRICS_FILE).rows, "the first batch")
-        beside.going[0].ask_to_stop()
+        beside.going[0].dismiss()
         (folder / "asked").touch()
         time.sleep(PATIENCE_S)

@@ -9,7 +9,7 @@ from izoo.cli.entries import TRAIN
 from izoo.conf.compose import compose_config
 from izoo.conf.recipes import RECIPES
 from izoo.conf.train_options import TrainConfig
-from izoo.training.collectors import check_collector
+from izoo.training.option_checks import check_options
 
 
 def composed(*words: str) -> TrainConfig:
@@ -24,7 +24,7 @@ def test_every_recipe_says_something_and_its_contexts_are_none_of_the_test_box(n
     assert config.evaluation.contexts >= 16
     if getattr(config.algo, "warm_start", "none") != "none":
         assert config.algo.warm_start_frames <= config.total_frames  # type: ignore[attr-defined]
-    check_collector(config)
+    check_options(config)
 
 
 def test_other_words_change_a_recipe_wherever_they_stand() -> None:

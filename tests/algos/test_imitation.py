@@ -10,13 +10,13 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType
 
-from izoo import train
-from izoo.algos.actions.action_wrappers import ADVICE, SpeedCap
-from izoo.algos.drivers.scripted import DEFER, make_driver
+from izoo.algos.actions.action_wrappers import RAW_ACTION, SpeedCap
+from izoo.algos.drivers.base import DEFER
+from izoo.algos.drivers.by_name import make_driver
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import LEAST_SPREAD
 from izoo.envs.config import EnvConfig
-from tests.algos.test_advice import act, make, observe
+from tests.algos.test_action_wrappers import act, make, observe
 
 ENV = EnvConfig()
 RED = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 0.3, "context_lane_count": 0.25}
@@ -48,14 +48,14 @@ def test_advice_for_a_command_gives_that_command() -> None:
     accel = 3.5 * torch.rand(500, generator=generator) - 1.4
     defer = torch.rand(500, generator=generator) < 0.3
     heard = torch.ones(500, dtype=torch.bool)
-    advice = cap.advice_for((speed, limit, heard), accel, defer)
+    advice = cap.raw_action_for((speed, limit, heard), accel, defer)
     again, deferred = cap.command((speed, limit, heard), advice)
     assert torch.equal(deferred, defer | (advice <= 0.0)) and 0.5 < float((~deferred).float().mean()) < 0.8
     within = ~deferred & (advice < 1.0)
     torch.testing.assert_close(again[within], accel[within], atol=1e-4, rtol=0.0)
     # At or above the limit there is nothing to advise.
-    assert not cap.advice_for((limit, limit, heard), torch.ones(500), torch.zeros(500, dtype=torch.bool)).any()
-    assert not cap.advice_for((speed, limit, ~heard), accel, defer).any()
+    assert not cap.raw_action_for((limit, limit, heard), torch.ones(500), torch.zeros(500, dtype=torch.bool)).any()
+    assert not cap.raw_action_for((speed, limit, ~heard), accel, defer).any()
 
 
 @pytest.mark.slow
@@ -68,14 +68,14 @@ def test_the_policy_learns_to_drive_like_glide_and_to_leave_alone_whom_glide_doe
     expert = make_driver("glide", ENV)(batch.copy())
     commanded = mask & ~expert[DEFER]
     assert 0.2 < float(commanded.sum() / mask.sum()) < 0.8, "glide commands some, and leaves others alone"
-    wanted = algorithm.expert_advice(batch).squeeze(-1)  # type: ignore[attr-defined]
+    wanted = algorithm.expert_action(batch).squeeze(-1)  # type: ignore[attr-defined]
     assert not wanted[mask & expert[DEFER]].any()
     losses = [algorithm.update(act(algorithm, batch), 0.0)["loss_imitation"] for _ in range(60)]
     assert losses[-1] < losses[0] - 0.5
     greedy = act(algorithm, batch, ExplorationType.DETERMINISTIC)
-    agree = (greedy[ADVICE].squeeze(-1) > 0)[mask] == (wanted > 0)[mask]
+    agree = (greedy[RAW_ACTION].squeeze(-1) > 0)[mask] == (wanted > 0)[mask]
     assert float(agree.float().mean()) > 0.9
-    error = (greedy[ADVICE].squeeze(-1) - wanted)[commanded].abs().mean()
+    error = (greedy[RAW_ACTION].squeeze(-1) - wanted)[commanded].abs().mean()
     assert float(error) < 0.5 * float(wanted[commanded].mean())
 
 
@@ -85,13 +85,13 @@ def test_the_loss_is_that_of_a_censored_normal() -> None:
     algorithm = make("ppo", *WARM, "algo.epochs=1", "algo.minibatch_rows=100000", action="advise")
     batch = act(algorithm, glide_batch())
     mask = batch[base.MASK]
-    wanted = algorithm.expert_advice(batch)[mask].squeeze(-1)  # type: ignore[attr-defined]
+    wanted = algorithm.expert_action(batch)[mask].squeeze(-1)  # type: ignore[attr-defined]
     loc, scale = (batch[key][mask].squeeze(-1) for key in (base.LOC, base.SCALE))
-    dead, bound = 0.35 * 1.5547735945968535, 0.8
+    half_band, bound = 0.35 * 1.5547735945968535, 0.8
     normal = torch.distributions.Normal(loc, scale.clamp_min(LEAST_SPREAD))
-    raw = torch.atanh(wanted / bound) + dead
+    raw = torch.atanh(wanted / bound) + half_band
     density = normal.log_prob(raw) - torch.log(bound * (1.0 - (wanted / bound) ** 2))
-    rest = torch.log(normal.cdf(torch.tensor(dead)))
+    rest = torch.log(normal.cdf(torch.tensor(half_band)))
     expected = -torch.where(wanted > 0, density, rest).mean()
     assert algorithm.update(batch, 0.0)["loss_imitation"] == pytest.approx(float(expected), abs=1e-4)
 
@@ -175,19 +175,3 @@ def test_state_is_restored_within_and_after_the_warm_start(algo: str) -> None:
             torch.manual_seed(6)
             results.append([algorithm.update(act(algorithm, batch), 0.5) for _ in range(3)])
         assert results[0] == results[1]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["algo.warm_start=glide"], "choose action=advise"),
-        (["algo.warm_start=glide", "action=residual"], "choose action=advise"),
-        (["algo.warm_start=random", "action=advise"], "none, glide"),
-        (["algo.warm_start=glide", "action=advise", "algo.warm_start_frames=0"], "warm_start_frames is 0"),
-        (["algo.warm_start=glide", "action=advise", "algo.kl_to_start=-1"], "kl_to_start is -1"),
-        (["algo=ddpg", "algo.warm_start=glide"], "unknown option"),
-    ],
-)
-def test_what_cannot_work_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main([*words, "contexts=pcg_easy"]) == 2
-    assert message in capsys.readouterr().err

@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo import train
 from izoo.algos.actions.action_modes import SpeedAction
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.ppo import PPO
@@ -23,10 +23,9 @@ from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
-from izoo.errors import IzooError
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
-from izoo.training.baseline_episodes import Paired, StillPaid
-from izoo.training.collectors import BatchSource, check_collector
+from izoo.training.baseline_episodes import BaselineComparison, RewardToGo
+from izoo.training.collectors import BatchSource
 from izoo.training.loggers import MetricsTable
 from izoo.training.run_folder import METRICS_FILE
 
@@ -49,7 +48,7 @@ def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list
     schedule = RandomSchedule(options.contexts.build(), options.seed)
     with (
         contextlib.closing(BatchSource(options, policy, schedule)) as source,
-        contextlib.closing(Paired(options, schedule, folder)) as paired,
+        contextlib.closing(BaselineComparison(options, schedule, folder)) as paired,
     ):
         found = []
         for _ in range(count):
@@ -63,7 +62,7 @@ def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list
 def test_what_is_still_paid_is_a_discounted_sum(gamma: float) -> None:
     spans = np.array([[3, 10, 4], [7, 0, 2]], np.float32)  # number, first decision, how many
     rewards = np.array([1.0, -2.0, 4.0, 8.0, 5.0, 6.0], np.float32)
-    paid = StillPaid({VEHICLE_SPANS: spans, VEHICLE_REWARD: rewards}, gamma)
+    paid = RewardToGo({VEHICLE_SPANS: spans, VEHICLE_REWARD: rewards}, gamma)
 
     def expected(number: int, decision: int) -> float:
         row = {3: (10, rewards[:4]), 7: (0, rewards[4:])}.get(number)
@@ -72,10 +71,10 @@ def test_what_is_still_paid_is_a_discounted_sum(gamma: float) -> None:
         return sum(float(r) * gamma ** (row[0] + k - decision) for k, r in enumerate(row[1]) if row[0] + k >= decision)
 
     asked = [(n, d) for n in (0, 3, 5, 7, 12) for d in (0, 1, 2, 9, 10, 12, 13, 14, 50)]
-    found = paid.of(*map(np.array, zip(*asked, strict=True)))
+    found = paid.at(*map(np.array, zip(*asked, strict=True)))
     np.testing.assert_allclose(found, [expected(*pair) for pair in asked], rtol=1e-6)
-    nobody = StillPaid({VEHICLE_SPANS: np.zeros((0, 3), np.float32), VEHICLE_REWARD: np.zeros(0, np.float32)}, gamma)
-    assert np.array_equal(nobody.of(np.array([0, 4]), np.array([1, 2])), [0.0, 0.0])
+    nobody = RewardToGo({VEHICLE_SPANS: np.zeros((0, 3), np.float32), VEHICLE_REWARD: np.zeros(0, np.float32)}, gamma)
+    assert np.array_equal(nobody.at(np.array([0, 4]), np.array([1, 2])), [0.0, 0.0])
 
 
 def test_uncommanded_vehicles_are_paid_nothing_more_in_any_step(tmp_path: Path) -> None:
@@ -166,41 +165,3 @@ def test_learning_on_sumo_sees_the_same_decisions(tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert train.main([*words, *ONCE, "num_workers=2", "total_frames=80", f"run_dir={run}"]) == 0
     assert sum(MetricsTable.read(run / METRICS_FILE).series("decisions")[1]) > 20
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["simulator=sumo"], r"control_variate=vehicle .* choose simulator=twin"),
-        (
-            ["algo=cmaes", "action=direct", "env.action=acceleration"],
-            r"algo=cmaes learns from decisions in every step",
-        ),
-        (
-            ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"],
-            r"algo.credit=team learns from decisions in every",
-        ),
-        (["levels.draw=prioritised"], r"levels.draw=prioritised learns from decisions in every step"),
-    ],
-)
-def test_what_cannot_learn_from_one_decision_per_vehicle_says_so(words: list[str], message: str) -> None:
-    given = [word for word in [*SMALL, *ONCE] if word.split("=")[0] not in {said.split("=")[0] for said in words}]
-    if "algo=" in words[0]:
-        given = [word for word in given if not word.startswith("algo.")]
-    if "simulator=sumo" in words:
-        given.remove("num_envs=4")
-    with pytest.raises(IzooError, match=message):
-        check_collector(compose_config("train", TrainConfig, [*given, *words]))
-
-
-def test_policies_that_are_compared_choose_no_speeds() -> None:
-    words = ["algo=cmaes", "simulator=twin", "action=speed", "env.action=speed", "env.reward=fuel_team"]
-    with pytest.raises(IzooError, match=r"algo=cmaes compares policies .* but action is speed"):
-        check_collector(compose_config("train", TrainConfig, words))
-
-
-def test_advice_needs_decisions_in_every_step() -> None:
-    with pytest.raises(IzooError, match=r"action=advise learns from decisions in every step"):
-        check_collector(config("env.decide=vehicle", "action=advise"))
-    with pytest.raises(IzooError, match=r"env.action=speed takes desired speeds.* choose action=speed"):
-        config("env.action=speed", "action=advise")

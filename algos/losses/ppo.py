@@ -1,14 +1,4 @@
-"""Losses for agents that come and go, as TorchRL modules that stand alone.
-
-They are subclasses of TorchRL's own and take TensorDicts ``[*B]`` whose agents have a dimension more, ``[*B, A, ...]``,
-and a mask ``[*B, A]`` of the slots that hold an agent. Valid agent-steps are flattened to rows inside, so that losses,
-statistics, normalisation and logs see no padding, whatever it holds; a batch without a mask is taken for rows already.
-Where a batch holds ``("agents", "decides")`` as well, only those who decide are rows
-(:mod:`izoo.algos.learners.decisions`).
-
-Networks are TensorDictModules. One that reads the mask beside the observations works on whole frames (a *frame* is one
-environment at one time, its agents a set): it gets all valid agents of each frame, in any number of slots.
-"""
+"""Clipped PPO losses: of agents alone, with a critic over the set of agents, and on graphs."""
 
 from __future__ import annotations
 
@@ -23,26 +13,15 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torch.distributions import Normal, kl_divergence
 from torchrl.modules import ValueNorm
-from torchrl.objectives import ClipPPOLoss, DDPGLoss, LossModule, TD3Loss, ValueEstimators
+from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from izoo.algos.learners import base
+from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.censored_normal import normal_of
-from izoo.algos.networks.masking import AROUND, check_finite, is_set_module, on_rows, path_of, rows_around, rows_of
+from izoo.algos.networks.masking import AROUND, check_finite, is_set_module, on_rows, rows_around, rows_of
 from izoo.algos.networks.set_networks import COLUMN, FRAME
 from izoo.errors import IzooError
-
-
-def _is_of_nobody(batch: TensorDictBase, mask: Tensor | None) -> bool:
-    """Whether no agent is in a batch ``[*B]``: light traffic makes such ones."""
-    return batch.numel() == 0 if mask is None else not bool(mask.any())
-
-
-def _nothing(loss: LossModule) -> TensorDict:
-    """Return losses of 0, whose gradients are 0, and statistics of 0: TorchRL's averages over no rows are NaN."""
-    zero = 0.0 * torch.stack([weights.sum() for weights in loss.parameters()]).sum()
-    keys = loss.out_keys
-    return TensorDict({key: zero if key.startswith("loss_") else zero.detach() for key in keys}, batch_size=[])
 
 
 class MaskedPPOLoss(ClipPPOLoss):
@@ -60,10 +39,10 @@ class MaskedPPOLoss(ClipPPOLoss):
         loss_critic_type: ``smooth_l1`` or ``l2``.
         value_error_clip: value errors above this give no gradient, as in RLlib; ``None`` for none.
         kl_coeff: weight of a penalty on the divergence from the policy that collected, as in RLlib, whose median and
-            spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it in the place of the clipping, not beside it.)
+            spread the batch must hold. (TorchRL's ``KLPENPPOLoss`` has it instead of the clipping.)
         normalize_advantage: over the valid rows of each call.
-        value_norm: one of TorchRL's. The critic then learns value targets in the unit of their spread, and what it says
-            is turned back where advantages are estimated; the running statistics are of valid agent-steps, and move
+        value_norm: one of TorchRL's. The critic then learns value targets in the unit of their spread, and its outputs
+            are denormalised where advantages are estimated; the running statistics are of valid agent-steps, and move
             with each estimate. (In TorchRL's ``MAPPOLoss`` the errors are scaled alone: the critic itself still has to
             reach values of any size.)
         gamma, lmbda: of the default value estimator.
@@ -161,10 +140,10 @@ class MaskedPPOLoss(ClipPPOLoss):
         return rows
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0."""
+        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` without a mask; 0 without agents."""
         rows, mask = tensordict, base.deciding(tensordict, self.tensor_keys.mask)
-        if _is_of_nobody(tensordict, mask):
-            return _nothing(self)
+        if has_no_agents(tensordict, mask):
+            return no_losses(self)
         if mask is not None:
             if tensordict.get(self.tensor_keys.advantage, None) is None:
                 tensordict = self.value_estimator(tensordict.copy(), params=self._cached_critic_network_params_detached)
@@ -229,8 +208,8 @@ class MaskedMAPPOLoss(MaskedPPOLoss):
         self.team = team
         if not is_set_module(self.critic_network):
             raise IzooError(
-                f"the critic reads {critic.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
-                "the observations, or use MaskedPPOLoss."
+                f"the critic reads {critic.in_keys}, so it sees one agent alone; let it also read ('agents', "
+                "'mask'), or use MaskedPPOLoss."
             )
 
 
@@ -246,158 +225,6 @@ class MaskedGraphPPOLoss(MaskedPPOLoss):
         super().__init__(actor, critic, **options)
         if not is_set_module(self.actor_network):
             raise IzooError(
-                f"the actor reads {actor.in_keys}, so it sees one agent alone; let it read ('agents', 'mask') beside "
-                "the observations, or use MaskedPPOLoss."
+                f"the actor reads {actor.in_keys}, so it sees one agent alone; let it also read ('agents', "
+                "'mask'), or use MaskedPPOLoss."
             )
-
-
-class _OnTransitions:
-    """What off-policy losses share: transitions ``[*B, A]`` in, their valid rows into TorchRL's own loss.
-
-    Mixed in before a loss whose ``tensor_keys`` have ``mask``.
-    """
-
-    tensor_keys: Any
-    actor_network: TensorDictModuleBase
-
-    def _estimate_by_td0(self: Any, gamma: float) -> None:
-        """Set the keys of the agents where TorchRL reads them, and the estimator of targets."""
-        self.set_keys(**{name: getattr(self.default_keys(), name) for name in ("reward", "done", "terminated")})
-        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
-
-    def _critic(self) -> TensorDictModuleBase:
-        """Return the network of action values."""
-        raise NotImplementedError
-
-    def rows(self, batch: TensorDictBase) -> TensorDict:
-        """Return the valid transitions ``[n]`` of a batch; who has left observes 0 afterwards."""
-        keys = self.tensor_keys
-        mask = base.deciding(batch, keys.mask)
-        own = dict.fromkeys([*self.actor_network.in_keys, *self._critic().in_keys])
-        after = [
-            ("next", *path_of(key)) for key in (*self.actor_network.in_keys, keys.reward, keys.done, keys.terminated)
-        ]
-        gone = batch.get(("next", *path_of(keys.terminated)))
-        cleared = batch.copy()
-        for key in after[: len(self.actor_network.in_keys)]:
-            leaf = batch.get(key)
-            cleared.set(key, torch.where(gone, torch.zeros_like(leaf), leaf))
-        return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` that have no mask; of nobody, 0.
-
-        The transitions' errors are written to the key ``priority``: ``[*B, A]`` with 0 in empty slots, or ``[n]``.
-        """
-        plain = super().forward  # type: ignore[misc]
-        mask = base.deciding(tensordict, self.tensor_keys.mask)
-        if _is_of_nobody(tensordict, mask):
-            reward = tensordict.get(("next", *path_of(self.tensor_keys.reward)))
-            tensordict.set(self.tensor_keys.priority, torch.zeros_like(reward[..., 0]))
-            return _nothing(self)
-        if mask is None:
-            return plain(tensordict)
-        rows = self.rows(tensordict)
-        losses = plain(rows)
-        error = rows.get(self.tensor_keys.priority)
-        spread = torch.zeros(mask.shape, dtype=error.dtype, device=error.device)
-        tensordict.set(self.tensor_keys.priority, spread.masked_scatter(mask, error.detach()))
-        return losses
-
-
-class MaskedDDPGLoss(_OnTransitions, DDPGLoss):
-    """TorchRL's DDPG loss over the valid transitions of ``[*B, A]``: TD(0) targets from target copies of the networks.
-
-    Args:
-        actor: deterministic; writes the batch's action.
-        critic: reads observation and action of one agent; writes ``("agents", "state_action_value")``.
-        loss_function: ``smooth_l1`` or ``l2``.
-        gamma: discount of the default value estimator.
-        options: further ones of TorchRL's ``DDPGLoss``.
-    """
-
-    @dataclass
-    class _AcceptedKeys(DDPGLoss._AcceptedKeys):
-        state_action_value: NestedKey = base.ACTION_VALUE
-        reward: NestedKey = base.REWARD
-        done: NestedKey = base.DONE
-        terminated: NestedKey = base.TERMINATED
-        mask: NestedKey = base.MASK
-
-    default_keys = _AcceptedKeys
-
-    def __init__(
-        self,
-        actor: TensorDictModuleBase,
-        critic: TensorDictModuleBase,
-        *,
-        loss_function: str = "smooth_l1",
-        gamma: float = 0.99,
-        **options: Any,
-    ) -> None:
-        delays = {"delay_actor": True, "delay_value": True}
-        super().__init__(actor, critic, loss_function=loss_function, **{**delays, **options})
-        self._estimate_by_td0(gamma)
-
-    def _critic(self) -> TensorDictModuleBase:
-        return self.value_network
-
-
-class MaskedTD3Loss(_OnTransitions, TD3Loss):
-    """TorchRL's TD3 loss over the valid transitions of ``[*B, A]``: targets from the lesser of several critics, at an
-    action to which noise was added.
-
-    It moves the actor whenever it is called; the delay is the caller's.
-
-    Args:
-        actor: deterministic; writes the batch's action.
-        critic: reads observation and action of one agent, writes ``("agents", "state_action_value")``; a list of
-            critics, or one, of which a second is made that begins elsewhere.
-        bounds: of the action, in its unit.
-        target_noise, target_noise_clip: spread of the noise on the target's action, and most of it, in half widths of
-            the action's range (TorchRL's ``policy_noise`` and ``noise_clip`` are in the action's unit).
-        loss_function: ``smooth_l1`` or ``l2``; the critics' losses are summed.
-        gamma: discount of the default value estimator.
-        options: further ones of TorchRL's ``TD3Loss``.
-    """
-
-    @dataclass
-    class _AcceptedKeys(TD3Loss._AcceptedKeys):
-        action: NestedKey = base.ACTION
-        state_action_value: NestedKey = base.ACTION_VALUE
-        reward: NestedKey = base.REWARD
-        done: NestedKey = base.DONE
-        terminated: NestedKey = base.TERMINATED
-        mask: NestedKey = base.MASK
-
-    default_keys = _AcceptedKeys
-
-    def __init__(
-        self,
-        actor: TensorDictModuleBase,
-        critic: TensorDictModuleBase | Sequence[TensorDictModuleBase],
-        *,
-        bounds: tuple[float, float],
-        target_noise: float = 0.2,
-        target_noise_clip: float = 0.5,
-        loss_function: str = "smooth_l1",
-        gamma: float = 0.99,
-        **options: Any,
-    ) -> None:
-        low, high = (float(end) for end in bounds)
-        half = (high - low) / 2
-        critics = critic if isinstance(critic, TensorDictModuleBase) else list(critic)
-        super().__init__(
-            actor,
-            critics,
-            bounds=(low, high),  # type: ignore[arg-type]
-            num_qvalue_nets=len(critics) if isinstance(critics, list) else 2,
-            policy_noise=target_noise * half,
-            noise_clip=target_noise_clip * half,
-            loss_function=loss_function,
-            **options,
-        )
-        self._estimate_by_td0(gamma)
-
-    def _critic(self) -> TensorDictModuleBase:
-        return self.qvalue_network

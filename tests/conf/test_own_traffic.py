@@ -1,4 +1,4 @@
-"""``contexts.drivers=FILE``: in every source, part of a context's identity, and read with care."""
+"""``contexts.drivers`` and ``contexts.fleet``: in every source, part of a context's identity, and read with care."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.own_drivers import driver_files
+from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
@@ -49,6 +49,9 @@ def own_file(tmp_path: Path) -> Path:
     return path
 
 
+FLEET = (0.5, 0.2, 0.1, 0.2)
+
+
 def chosen(*words: str) -> Any:
     return compose.compose_config("train", TrainConfig, list(words)).contexts
 
@@ -63,18 +66,27 @@ def chosen(*words: str) -> Any:
         ["contexts=catalogue", "contexts.ids=[5,100..102]"],
     ],
 )
-def test_every_source_takes_drivers(words: list[str], own_file: Path) -> None:
-    own, plain = (chosen(*words, *more).build() for more in ([f"contexts.drivers={own_file}"], []))
+def test_every_source_takes_drivers_and_a_fleet(words: list[str], own_file: Path) -> None:
+    own_words = [f"contexts.drivers={own_file}", f"contexts.fleet={list(FLEET)}"]
+    own, plain = (chosen(*words, *more).build() for more in (own_words, []))
     one, other = (source.sample(np.random.default_rng(4)) for source in (own, plain))
-    assert one.drivers == read_population(own_file)
-    assert other.drivers is None
-    assert one.replace(drivers=None) == other.replace(drivers=None)
-    assert one.content_hash != other.content_hash
+    assert (one.drivers, one.fleet) == (read_population(own_file), FLEET)
+    assert (other.drivers, other.fleet) == (None, None)
+    assert one.replace(drivers=None, fleet=None) == other.replace(drivers=None)
+    assert len({one.content_hash, other.content_hash, one.replace(fleet=None).content_hash}) == 3
     assert one.context_id is None
     assert hasattr(own, "__len__") == hasattr(plain, "__len__")
     if hasattr(own, "__len__"):
         assert len(own) == len(plain)
-        assert [context.drivers for context in own[:2]] == [one.drivers] * 2
+        assert [(context.drivers, context.fleet) for context in own[:2]] == [(one.drivers, FLEET)] * 2
+
+
+@pytest.mark.parametrize("source", ["pcg", "city", "catalogue", "osm"])
+def test_a_fleet_that_is_none_is_a_sentence(source: str) -> None:
+    with pytest.raises(
+        IzooError, match=r"contexts\.fleet: the fleet is \[0\.7, 0\.7\]; give the shares of passenger cars,"
+    ):
+        chosen(f"contexts={source}", "contexts.fleet=[0.7,0.7]")
 
 
 @pytest.mark.parametrize("approaches", ["one", "all"])

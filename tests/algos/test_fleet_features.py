@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import math
-from pathlib import Path
 
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from izoo import train
 from izoo.algos.learners import base
 from izoo.algos.learners.mappo import MAPPO
 from izoo.algos.learners.ppo_config import MAPPOConfig
 from izoo.algos.networks.fleet_features import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
 from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
-from izoo.training import run_folder
 from izoo.training.environments import TrainingTwinEnv
-from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 from tests.envs.worlds import crossing, defer, short
 
@@ -101,13 +97,3 @@ def test_training_environments_emit_what_it_needs_and_no_more() -> None:
         humans = state["vehicles", "present"] & ~state["vehicles", "is_cv"]
         torch.testing.assert_close((picture[:, 0] - picture[:, 3]).sum(-1), humans.sum(-1).float())
         assert humans.any()
-
-
-def test_a_short_run(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = ["algo=mappo", "algo.critic_sees=all", "contexts=pcg_easy", "simulator=twin", "num_envs=2"]
-    words += ["contexts.adoption=1.0", "contexts.inflow_vph_per_lane=600", "twin.threads=1", "twin.compare_every=0"]
-    words += ["evaluation.contexts=0", "algo.epochs=1", "env.horizon_s=75"]
-    assert train.main([*words, "algo.frames_per_batch=100", "total_frames=200", f"run_dir={run_dir}"]) == 0
-    losses = MetricsTable.read(run_dir / run_folder.METRICS_FILE).series("loss_critic")[1]
-    assert len(losses) == 2 and all(math.isfinite(loss) for loss in losses)

@@ -8,15 +8,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from izoo.algos.drivers.scripted import (
-    DRIVERS,
-    ConstantSpeed,
-    Glide,
-    GlideConfig,
-    RandomDriver,
-    UncommandedDriver,
-    make_driver,
-)
+from izoo.algos.drivers.by_name import DRIVERS, make_driver
+from izoo.algos.drivers.constant import ConstantSpeed
+from izoo.algos.drivers.glide import Glide, GlideConfig
+from izoo.algos.drivers.random import RandomDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig

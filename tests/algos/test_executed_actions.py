@@ -8,8 +8,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.actions.action_wrappers import ADVICE, SpeedCap
-from izoo.algos.actions.executed_actions import AppliedAcceleration
+from izoo.algos.actions.action_wrappers import RAW_ACTION, SpeedCap
+from izoo.algos.actions.executed_actions import ExecutedAcceleration
 from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
@@ -48,14 +48,14 @@ def test_accelerations_are_read_from_speeds_of_the_simulation() -> None:
     """Who brakes gently, and does not come to a stand, does as told; who is told to speed up does what it can."""
     speed = observation_names(ENV).index("speed")
     braked = drive(Told(-0.3))
-    accel = AppliedAcceleration(ENV)(braked)
+    accel = ExecutedAcceleration(ENV)(braked)
     mask = braked[base.MASK] & braked["next", "agents", "mask"]
     free = mask & (braked["next", "agents", "observation"][..., speed] > 0.02)
     told = accel[free].squeeze(-1)
     assert int(free.sum()) > 60
     assert float((told - -0.3).abs().median()) < 1e-3 and float((told > -0.3 + 0.05).float().mean()) < 0.02
     pushed = drive(Told(2.6))
-    accel, mask = AppliedAcceleration(ENV)(pushed), pushed[base.MASK] & pushed["next", "agents", "mask"]
+    accel, mask = ExecutedAcceleration(ENV)(pushed), pushed[base.MASK] & pushed["next", "agents", "mask"]
     assert float(accel[mask].max()) <= 2.6 + 1e-3 and float((accel[mask] < 1.0).float().mean()) > 0.3
     left = pushed[base.MASK] & ~pushed["next", "agents", "mask"]
     assert left.any() and torch.equal(accel[left], pushed[base.ACTION][left]), "whose speed is unknown did as told"
@@ -66,7 +66,7 @@ def test_in_the_last_decision_it_is_the_command() -> None:
     batch = drive(Told(2.6), ENV.decisions)
     ends = batch["next", "agents", "done"][..., 0] & batch["next", "agents", "mask"] & batch[base.MASK]
     assert ends.any()
-    assert torch.equal(AppliedAcceleration(ENV)(batch)[ends], batch[base.ACTION][ends])
+    assert torch.equal(ExecutedAcceleration(ENV)(batch)[ends], batch[base.ACTION][ends])
 
 
 def test_a_learner_stores_what_was_applied_and_the_batch_stays_as_it_is() -> None:
@@ -80,7 +80,7 @@ def test_a_learner_stores_what_was_applied_and_the_batch_stays_as_it_is() -> Non
         stored[config.name] = learned.replay.state_dict()["rows"]["agents/action"]
     mask = batch[base.MASK]
     torch.testing.assert_close(stored["ddpg"], batch[base.ACTION][mask])
-    torch.testing.assert_close(stored["td3"], AppliedAcceleration(ENV)(batch)[mask])
+    torch.testing.assert_close(stored["td3"], ExecutedAcceleration(ENV)(batch)[mask])
     assert (batch[base.ACTION][mask] == 2.6).all()
 
 
@@ -107,10 +107,10 @@ def test_a_correction_is_what_the_vehicle_was_held_back_by() -> None:
 def test_advice_is_stored_within_its_bounds_and_as_emitted_where_it_was_carried_out(action: object) -> None:
     algorithm = make_algorithm(TD3Config(hidden=(8,), learning_starts=10**6), action, ENV)  # type: ignore[arg-type]
     batch = drive(algorithm.policy, steps=40)
-    found = algorithm.carried_out(batch, algorithm.applied(batch))  # type: ignore[attr-defined]
+    found = algorithm.carried_out(batch, algorithm.executed(batch))  # type: ignore[attr-defined]
     mask = batch[base.MASK]
-    assert float(found[mask].abs().max()) <= algorithm.depth + 1e-6  # type: ignore[attr-defined]
-    same = (found == batch[ADVICE])[mask]
+    assert float(found[mask].abs().max()) <= algorithm.bound + 1e-6  # type: ignore[attr-defined]
+    same = (found == batch[RAW_ACTION])[mask]
     assert same.any()
     if isinstance(action, AdviseAction):
         assert bool((found[mask][~same] == 0).all())

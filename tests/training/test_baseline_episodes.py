@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo import train
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.compose import compose_config
@@ -21,11 +21,10 @@ from izoo.contexts.source import RandomSchedule
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
-from izoo.errors import IzooError
 from izoo.results.twin_executor import Batch
 from izoo.training import baseline_episodes, run_folder
-from izoo.training.baseline_episodes import Paired
-from izoo.training.collectors import BatchSource, check_collector
+from izoo.training.baseline_episodes import BaselineComparison
+from izoo.training.collectors import BatchSource
 from izoo.training.loggers import MetricsTable
 from tests.envs.worlds import defer
 
@@ -71,7 +70,7 @@ def test_uncommanded_training_is_what_it_is_compared_with(tmp_path: Path) -> Non
     options = config()
     assert options.env.decisions == 43, "the last decision is shorter"
     rows = []
-    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         for batch in collected(options, UncommandedDriver(), 8):
             beside.add(batch)
             torch.testing.assert_close(batch["next", TEAM_BASELINE], batch["next", TEAM_REWARD], rtol=0.0, atol=0.0)
@@ -85,7 +84,7 @@ def test_uncommanded_training_is_what_it_is_compared_with(tmp_path: Path) -> Non
 
 def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
     options = config("twin.stagger=false", "env.horizon_s=185")
-    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         batches = collected(options, Crawl(), 7)
         for batch in batches:
             beside.add(batch)
@@ -100,7 +99,7 @@ def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
 def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = dataclasses.replace(config(), env=dataclasses.replace(config().env, emit=("metrics", TEAM_REWARD)))
     order = schedule(options)
-    with contextlib.closing(Paired(options, order, tmp_path)) as beside:
+    with contextlib.closing(BaselineComparison(options, order, tmp_path)) as beside:
         played = beside._compared["uncommanded"].episodes([2, 10])
         with contextlib.closing(EcoDrivingEnv(order, config=options.env, simulator="twin")) as env:
             context, seed = order(10)
@@ -113,11 +112,11 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatc
     assert len(team) == options.env.decisions and played[10].sums.max() > 0.0
     with monkeypatch.context() as patch:
         patch.setattr(Batch, "play", lambda *_: pytest.fail("it was played before"))
-        with contextlib.closing(Paired(options, order, tmp_path)) as other:
+        with contextlib.closing(BaselineComparison(options, order, tmp_path)) as other:
             again = other._compared["uncommanded"].episodes([10])[10]
     assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
     next(path for path in tmp_path.rglob("*.npz")).write_bytes(b"damaged")
-    with contextlib.closing(Paired(options, order, tmp_path)) as third:
+    with contextlib.closing(BaselineComparison(options, order, tmp_path)) as third:
         mended = third._compared["uncommanded"].episodes([2, 10])
     assert all(np.array_equal(mended[number].sums, played[number].sums) for number in played)
 
@@ -125,17 +124,11 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatc
 def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
     """Of 4 environments and 430 decisions: 14 episodes, every second one, in two blocks; the last is nearly used up."""
     options = config("total_frames=430")
-    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert beside._compared["human"].block == 4
     options = config("total_frames=344")
-    with contextlib.closing(Paired(options, schedule(options), tmp_path)) as beside:
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert beside._compared["human"].block == 3
-
-
-def test_a_control_variate_needs_the_twin() -> None:
-    words = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team"]
-    with pytest.raises(IzooError, match=r"control_variate=team .* choose simulator=twin"):
-        check_collector(compose_config("train", TrainConfig, words))
 
 
 def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
