@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -17,7 +18,6 @@ COLUMNS = {
     "share_kept": "kept throughput",
 }
 """Aggregates of :func:`izoo.metrics.paper_form.paper_form` that are shown: headings."""
-BENEFIT = "benefit over human driving, exact gate (%)"
 SIGNED = ("ratio_of_sums", "best_ratio_of_sums", "mean", "throughput_mean")
 
 
@@ -81,10 +81,10 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: s
     theirs = []
     for each in published_for(task):
         known = {"best_ratio_of_sums": each.benefit, "throughput_mean": each.throughput_benefit}
-        known["share_kept"] = each.throughput_kept
-        theirs.append(
-            Row(f"{each.algorithm}, published", tuple(_percent(known.get(key), key) for key in COLUMNS))
-        )
+        known |= {"share_kept": each.throughput_kept, "share_gated": each.at_zero / each.approaches}
+        cells = {key: _percent(known.get(key), key) for key in COLUMNS}
+        cells["share_gated"] = dataclasses.replace(cells["share_gated"], note="benefit of 0")
+        theirs.append(Row(f"{each.algorithm}, published", tuple(cells.values())))
     return Table(title, ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
 
 

@@ -95,9 +95,7 @@ def profiles(values: Mapping[str, ArrayLike]) -> Chart:
     return Chart("profiles", "Performance profiles", series, *axes, caption, alt, x_range=range_, zero=True)
 
 
-def histogram(
-    values: ArrayLike, title: str, name: str, label: str = "", colour: str = PALETTE[0]
-) -> Chart:
+def histogram(values: ArrayLike, title: str, name: str, label: str = "", colour: str = PALETTE[0]) -> Chart:
     """Return how many contexts have which value; bars far above the others are cut and carry their count.
 
     Args:
