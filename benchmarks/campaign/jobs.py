@@ -223,7 +223,8 @@ class PartRun:
     def _admit(self, job: Job) -> Any:
         """Tell the store which weights are tested, which drops rows of others, and return the policy."""
         kind, entry = self.entries.get(job.entry, ("scripted", Entry(policy=job.entry)))
-        env, known, given = self.env(job.entry), {}, entry.policy
+        env, known = self.env(job.entry), {}  # type: EnvConfig, dict[str, Any]
+        given: Any = entry.policy
         if kind in ("trained", "untrained"):
             config = self.configs[job.entry, job.seed]
             known = {"kind": kind, "algo": config.algo.name}
@@ -250,7 +251,7 @@ class PartRun:
         if self.entries.get(job.entry, ("", None))[0] == "planner":
             options |= {"record": ("team_reward",), "side_by_side": planner.AT_ONCE}
         for task, plays in self._plays(job).items():
-            policies = {} if job.entry in BASELINES else {(job.entry, job.seed): policy}
+            policies: Any = {} if job.entry in BASELINES else {(job.entry, job.seed): policy}
             play_missing(self.store, plays, policies, self.env(job.entry), job.simulator, task=task, **options)
 
     def _plays(self, job: Job) -> dict[str, list[Play]]:
