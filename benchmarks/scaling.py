@@ -112,7 +112,7 @@ def measure(context: Any, steps: int) -> dict[str, float]:
             nonlocal state
             state.set(("agents", "action"), action)
             _, state = env.step_and_maybe_reset(state)
-            vehicles.append(len(simulator.names.members))
+            vehicles.append(len(simulator.ids.members))
 
         seconds = dict.fromkeys(PARTS, 0.0)
         for name in PARTS:

@@ -20,6 +20,7 @@ from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.render import draw
@@ -45,7 +46,7 @@ def _settings(config: EnvConfig) -> dict[str, Any]:
 
 def _mark_of(state: Mapping[str, Any]) -> str:
     """Return what only this user can have added to a state: compiled code takes the state as it is."""
-    plain = [__version__, MODEL_VERSION, *(state[name] for name in _ENTRIES[:-1])]
+    plain = [__version__, MODEL_VERSION, APPROACH_METRICS, *(state[name] for name in _ENTRIES[:-1])]
     packed = [hashlib.sha256(bytes(part.numpy())).hexdigest() for part in state["packed"]]
     return hmac.new(own_key(), json.dumps([*plain, *packed]).encode(), "sha256").hexdigest()
 

@@ -93,7 +93,7 @@ def test_rllib() -> None:
         actions = {agent: np.zeros(1, np.float32) for agent in env.agents}
         observations, _, _, truncated, _ = env.step(actions)
         known, over, steps = known | set(observations), truncated["__all__"], steps + 1
-    assert env.par_env.host.over and len(known) > 10 and steps > 50
+    assert env.par_env.session.over and len(known) > 10 and steps > 50
     env.close()
     try:
         returns = rllib_ppo.main(iterations=2, steps_per_iteration=300, horizon_s=80.0, num_env_runners=0)

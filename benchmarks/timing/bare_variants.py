@@ -86,7 +86,7 @@ def _count(plan: Plan, context: Context, worker: int) -> tuple[float, float]:
         for step in range(CHUNK + plan.steps):
             simulator.step()
             if step >= CHUNK:
-                vehicles += len(simulator.names.members)
+                vehicles += len(simulator.ids.members)
                 agents += int(simulator.frame["mask"].sum())
     return vehicles / plan.steps, agents / plan.steps
 

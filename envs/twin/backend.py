@@ -19,7 +19,7 @@ from izoo.compiling import compiling_once
 from izoo.contexts.spec import IntersectionSpec
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import CLOSED, Play, rest_where_ended
+from izoo.envs.backend import CLOSED, Play, clear_ended
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
@@ -205,7 +205,7 @@ class TwinBackend:
             IzooError: the environments are closed, no episode has begun, or there is none to go on with.
         """
         self._run(0)
-        ended = rest_where_ended(self.config, self.frames)
+        ended = clear_ended(self.config, self.frames)
         with self._whole():
             until_due = self.config.decide != STEP
             self._play(np.minimum(self._until_horizon_or_end(), self.config.hold_steps), meanwhile, until_due)

@@ -60,17 +60,17 @@ class Lazy(Sequence[T]):
     """
 
     def __init__(self, count: int, make: Callable[[int], T]) -> None:
-        self.count, self.make = count, make
+        self._count, self._make = count, make
 
     def __len__(self) -> int:
-        return self.count
+        return self._count
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
         if isinstance(index, slice):
             return [self[position] for position in range(*index.indices(len(self)))]
         if not -len(self) <= index < len(self):
             raise IndexError(f"entry {index} of {len(self)} does not exist.")
-        return self.make(int(index) % len(self))
+        return self._make(int(index) % len(self))
 
 
 class MixedSource:

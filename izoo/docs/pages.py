@@ -201,7 +201,7 @@ def reward_table(_: str = "") -> str:
     """Return the terms of the reward as a table."""
     lines = ["| column | unit | weight | default | in the vector |", "|---|---|---|---|---|"]
     for option, term in TERMS.items():
-        where = "the smallest value, shared" if term.most is not None else f"own, and `fleet_{term.name}`"
+        where = "the smallest value, shared" if term.upper is not None else f"own, and `fleet_{term.name}`"
         weight = getattr(RewardConfig(), option)
         lines.append(f"| `{term.name}` | {term.unit} | `env.reward.{option}` | {weight:g} | {where} |")
     return "\n".join(lines)

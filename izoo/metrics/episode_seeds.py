@@ -49,6 +49,11 @@ def over_episode_seeds(table: pd.DataFrame, policy: str, baseline: str, found: d
         if not spread > 0.0:
             continue
         half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, count - 1) * spread
-        p = 2.0 * student_t_below(-abs(whole.value) / spread, count - 1)
-        ends = {"low": whole.value - half, "high": whole.value + half, "p": p}
-        found[name] = dataclasses.replace(whole, **ends, over=EPISODE_SEEDS, missing="not over other intersections")
+        found[name] = dataclasses.replace(
+            whole,
+            low=whole.value - half,
+            high=whole.value + half,
+            p=2.0 * student_t_below(-abs(whole.value) / spread, count - 1),
+            over=EPISODE_SEEDS,
+            missing="not over other intersections",
+        )

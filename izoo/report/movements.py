@@ -55,7 +55,9 @@ def _cells(part: pd.DataFrame, key: object) -> tuple[Cell | str, ...]:
     if key not in part.index:
         return "-", "-", "-"
     row = part.loc[key]
-    queue: Cell | str = Cell(row["queue_max"], unit="veh") if "queue_max" in part else ""
+    queue: Cell | str = ""
+    if "queue_max" in part:
+        queue = Cell(row["queue_max"], unit="veh", note=f"{row['queue']:.1f} at the horizon")
     return Cell(row["delay_s"], unit="s", note=row["level"]), Cell(row["blocked_s"], unit="s"), queue
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
-from izoo.envs.mdp.signals import clock_arrays, phase_driven, read_clock
+from izoo.envs.mdp.signals import clock_arrays, phase_of_step, read_clock
 from izoo.errors import IzooError
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
 from izoo.networks.net.build import build_net
@@ -35,7 +35,7 @@ def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
 
 def driven(clock: SignalClock, time_s: float) -> int:
     """Return the phase that vehicles drove by in the step that ended at ``time_s``."""
-    return int(phase_driven(time_s, clock_arrays(clock)))
+    return int(phase_of_step(time_s, clock_arrays(clock)))
 
 
 @pytest.fixture(scope="module")

@@ -120,8 +120,9 @@ def test_small_extracts(
 ) -> None:
     build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
     (spec,) = load_specs(tmp_path / "town")
-    assert approach(spec, "D").lanes == lanes and "lanes of D" not in spec.imputed
-    assert exit_lanes in (None, spec.leg("D").exit_lanes)
+    assert approach(spec, "D").lanes == lanes
+    if exit_lanes is not None:
+        assert spec.leg("D").exit_lanes == exit_lanes and "lanes of D" not in spec.imputed
     assert spec.right_on_red == (name != "no_rtor")
 
 

@@ -99,7 +99,7 @@ def test_flow_is_capped_at_900_per_lane_and_lower_off_peak():
     assert len(off_peak) == pytest.approx(500 * 8 * 10 * 0.055 / 0.084, rel=0.02)
 
 
-def test_adoption_changes_only_who_is_controlled_and_cvs_are_nested():
+def test_adoption_changes_only_which_vehicles_are_controlled_and_cvs_are_nested():
     levels = [sample_traffic(make_context(adoption=a), ROAD, 3, 900.0) for a in (0.0, 0.1, 1 / 3, 0.75, 1.0)]
     human = levels[0]
     assert not human.is_cv.any() and levels[-1].is_cv.all()
@@ -188,7 +188,7 @@ def test_zero_demand_gives_an_empty_but_valid_route_file(tmp_path):
     assert list(ElementTree.parse(tmp_path / "r.rou.xml").getroot()) == []
 
 
-def test_route_file_says_what_the_arrays_say(tmp_path):
+def test_route_file_equals_the_arrays(tmp_path):
     traffic = sample_traffic(make_context(adoption=0.4), ROAD, 2, 300.0)
     write_routes(traffic, ROAD, tmp_path / "r.rou.xml")
     root = ElementTree.parse(tmp_path / "r.rou.xml").getroot()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -64,7 +65,7 @@ def draw_town(
         axes.scatter(x, y, s=max(area, 20.0), color=colour, edgecolors="white", zorder=2)
         word = (words or {}).get(spec.name, f"{volumes[spec.name]:,.0f} veh/h")
         text = f"{spec.name.rpartition('/')[2]}\n{word}"
-        style = {"fontsize": 8, "color": _TEXT, "va": "bottom", "parse_math": False, "zorder": 3}
+        style: dict[str, Any] = {"fontsize": 8, "color": _TEXT, "va": "bottom", "parse_math": False, "zorder": 3}
         away = 2.0 + 0.4 * math.sqrt(area)
         axes.annotate(text, (x, y), (away, away), textcoords="offset points", **style)
     for label, colour in (legend or {}).items():

@@ -1,4 +1,4 @@
-"""Decisions once per vehicle: who decides when, what stays in force, and that steps only play on between decisions."""
+"""Decisions once per vehicle: when a CV must decide, how long its decision holds, and how long a step lasts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -19,14 +18,14 @@ from torchrl.envs import EnvBase, check_env_specs
 from izoo.algos.drivers.random import RandomDriver
 from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf.train_options import CollectConfig
-from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
+from izoo.envs.views.gymnasium import EcoDrivingEgo, EcoDrivingJoint
 from izoo.errors import IzooError
 from izoo.training import offline
-from izoo.training.command_replay import Pasts
-from izoo.training.environments import TrainingEnv
-from tests.envs.conftest import MakeTwin
+from tests.envs.conftest import Make, MakeTwin
 from tests.envs.test_determinism import schedule
-from tests.envs.worlds import crossing, play_on, same
+from tests.envs.test_env import KINDS
+from tests.envs.worlds import crossing, places, play_on, same
 
 SIMULATORS = ("sumo", "twin")
 SEED = 7
@@ -39,7 +38,7 @@ def scope(decide: str = "vehicle", **changes: Any) -> EnvConfig:
 
 
 def by_number(state: TensorDictBase) -> TensorDictBase:
-    """0.3 to 1 by the vehicle's number; NaN, which must not matter, where nobody is asked."""
+    """0.3 to 1 by the vehicle's number; NaN, which must not matter, for agents that need not decide."""
     number = state["agents", "number"]
     share = (0.3 + 0.1 * (number % 8)).float()
     asked = state["agents"].get("decides", number >= 0)
@@ -63,14 +62,8 @@ def whole(simulator: str, config: EnvConfig, act: Act = by_number, **context: An
         return list(steps(env, act, env.reset(context=crossing(**context), seed=SEED)))
 
 
-def places(state: TensorDictBase) -> dict[int, tuple[float, float]]:
-    vehicles = state["vehicles"]
-    columns = (vehicles[n][vehicles["present"]].tolist() for n in ("vehicle_number", "path_position_m", "speed_mps"))
-    return {number: (position, speed) for number, position, speed in zip(*columns, strict=True)}
-
-
-def paid(frames: list[TensorDictBase]) -> dict[int, float]:
-    """What each vehicle was paid in all."""
+def returns(frames: list[TensorDictBase]) -> dict[int, float]:
+    """The sum of each vehicle's rewards."""
     sums: dict[int, float] = defaultdict(float)
     for frame in frames:
         numbers = frame["agents", "number"]
@@ -80,27 +73,21 @@ def paid(frames: list[TensorDictBase]) -> dict[int, float]:
     return dict(sums)
 
 
-def alike(one: TensorDictBase, other: TensorDictBase) -> bool:
-    """Whether two runs are the same, but for the actions, NaN among them."""
-    action = ("agents", "action")
-    return same(one.exclude(action), other.exclude(action))
-
-
 def played(frame: TensorDictBase) -> int:
     return int(frame["next", "metrics", "episode", "steps"])
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_a_decision_is_one_repeated_in_every_step(simulator: str) -> None:
-    """The same shares given anew in each step: the same traffic at every decision, and the same pay in all."""
+def test_a_decision_equals_one_repeated_in_every_step(simulator: str) -> None:
+    """The same shares in every step: the same traffic at every decision, and the same total rewards."""
     emit = ("vehicles", "number", "metrics")
     once = whole(simulator, scope(emit=emit))
     every = whole(simulator, scope("step", emit=emit))
     assert len(once) < len(every) / 3
     by_step = {played(frame): frame["next"] for frame in every}
     for frame in once:
-        assert places(frame["next"]) == places(by_step[played(frame)])
-    assert paid(once) == pytest.approx(paid(every), abs=1e-3)
+        assert places(frame["next", "vehicles"]) == places(by_step[played(frame)]["vehicles"])
+    assert returns(once) == pytest.approx(returns(every), abs=1e-3)
     ours, theirs = once[-1]["next", "metrics"], every[-1]["next", "metrics"]
     for group in ("approach", "episode"):
         for name, value in ours[group].items():
@@ -109,8 +96,7 @@ def test_a_decision_is_one_repeated_in_every_step(simulator: str) -> None:
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
 @pytest.mark.parametrize("decide", ["vehicle", "vehicle_and_line"])
-def test_who_decides_when(simulator: str, decide: str) -> None:
-    """Every CV when it is first seen, and, where asked, when it is first seen behind the line; and nobody else."""
+def test_cvs_decide_when_they_enter_and_when_they_cross_the_line(simulator: str, decide: str) -> None:
     expected: dict[int, set[str]] = defaultdict(set)
     for frame in whole(simulator, scope(decide, hold_s=0.5)):
         agents, vehicles = frame["agents"], frame["vehicles"]
@@ -130,19 +116,19 @@ def test_who_decides_when(simulator: str, decide: str) -> None:
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_a_step_plays_on_until_somebody_is_to_decide(simulator: str) -> None:
-    """Only the last step may end with nobody asked; one cut into simulation steps is the same episode."""
+def test_a_step_lasts_until_a_cv_must_decide(simulator: str) -> None:
+    """Or until the end; cut into simulation steps it is the same episode."""
     long, short = (whole(simulator, scope(hold_s=hold, emit=("vehicles", "metrics"))) for hold in (None, 0.5))
     assert all(frame["next", "agents", "decides"].any() for frame in long[:-1])
     ends = [k for k, frame in enumerate(short) if frame["next", "agents", "decides"].any()] + [len(short) - 1]
     assert [played(frame) for frame in long] == sorted({played(short[k]) for k in ends})
-    assert paid(long) == pytest.approx(paid(short), abs=1e-3)
+    assert returns(long) == pytest.approx(returns(short), abs=1e-3)
     leavers = torch.stack([frame["next", "agents", "terminated"].sum() for frame in long]).sum()
     assert leavers == torch.stack([frame["next", "agents", "terminated"].sum() for frame in short]).sum() > 10
 
 
-def test_sumo_and_twin_ask_alike() -> None:
-    """On one lane, with the drain: as many steps, the same vehicles asked, the same pay."""
+def test_cvs_decide_at_the_same_times_in_sumo_and_on_the_twin() -> None:
+    """On one lane, with the drain: the same steps, deciding vehicles and rewards."""
     context = {"lane_count": 1, "phase_count": 1, "approach": "A", "inflow_vph_per_lane": 400.0}
     found = [
         whole(name, scope("vehicle_and_line", drain_s=300.0, emit=("vehicles", "metrics")), **context)
@@ -155,15 +141,15 @@ def test_sumo_and_twin_ask_alike() -> None:
         torch.testing.assert_close(sumo["next", "agents", "reward"], twin["next", "agents", "reward"])
         assert played(sumo) == played(twin)
     last = found[0][-1]["next"]
-    assert played(found[0][-1]) > 230 and not last["agents", "mask"].any(), "played out until all had left"
+    assert played(found[0][-1]) > 230 and not last["agents", "mask"].any()
     assert played(found[0][-1]) < 230 + 600
-    assert 230 in {played(frame) for frame in found[0]}, "a step ends at the horizon"
+    assert 230 in {played(frame) for frame in found[0]}
 
 
 @pytest.mark.parametrize("surrogate", ["torch", "compiled"])
 @pytest.mark.parametrize("drain_s", [0.0, 200.0])
-def test_environments_side_by_side_play_each_their_own(surrogate: str, drain_s: float) -> None:
-    """Each its own number of steps, the same as alone; one that has ended stays as it is."""
+def test_each_environment_plays_what_it_plays_alone(surrogate: str, drain_s: float) -> None:
+    """With its own number of steps; one that has ended stays unchanged."""
     config = scope(drain_s=drain_s)
     with (
         contextlib.closing(TwinEnv(5, schedule(), config=config, threads=2, surrogate=surrogate, shard=0)) as env,
@@ -193,35 +179,22 @@ def test_environments_side_by_side_play_each_their_own(surrogate: str, drain_s: 
         assert drain_s == 0.0 or len(set(counts)) > 1
 
 
-SPECS = [
-    (decide, action, parts)
-    for decide in ("step", "vehicle", "vehicle_and_line")
-    for action, parts in (
-        ("acceleration", ("speed",)),
-        ("speed", ("speed",)),
-        ("speed", ("speed_before", "speed_behind")),
-    )
-]
-
-
-@pytest.mark.parametrize(("decide", "action", "parts"), SPECS)
-@pytest.mark.parametrize("make", ["sumo", "workers", "twin"])
-def test_specs(make: str, decide: str, action: str, parts: tuple[str, ...]) -> None:
-    config = scope(decide, action=action, action_parts=parts, horizon_s=30.0)
-    env: EnvBase
-    if make == "sumo":
-        env = EcoDrivingEnv(crossing(), config=config, worker=0)
-    elif make == "workers":
-        env = SumoParallelEnv(2, crossing(), config=config, shard=0)
-    else:
-        env = TwinEnv(3, crossing(), config=config, shard=0)
-    with contextlib.closing(env):
-        check_env_specs(env)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("action", "parts"),
+    [("acceleration", ("speed",)), ("speed", ("speed",)), ("speed", ("speed_before", "speed_behind"))],
+)
+def test_specs(make: Make, kind: Any, action: str, parts: tuple[str, ...]) -> None:
+    decides = ("step", "vehicle", "vehicle_and_line") if kind == KINDS[0] else ("vehicle",)
+    for decide in decides:
+        config = scope(decide, action=action, action_parts=parts, horizon_s=30.0)
+        with contextlib.closing(make(*kind, config=config)) as env:
+            check_env_specs(env)
 
 
 @pytest.mark.parametrize("decide", ["vehicle", "vehicle_and_line"])
 def test_states_and_branches(make_twin: MakeTwin, decide: str) -> None:
-    """Decisions that are in force, and who has still to make one, are part of the state."""
+    """Decisions in force, and pending ones, are part of the state."""
     env, other = (make_twin(3, schedule(), config=scope(decide)) for _ in range(2))
     _, state = play_on(env, 25, by_number, env.reset())
     saved = env.state_dict()
@@ -229,28 +202,13 @@ def test_states_and_branches(make_twin: MakeTwin, decide: str) -> None:
     ahead, _ = play_on(env, 20, by_number, state)
     other.reset()
     other.load_state_dict(saved)
-    assert alike(ahead, play_on(other, 20, by_number, other.present())[0])
-    forked = play_on(branches, 20, by_number, branches.present())[0]
+    action = ("agents", "action")  # it holds NaN
+    ahead = ahead.exclude(action)
+    assert same(ahead, play_on(other, 20, by_number, other.present())[0].exclude(action))
+    forked = play_on(branches, 20, by_number, branches.present())[0].exclude(action)
     until = int(ahead["next", "done"].any(0).flatten().float().argmax()) if ahead["next", "done"].any() else 20
-    assert alike(ahead[:, :until], forked[::2, :until]) and alike(ahead[:, :until], forked[1::2, :until])
+    assert same(ahead[:, :until], forked[::2, :until]) and same(ahead[:, :until], forked[1::2, :until])
     branches.close()
-
-
-def test_an_episode_in_progress_is_played_again() -> None:
-    """What a resumed run does: the actions of all slots, two numbers each, lead to where it stood."""
-    config = scope("vehicle_and_line", action_parts=("speed_before", "speed_behind"))
-    driver = RandomDriver(seed=3, config=config)
-    with contextlib.closing(TrainingEnv(crossing(), config=config, worker=0)) as env:
-        batch, state = play_on(env, 25, driver, env.reset())
-    pasts = Pasts.fresh(1)
-    pasts.add(batch.unsqueeze(0))
-    again = Pasts.from_state(pasts.state_dict()).pasts
-    with contextlib.closing(TrainingEnv(crossing(), config=config, worker=0, pasts=again)) as env:
-        relived = env.reset()
-        for name in ("observation", "mask", "decides", "number"):
-            assert torch.equal(relived["agents", name], state["agents", name])
-        following = [e["next", "agents", "reward"] for e in (env.step(RandomDriver(seed=5, config=config)(relived)),)]
-        assert following[0].shape == (64, 1)
 
 
 def test_a_stock_collector(make_twin: MakeTwin) -> None:
@@ -269,9 +227,7 @@ def test_advance_is_refused(make_twin: MakeTwin) -> None:
         env.advance([1, 2])
 
 
-def test_accelerations_may_last_too() -> None:
-    """Once per vehicle an acceleration, which a scope serves like any other action."""
-
+def test_accelerations_may_hold_too() -> None:
     def gently(state: TensorDictBase) -> TensorDictBase:
         action = torch.where(state["agents", "decides"], 0.5, torch.nan)
         state["agents", "action"] = action.unsqueeze(-1)
@@ -283,55 +239,45 @@ def test_accelerations_may_last_too() -> None:
     assert sums["deferred_steps"].sum() < 0.5 * sums["agent_steps"].sum()
 
 
-# Views of other libraries.
-
-
 @pytest.mark.parametrize("parts", [("speed",), ("speed_before", "speed_behind")])
 def test_gymnasium_joint(parts: tuple[str, ...]) -> None:
     config = scope(action_parts=parts, horizon_s=60.0)
-    env = gymnasium.make("izoo.envs:izoo/EcoDriving-v0", contexts=crossing(), config=config, simulator="twin").unwrapped
     shape = (64,) if len(parts) == 1 else (64, 2)
-    assert env.action_space.shape == shape
-    seen, _ = env.reset(seed=SEED)
-    asked, over = 0, False
-    while not over:
-        assert env.observation_space.contains(seen)
-        asked += int(seen["decides"].sum())
-        seen, _, _, over, info = env.step(np.full(shape, 0.6, np.float32))
+    with contextlib.closing(EcoDrivingJoint(crossing(), config, simulator="twin")) as env:
+        assert env.action_space.shape == shape
+        seen, _ = env.reset(seed=SEED)
+        asked, over = 0, False
+        while not over:
+            assert env.observation_space.contains(seen)
+            asked += int(seen["decides"].sum())
+            seen, _, _, over, info = env.step(np.full(shape, 0.6, np.float32))
     assert asked > 3 and info["metrics"]["approach"]["agent_steps"].sum() > 10 * asked
-    env.close()
 
 
 def test_gymnasium_ego_decides_once() -> None:
-    """An ego's episode is one step: its decision, and all that it is paid until it leaves."""
-    env = gymnasium.make(
-        "izoo.envs:izoo/EcoDrivingEgo-v0", contexts=crossing(), config=scope(), simulator="twin"
-    ).unwrapped
-    env.reset(seed=SEED)
-    rewards = []
-    for _ in range(3):
-        _, reward, terminated, truncated, info = env.step(np.array([0.6], np.float32))
-        assert terminated or truncated
-        assert info["time_s"] > 5.0
-        rewards.append(reward)
-        env.reset()
-    assert len(set(rewards)) == 3
-    env.close()
+    """An ego's episode is one step: its decision, and all its rewards until it leaves."""
+    rewards = set()
+    with contextlib.closing(EcoDrivingEgo(crossing(), scope(), simulator="twin")) as env:
+        for _ in range(3):
+            env.reset(seed=None if rewards else SEED)
+            _, reward, terminated, truncated, info = env.step(np.array([0.6], np.float32))
+            assert (terminated or truncated) and info["time_s"] > 5.0
+            rewards.add(reward)
+    assert len(rewards) == 3
 
 
-def test_pettingzoo_says_who_decides() -> None:
+def test_pettingzoo_marks_agents_that_must_decide() -> None:
     pettingzoo = pytest.importorskip("izoo.envs.views.pettingzoo")
-    env = pettingzoo.parallel_env(crossing(), scope(), simulator="twin")
-    _, infos = env.reset(seed=SEED)
     asked = []
-    while env.agents:
-        asked += [agent for agent in env.agents if infos[agent]["decides"]]
-        *_, infos = env.step({agent: np.array([0.6], np.float32) for agent in env.agents})
+    with contextlib.closing(pettingzoo.parallel_env(crossing(), scope(), simulator="twin")) as env:
+        _, infos = env.reset(seed=SEED)
+        while env.agents:
+            asked += [agent for agent in env.agents if infos[agent]["decides"]]
+            *_, infos = env.step({agent: np.array([0.6], np.float32) for agent in env.agents})
     assert len(asked) == len(set(asked)) > 3
-    env.close()
 
 
-def test_planners_and_lane_changes_say_what_they_serve() -> None:
+def test_planners_and_lane_changes_need_decisions_in_every_step() -> None:
     for options in ({"decide": "vehicle"}, {"action": "speed"}):
         with pytest.raises(IzooError, match="the planner"):
             PlannerConfig(env=EnvConfig(**options))
@@ -339,8 +285,9 @@ def test_planners_and_lane_changes_say_what_they_serve() -> None:
         EnvConfig(decide="vehicle", lane_change=True)
 
 
+@pytest.mark.slow
 def test_offline_data_hold_decisions(tmp_path: Path) -> None:
-    """A random driver's shares, with who was to decide; the slots of others hold what was not read."""
+    """The shares of a random driver, and which agents had to decide."""
     out = tmp_path / "data"
     options = {"out": str(out), "frames": 64, "env": scope(emit=()), "simulator": "twin", "num_envs": 4}
     offline.collect(CollectConfig(**options))

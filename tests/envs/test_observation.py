@@ -1,4 +1,4 @@
-"""What a CV observes, number by number, with vehicles placed by hand."""
+"""Observations number by number, with vehicles placed by hand."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tests.envs.placed import LEFT_BLINKER, RIGHT_BLINKER, Scene
 ABSENT = {"speed": 0.0, "distance": 4.0, "blinker_left": 0.0, "blinker_right": 0.0, "present": 0.0}
 
 
-def neighbour(seen: dict[str, float], who: str) -> dict[str, float]:
-    return {what: seen[f"{who}_{what}"] for what in NEIGHBOUR_FEATURES}
+def neighbour(seen: dict[str, float], which: str) -> dict[str, float]:
+    return {what: seen[f"{which}_{what}"] for what in NEIGHBOUR_FEATURES}
 
 
-def assert_sees(seen: dict[str, float], who: str, gap_m: float, speed: float) -> None:
-    got = neighbour(seen, who)
+def assert_sees(seen: dict[str, float], which: str, gap_m: float, speed: float) -> None:
+    got = neighbour(seen, which)
     assert got["present"] == got["lane_exists"] == 1.0
     assert got["distance"] == pytest.approx(gap_m / 250.0, abs=1e-6)
     assert got["speed"] == pytest.approx(speed / 15.0)
@@ -32,18 +32,17 @@ def assert_sees(seen: dict[str, float], who: str, gap_m: float, speed: float) ->
 
 
 def test_ego_approaching(scene: Scene) -> None:
-    me = scene.put("A2TL_1", 40.0, speed=12.0)
-    seen = scene.see(me)
+    seen = scene.see(scene.put("A2TL_1", 40.0, speed=12.0))
     assert seen["speed"] == pytest.approx(12.0 / 15.0)
     assert seen["stop_line_distance"] == pytest.approx(-(301.0 - 40.0) / 250.0)
     assert (seen["location_approaching"], seen["location_inside"], seen["location_leaving"]) == (1.0, 0.0, 0.0)
-    assert seen["lane"] == 1.0
     assert (seen["intention_right"], seen["intention_straight"], seen["intention_left"]) == (0.0, 1.0, 0.0)
-
-
-def test_ego_in_the_pocket(scene: Scene) -> None:
-    seen = scene.see(scene.put("A2TL_intern_1", 60.0))
-    assert seen["stop_line_distance"] == pytest.approx(-40.0 / 250.0) and seen["lane"] == 0.5
+    assert seen["lane"] == 1.0
+    pocket = scene.see(scene.put("A2TL_intern_1", 60.0))
+    assert pocket["stop_line_distance"] == pytest.approx(-40.0 / 250.0) and pocket["lane"] == 0.5
+    single = scene.see(scene.put("B2TL_0", 20.0, way="BA"))
+    assert single["intention_right"] == 1.0 and single["lane"] == 0.0
+    assert single["stop_line_distance"] == pytest.approx(-130.0 / 250.0)
 
 
 def test_ego_inside_has_distance_zero(scene: Scene) -> None:
@@ -75,15 +74,6 @@ def test_path_position_is_continuous(scene: Scene) -> None:
         scene.read()
         path.append(scene.floats[me, PATH_POSITION])
     assert path == pytest.approx([-101.0, -100.5, -100.0, 0.0, 0.0, 20.0, 20.0])
-
-
-def test_the_only_lane_counts_as_rightmost(scene: Scene) -> None:
-    assert scene.see(scene.put("B2TL_0", 20.0, way="BA"))["lane"] == 0.0
-
-
-def test_right_turn(scene: Scene) -> None:
-    seen = scene.see(scene.put("B2TL_0", 20.0, way="BA"))
-    assert seen["intention_right"] == 1.0 and seen["stop_line_distance"] == pytest.approx(-130.0 / 250.0)
 
 
 def test_empty_slots_are_zero(scene: Scene) -> None:
@@ -127,15 +117,10 @@ def test_leader_and_follower_on_the_own_lane(scene: Scene) -> None:
     assert_sees(seen, "follower", 100.0 - 5.0 - 70.0, 9.0)
 
 
-def test_leader_through_the_junction(scene: Scene) -> None:
+def test_leader_through_and_inside_the_junction(scene: Scene) -> None:
     me = scene.put("A2TL_intern_2", 90.0, way="AB")
     scene.put("TL2B_0", 30.0, speed=7.0, way="AB", length=6.0)
     assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 12.0 + 30.0 - 6.0, 7.0)
-
-
-def test_leader_inside_the_junction_comes_before_one_behind_it(scene: Scene) -> None:
-    me = scene.put("A2TL_intern_2", 90.0, way="AB")
-    scene.put("TL2B_0", 30.0, way="AB")
     scene.put(":TL_9_0", 2.0, speed=2.0, way="AB")
     assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 2.0 - 5.0, 2.0)
 
@@ -151,14 +136,14 @@ def test_leader_through_the_split_depends_on_the_way(scene: Scene) -> None:
     assert_sees(scene.see(left), "leader", 50.0 + 1.0 + 40.0 - 5.0, 2.0)
 
 
-def test_vehicles_of_another_way_are_not_in_the_way(scene: Scene) -> None:
+def test_vehicles_on_other_ways_do_not_lead(scene: Scene) -> None:
     """A vehicle that crosses the junction from B does not lead one that goes straight on from A."""
     me = scene.put("A2TL_intern_1", 99.0, way="AC")
     scene.put(":TL_5_0", 10.0, way="BC")
     assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
 
 
-def test_who_turns_off_leads_until_its_rear_has_left_the_lane(scene: Scene) -> None:
+def test_a_turning_vehicle_leads_until_its_rear_has_left_the_lane(scene: Scene) -> None:
     me = scene.put("A2TL_1", 190.0, way="AC")
     turning = scene.put("A2TL_intern_2", 3.0, speed=2.0, way="AB")  # 1 m lies between both lanes
     assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 3.0 - 5.0, 2.0)
@@ -170,30 +155,27 @@ def test_who_turns_off_leads_until_its_rear_has_left_the_lane(scene: Scene) -> N
     assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 50.0 - 5.0, 6.0)
 
 
-def test_who_enters_another_exit_from_elsewhere_does_not_lead(scene: Scene) -> None:
-    """Not even where its rear reaches as far back as a vehicle's that came over the own lane."""
+def test_a_vehicle_on_another_exit_does_not_lead(scene: Scene) -> None:
+    """Even if its rear reaches as far back as that of a vehicle from the own lane."""
     me = scene.put("A2TL_intern_0", 95.0, way="AB")
     scene.put("TL2C_0", 2.0, way="BC", length=25.0)
     assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
 
 
-def test_leader_on_the_exit_that_came_from_elsewhere(scene: Scene) -> None:
+def test_leader_on_the_exit_from_another_approach(scene: Scene) -> None:
     me = scene.put("A2TL_intern_0", 95.0, way="AC")
     scene.put("TL2C_0", 8.0, speed=4.0, way="BC")
     assert_sees(scene.see(me), "leader", 5.0 + 20.0 + 8.0 - 5.0, 4.0)
 
 
-def test_follower_through_the_junction(scene: Scene) -> None:
+def test_follower_comes_along_the_own_way_through_the_junction(scene: Scene) -> None:
     me = scene.put("TL2B_0", 9.0, way="AB", length=7.0)
     scene.put("A2TL_intern_2", 80.0, speed=5.0, way="AB")
     assert_sees(scene.see(me), "follower", 9.0 - 7.0 + 12.0 + 8.0 + 20.0, 5.0)
-
-
-def test_follower_comes_along_the_own_way(scene: Scene) -> None:
-    me = scene.put("TL2C_0", 9.0, way="BC")
+    other = scene.put("TL2C_0", 9.0, way="BC")
     scene.put("A2TL_intern_0", 99.0, way="AC")
     scene.put("B2TL_0", 149.0, speed=2.0, way="BC")
-    assert_sees(scene.see(me), "follower", 9.0 - 5.0 + 14.0 + 1.0, 2.0)
+    assert_sees(scene.see(other), "follower", 9.0 - 5.0 + 14.0 + 1.0, 2.0)
 
 
 def test_lanes_to_the_left_and_right(scene: Scene) -> None:
@@ -247,10 +229,10 @@ def test_neighbouring_lane_followed_through_the_junction(scene: Scene) -> None:
 
 def test_no_lane_and_an_empty_lane_differ(scene: Scene) -> None:
     seen = scene.see(scene.put("A2TL_0", 50.0))
-    for who in ("left_leader", "left_follower", "leader", "follower"):
-        assert neighbour(seen, who) == ABSENT | {"lane_exists": 1.0}
-    for who in ("right_leader", "right_follower"):
-        assert neighbour(seen, who) == ABSENT | {"lane_exists": 0.0}
+    for which in ("left_leader", "left_follower", "leader", "follower"):
+        assert neighbour(seen, which) == ABSENT | {"lane_exists": 1.0}
+    for which in ("right_leader", "right_follower"):
+        assert neighbour(seen, which) == ABSENT | {"lane_exists": 0.0}
     assert ABSENT["distance"] == FAR_M / 250.0
 
 
@@ -276,7 +258,7 @@ def test_sensor_range_is_bumper_to_bumper(scene: Scene) -> None:
 
 @pytest.mark.parametrize("chosen", [(), ("follower",), ("right_leader", "leader"), NEIGHBOURS[::-1]])
 def test_chosen_neighbours(scene: Scene, chosen: tuple[str, ...]) -> None:
-    """A selection shows the same numbers in the order asked for, and nothing else."""
+    """A selection shows the same numbers in the chosen order."""
     me = scene.put("A2TL_intern_1", 50.0)
     for k, lane in enumerate(("A2TL_intern_0", "A2TL_intern_1", "A2TL_intern_2")):
         scene.put(lane, 70.0 + k, speed=1.0 + k)
@@ -294,7 +276,7 @@ def test_context_features_come_last_and_by_movement(scene: Scene) -> None:
     assert out[:, -2:].tolist() == [[2.0, 3.0], [10.0, 11.0]]
 
 
-def test_every_observed_feature(road: RoadNet) -> None:
+def test_every_context_feature(road: RoadNet) -> None:
     approach = Approach(("s",), 100.0, 15.0, 0.0, 1000.0)
     spec = IntersectionSpec("hand/1", "procedural", tuple(Leg(n, 0.0, approach, 1, 100.0, 15.0) for n in "ABC"))
     context = Context(spec, adoption=0.5, engine="electric", temperature_c=30.0, humidity_pct=80.0)
@@ -319,8 +301,8 @@ def test_every_observed_feature(road: RoadNet) -> None:
     assert observed_table(context, road, ()).shape == (2, 3, 0)
 
 
-def test_rows_need_not_be_in_order(scene: Scene) -> None:
-    """Vehicles keep their rows while others come and go: gaps in the numbering must not matter."""
+def test_rows_may_be_in_any_order(scene: Scene) -> None:
+    """Vehicles keep their rows while others come and go."""
     me = scene.put("A2TL_0", 100.0, row=7)
     scene.put("A2TL_0", 140.0, speed=2.0, row=3)
     scene.put("A2TL_0", 60.0, speed=1.0, row=11)

@@ -1,4 +1,4 @@
-"""What vehicles are told in a step, and the form in which the views for libraries other than TorchRL take it."""
+"""Commands of a step, and the action spaces from which the Gymnasium and PettingZoo views read them."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from izoo.errors import IzooError
 
 
 class Commands(NamedTuple):
-    """What the CVs are told for one step.
+    """Commands to the CVs for one step.
 
     Attributes:
-        action: ``[A, D]`` accelerations in m/s^2, or shares of the speed limit; NaN leaves a CV to SUMO and is counted.
-        defer: ``[A]`` bool, CVs to leave to SUMO.
+        action: ``[A, D]`` accelerations in m/s^2, or shares of the speed limit; NaN leaves a CV uncommanded and is
+            counted.
+        defer: ``[A]`` bool, CVs to leave uncommanded.
         lane_change: ``[A]`` 0 right, 1 keep, 2 left; read where the environment's settings have ``lane_change``.
     """
 
@@ -37,12 +38,12 @@ class Commands(NamedTuple):
 def action_space(config: EnvConfig, count: int | None) -> spaces.Space[Any]:
     """Return the space of a view's actions: accelerations, and with ``lane_change`` a dictionary of two entries.
 
-    Where actions are desired speeds, shares of the speed limit; of each vehicle one, or one before and one behind the
-    stop line.
+    Where actions are desired speeds: shares of the speed limit, one per vehicle, or one before and one behind the stop
+    line.
 
     Args:
         config: the environment's settings.
-        count: how many vehicles act together; ``None``: one does, whose lane change is a number instead of an array.
+        count: number of vehicles that act together; ``None``: one, whose lane change is a number, not an array.
     """
     if config.action == SPEED:
         return spaces.Box(MIN_SHARE, 1.0, _shape(config, count), np.float32)

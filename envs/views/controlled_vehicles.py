@@ -1,4 +1,4 @@
-"""Whether a controlled vehicle can come in a context at all; that none came in an episode may be chance."""
+"""Whether a CV can enter in a context at all; that none enters in an episode may be chance."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 
-EPISODES_LOOKED_AT = 1000
-"""Of a schedule, from the next one on: where none of these can have a controlled vehicle, none is waited for."""
+EPISODES_SEARCHED = 1000
+"""Episodes of a schedule that are searched for one in which a CV can enter."""
 _DEPART_M = 20.0
-"""A vehicle begins at most this far along its source edge: it has its own length behind it."""
+"""A vehicle departs at most this far along its source edge: its own length."""
 
 
-def first_fertile(config: EnvConfig, episodes: Iterable[tuple[int, Context]]) -> int:
-    """Return the number of the first episode in which a controlled vehicle can enter the region.
+def first_with_cvs(config: EnvConfig, episodes: Iterable[tuple[int, Context]]) -> int:
+    """Return the number of the first episode in which a CV can enter the region.
 
     Args:
         config: settings of the environment.
         episodes: numbers and contexts of the episodes to come.
 
     Raises:
-        IzooError: there is none among them; it names the reason in the last one.
+        IzooError: there is none; the message names the reason in the last one.
     """
     reason = None
     for number, context in episodes:
-        reason = why_barren(config, context)
+        reason = why_no_cv(config, context)
         if reason is None:
             return number
     raise IzooError(
@@ -37,8 +37,8 @@ def first_fertile(config: EnvConfig, episodes: Iterable[tuple[int, Context]]) ->
     )
 
 
-def why_barren(config: EnvConfig, context: Context) -> str | None:
-    """Say why no controlled vehicle can ever enter in a context; ``None`` where one can, however seldom."""
+def why_no_cv(config: EnvConfig, context: Context) -> str | None:
+    """Return why no CV can ever enter in a context; ``None`` where one can, however rarely."""
     if context.adoption <= 0.0:
         return f"the adoption of {context.name} is 0"
     if not context.demand_approaches:

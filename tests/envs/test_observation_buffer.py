@@ -1,4 +1,4 @@
-"""Observations on a tape are those that every step would have copied, whatever was there before."""
+"""Buffered observations equal the copies that every step would make."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ NUM_ENVS, STEPS, BATCHES = 3, 25, 8
 Observed = list[tuple[Tensor, Tensor, Tensor]]
 
 
-def collect(threads: int, after: Callable[[TwinEnv, int], None], tape: bool) -> Observed:
+def collect(threads: int, after: Callable[[TwinEnv, int], None], buffered: bool) -> Observed:
     """Return the observations that each step acted on, led to, and left to act on; episodes of 110 steps."""
     found: Observed = []
     with contextlib.closing(TwinEnv(NUM_ENVS, crossing(), config=short(), threads=threads)) as env:
-        if tape:
+        if buffered:
             env.reader.observations = Tape(STEPS, env.frames["observation"], env.frames["mask"])
         env.reset()
         state = env.advance([40, 0, 70])
@@ -36,7 +36,7 @@ def collect(threads: int, after: Callable[[TwinEnv, int], None], tape: bool) -> 
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_tape_holds_what_each_step_would_have_copied(threads: int) -> None:
+def test_the_buffer_holds_what_each_step_would_copy(threads: int) -> None:
     batches: list[tuple[Tensor, Tensor]] = []
 
     def keep(env: TwinEnv, number: int) -> None:
@@ -52,11 +52,3 @@ def test_a_tape_holds_what_each_step_would_have_copied(threads: int) -> None:
     for k, whole in enumerate(zip(*batches, strict=True)):
         parts = zip(*(step[k] for step in copied), strict=True)
         assert torch.equal(torch.cat(whole, 1), torch.stack([torch.stack(part) for part in parts]))
-
-
-def test_a_tape_refuses_to_hand_over_half_a_batch() -> None:
-    with contextlib.closing(TwinEnv(1, crossing(), config=short(), threads=1)) as env:
-        tape = env.reader.observations = Tape(2, env.frames["observation"], env.frames["mask"])
-        env.step(steer(env.reset()))
-        with pytest.raises(RuntimeError, match="1 of 2 steps"):
-            tape.batch()

@@ -1,4 +1,4 @@
-"""The tables behind a frame: motion, lanes, grades, leaders, what is emitted, with vehicles placed by hand."""
+"""The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders."""
 
 from __future__ import annotations
 
@@ -14,24 +14,21 @@ from izoo.envs.mdp.columns import (
     LANE,
     LANE_POSITION,
     LEADER_SPEED,
-    LENGTH,
     LOCATION,
     MOVEMENT,
     PREV_ACCEL,
-    SPEED,
     STOP_LINE,
     TTC,
     WRONG_LANE,
 )
-from izoo.envs.mdp.step import emit_vehicles
 from izoo.networks.road import APPROACHING
-from izoo.networks.turning import LEFT, STRAIGHT
+from izoo.networks.turning import LEFT
 from tests.envs.placed import STEP_S, Scene
 
 
 def test_speed_and_acceleration(scene: Scene) -> None:
     me = scene.put("A2TL_0", 50.0, speed=10.0)
-    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a newcomer
+    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a new vehicle
     scene.flags[me, FRESH] = 1
     scene.read()
     assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (1.5, 1.5)
@@ -63,7 +60,7 @@ def test_lane_columns(scene: Scene) -> None:
         ("TL2B_0", "AB", 0),
     ],
 )
-def test_lanes_that_do_not_lead_to_the_exit(scene: Scene, lane: str, way: str, wrong: int) -> None:
+def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, way: str, wrong: int) -> None:
     me = scene.put(lane, 1.0, way=way)
     scene.read()
     assert scene.flags[me, WRONG_LANE] == wrong
@@ -93,19 +90,6 @@ def test_grade_is_the_mean_under_the_vehicle(scene: Scene, lane: str, position: 
     assert scene.floats[me, GRADE] == pytest.approx(grade, abs=5e-3)
 
 
-def test_sort_by_lane_and_position(scene: Scene) -> None:
-    generator = np.random.default_rng(1)
-    lanes = generator.choice(["A2TL_0", "A2TL_intern_1", "TL2C_0"], 12)
-    for lane, position in zip(lanes, generator.uniform(0.0, 100.0, 12), strict=True):
-        scene.put(str(lane), float(position))
-    scene.read()
-    numbers = [scene.road.lane_ids.index(str(lane)) for lane in lanes]
-    expected = sorted(range(12), key=lambda r: (numbers[r], scene.floats[r, LANE_POSITION]))
-    assert scene.order.tolist() == expected
-    for number in range(len(scene.road.lane_ids)):
-        assert scene.start[number + 1] - scene.start[number] == numbers.count(number)
-
-
 def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
     fast = scene.put("A2TL_0", 100.0, speed=14.0)
     slow = scene.put("A2TL_0", 135.0, speed=4.0)
@@ -118,33 +102,11 @@ def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
     assert scene.floats[slow, TTC] == np.inf
 
 
-def test_time_to_collision_needs_closing_speed(scene: Scene) -> None:
+def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Scene) -> None:
     me = scene.put("A2TL_0", 100.0, speed=4.0)
-    scene.put("A2TL_0", 135.0, speed=4.0)
+    other = scene.put("A2TL_0", 135.0, speed=4.0)
     scene.read()
     assert scene.floats[me, TTC] == np.inf
-
-
-def test_bodies_in_contact_have_no_time_left(scene: Scene) -> None:
-    me = scene.put("A2TL_0", 100.0, speed=4.0)
-    scene.put("A2TL_0", 103.0, speed=0.0)
+    scene.move(other, "A2TL_0", 103.0, 0.0)
     scene.read()
     assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0
-
-
-def test_straight_is_known_from_the_way(scene: Scene) -> None:
-    me = scene.put("A2TL_0", 1.0, way="AC")
-    scene.read()
-    assert scene.ints[me, MOVEMENT] == STRAIGHT and scene.floats[me, SPEED] == 10.0 and scene.floats[me, LENGTH] == 5.0
-
-
-def test_emitted_rows_are_zero_where_nobody_is(scene: Scene) -> None:
-    scene.put("A2TL_0", 100.0, row=1)
-    scene.floats[0] = np.nan  # what an earlier occupant has left
-    scene.ints[0] = 99
-    scene.read()
-    floats, ints, flags = np.full((4, 10), np.nan), np.full((4, 8), 7), np.full((4, 6), 7, np.uint8)
-    emit_vehicles(scene.floats, scene.ints, scene.flags, floats, ints, flags)
-    for row in (0, 2, 3):
-        assert not floats[row].any() and not ints[row].any() and not flags[row].any()
-    assert floats[1, SPEED] == 10.0 and flags[1, 0] == 1

@@ -9,7 +9,7 @@ import numpy as np
 from izoo.envs.twin.driving.car_following import fourth_power
 
 
-def test_fourth_powers_are_those_of_the_c_library_but_for_one_of_a_thousand() -> None:
+def test_fourth_powers_equal_the_c_librarys_in_most_cases() -> None:
     ratios = (1.3 * np.random.default_rng(0).random(20_000)).tolist()
     apart = [ratio for ratio in ratios if fourth_power(ratio) != math.pow(ratio, 4.0)]
     assert len(apart) < 20, "rounding twice would miss half of them"
