@@ -107,12 +107,12 @@ class Bench:
 
     @functools.cache  # noqa: B019 - a bench lives as long as its command
     def _of_row(self, name: str) -> TrainConfig:
-        from izoo.conf.compose import compose_config
+        from izoo.cli.compose import compose_config
         from izoo.conf.train_options import TrainConfig
 
         threads = [] if self.config.threads is None else [f"twin.threads={self.config.threads}"]
         words = last_of([*SETTING, *ROWS[name].words, *self.config.train, *threads])
-        return compose_config("train", TrainConfig, words)
+        return compose_config(TrainConfig, words)
 
     def env(self, name: str = REFERENCE) -> EnvConfig:
         """Return the environment that a row's policies are compared in."""

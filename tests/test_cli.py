@@ -14,10 +14,10 @@ import pytest
 import yaml
 
 from izoo import collect, console, evaluate, train
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks import generalization
+from izoo.cli import compose
 from izoo.cli.option_command import OptionCommand
-from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
@@ -42,7 +42,7 @@ CHOICES = [f"{group}={name}" for group, names in compose.choices().items() if gr
 def test_every_choice_equals_its_dataclass(word: str) -> None:
     """But for the fields that make the choice what it is."""
     group, choice = word.split("=")
-    value = getattr(compose.compose_config("train", TrainConfig, [word]), group)
+    value = getattr(compose.compose_config(TrainConfig, [word]), group)
     if choice.endswith("_paper"):
         assert value == type(value).paper()
         return
@@ -66,7 +66,7 @@ def test_configs_survive_yaml() -> None:
 def test_options_reach_the_dataclass_with_their_types(tmp_path: Path) -> None:
     odd = tmp_path / "a (1), b=c"
     words = ["algo.lr=1e-4", "algo.hidden=[8,8]", "total_frames=1e6", "env.reward.eta=0", f"run_dir={odd}"]
-    config = compose.compose_config("train", TrainConfig, words)
+    config = compose.compose_config(TrainConfig, words)
     assert config.algo.lr == 1e-4
     assert config.algo.hidden == (8, 8)
     assert config.total_frames == 1_000_000
@@ -358,12 +358,12 @@ def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None
 
 def test_unknown_nested_option_lists_its_siblings() -> None:
     with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
-        compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
+        compose.compose_config(TrainConfig, ["env.reward.etta=1"])
 
 
 def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
-    chosen = compose.compose_config("train", TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
+    chosen = compose.compose_config(TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
     assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
-    assert compose.compose_config("train", TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
+    assert compose.compose_config(TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
     with pytest.raises(IzooError, match=r"env\.reward.*paper, fuel, fuel_team"):
-        compose.compose_config("train", TrainConfig, ["env.reward=fuell"])
+        compose.compose_config(TrainConfig, ["env.reward=fuell"])

@@ -12,8 +12,8 @@ import numpy as np
 
 from izoo import zoo
 from izoo.benchmarks.campaign.generalization_options import Entry, GeneralizationConfig, is_folder
+from izoo.cli.compose import compose_config
 from izoo.conf.built_in import CityContexts, Split
-from izoo.conf.compose import compose_config
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
 from izoo.conf.train_options import TrainConfig
@@ -158,7 +158,7 @@ def train_config(config: GeneralizationConfig, plan: Plan, entry: Entry, seed: i
         *config.train_options,
         *entry.options,
     ]
-    composed = compose_config("train", TrainConfig, words)
+    composed = compose_config(TrainConfig, words)
     if config.frames is None and not any(option.startswith("total_frames=") for option in entry.options):
         # Frames are decisions, of which an episode has fewer where they last longer.
         composed = dataclasses.replace(composed, total_frames=(config.episodes or 1) * composed.env.decisions)
@@ -177,5 +177,5 @@ def evaluation_env(config: GeneralizationConfig, entry: Entry | None = None) -> 
     else:
         words = [word.lstrip("+") for word in (*config.train_options, *(entry.options if entry is not None else ()))]
         said = [word for word in words if word.startswith("env.") and not word.startswith(LENGTH)]
-        env = compose_config("train", TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env
+        env = compose_config(TrainConfig, [f"env.horizon_s={config.horizon_s}", *said]).env
     return evaluated(dataclasses.replace(env, emit=()))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from izoo.algos.learners.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
+from izoo.envs import simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.errors import check_choice, check_range, check_types
+from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.files import expanded
 
 DRAIN_S = 600.0
@@ -22,6 +23,8 @@ class EvaluateConfig:
     """Options of an evaluation.
 
     Attributes:
+        task: a task of :mod:`izoo.tasks`: its test contexts, environment and episode seeds, where these are not given;
+            null: none, or, with a run, the one that it was trained for.
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
@@ -45,6 +48,7 @@ class EvaluateConfig:
         verbose: print every table; ``-v`` is short for it.
     """
 
+    task: str | None = None
     run: str | None = None
     checkpoint: str = "last"
     policy: str | None = None
@@ -54,15 +58,23 @@ class EvaluateConfig:
     seeds: int = 3
     seed: int = 0
     out: str | None = None
-    simulator: Literal["sumo", "twin"] = "sumo"
+    simulator: str = "sumo"
     num_workers: int = 2
     executor: Literal["processes", "batch", "ray"] | None = None
     cache: str | None = None
     verbose: bool = False
+    role: ClassVar[str] = "test"
+    """Whose contexts of a task are meant."""
 
     def __post_init__(self) -> None:
         check_types("", self)
         check_episodes(self)
+        simulator_of(self.simulator)
+        if self.run is None and self.checkpoint != "last":
+            raise IzooError(
+                f"checkpoint={self.checkpoint} chooses among those of a run's folder, but run is not given; give "
+                "run=RUN_DIR, or leave checkpoint out."
+            )
         if self.policy is not None:
             check_policy("policy", self.policy)
         for name in ("run", "out", "cache"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 from typing import Any
 
 from izoo.algos.actions.action_modes import DirectAction, SpeedAction
@@ -16,6 +15,7 @@ from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.envs.config import BEFORE, VEHICLE, EnvConfig
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, unknown_choice
+from izoo.imports import imported
 from izoo.tasks.task import INITIAL_SHARE, Task
 
 PAPER = "_paper"
@@ -156,11 +156,7 @@ def make(
         IzooError: there is no such task.
     """
     if ":" in name:
-        module, _, attribute = name.partition(":")
-        try:
-            task = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
-            raise IzooError(f"task={name}: {error}.") from error
+        task = imported("task", name)
         if not isinstance(task, Task):
             raise IzooError(f"task={name} is a {type(task).__name__}; give an izoo.tasks.Task.")
     elif name in tasks():

@@ -17,7 +17,7 @@ from tensordict.nn import TensorDictModuleBase
 from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
 
 from izoo.algos.learners.base import Algorithm
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping

@@ -19,7 +19,7 @@ from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.drivers.scripted import DEFER
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.features import feature
@@ -63,7 +63,7 @@ def nominal(**values: float) -> float:
 
 def make(algo: str, *words: str, action: str = "residual") -> Advised:
     torch.manual_seed(3)
-    options = compose_config("train", TrainConfig, [f"algo={algo}", "algo.hidden=[8]", f"action={action}", *words])
+    options = compose_config(TrainConfig, [f"algo={algo}", "algo.hidden=[8]", f"action={action}", *words])
     algorithm = make_algorithm(options.algo, options.action, options.env)
     assert isinstance(algorithm, Advised)
     return algorithm
@@ -260,7 +260,7 @@ def _now(algo: str) -> tuple[str, ...]:
 
 def test_yaml_equals_dataclass() -> None:
     for choice, config in (("direct", DirectAction()), ("advise", AdviseAction()), ("residual", ResidualAction())):
-        assert compose_config("train", TrainConfig, [f"action={choice}"]).action == config
+        assert compose_config(TrainConfig, [f"action={choice}"]).action == config
         assert from_mapping(TrainConfig, {"action": to_mapping(config)}).action == config
     assert TrainConfig().action == DirectAction()
 

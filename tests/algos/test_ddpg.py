@@ -12,8 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
 from izoo.algos.learners.base import ACTION_VALUE
-from izoo.algos.learners.ddpg import DDPG
-from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.ddpg import DDPG, DDPGConfig
 from izoo.algos.learners.replay import (
     ERROR,
     NEXT_OBSERVATION,
@@ -25,7 +24,7 @@ from izoo.algos.learners.replay import (
     Replay,
     transitions,
 )
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -325,7 +324,7 @@ def test_update_improves_a_bandit() -> None:
 
 @pytest.mark.parametrize(("choice", "config"), [("ddpg", DDPGConfig()), ("ddpg_paper", DDPGConfig.paper())])
 def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfig) -> None:
-    assert compose_config("train", TrainConfig, [f"algo={choice}"]).algo == config
+    assert compose_config(TrainConfig, [f"algo={choice}"]).algo == config
     assert from_mapping(DDPGConfig, to_mapping(config)) == config
 
 

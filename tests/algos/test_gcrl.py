@@ -10,10 +10,9 @@ import torch
 
 from izoo import train
 from izoo.algos.learners import base, graph_ppo
-from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
-from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GCRLConfig, GraphNetwork
 from izoo.algos.networks.set_networks import places
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
@@ -211,7 +210,7 @@ def test_gradients_do_not_reach_empty_slots() -> None:
 
 @pytest.mark.parametrize(("word", "value"), [("algo=gcrl", GCRLConfig()), ("algo=gcrl_paper", GCRLConfig.paper())])
 def test_yaml_equals_the_dataclass(word: str, value: GCRLConfig) -> None:
-    assert compose_config("train", TrainConfig, [word]).algo == value
+    assert compose_config(TrainConfig, [word]).algo == value
 
 
 def test_bad_hyper_parameters_are_refused() -> None:

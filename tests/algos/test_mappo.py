@@ -10,9 +10,9 @@ import torch
 
 from izoo import train
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, SetCritic
-from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
-from izoo.conf.compose import compose_config
+from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import run_folder
@@ -86,7 +86,7 @@ def test_gradients_do_not_reach_empty_slots() -> None:
 
 @pytest.mark.parametrize(("word", "value"), [("algo=mappo", MAPPOConfig()), ("algo=mappo_paper", MAPPOConfig.paper())])
 def test_yaml_equals_the_dataclass(word: str, value: MAPPOConfig) -> None:
-    assert compose_config("train", TrainConfig, [word]).algo == value
+    assert compose_config(TrainConfig, [word]).algo == value
 
 
 def test_the_paper_preset_is_rllibs_ppo() -> None:
@@ -115,8 +115,8 @@ def test_a_short_run_on_sumo(tmp_path: Path) -> None:
 
 def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:
     with pytest.raises(IzooError, match=r"algo.credit=team .* env.reward.eta is 0.*fuel_team"):
-        compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
-    chosen = compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
+        compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
+    chosen = compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
     assert chosen.env.emit == ("team_reward",)
 
 

@@ -11,8 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.losses.losses import MaskedPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy
 from izoo.errors import IzooError

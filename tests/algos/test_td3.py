@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg_config import TD3Config
 from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
-from izoo.algos.learners.td3 import TD3
-from izoo.conf.compose import compose_config
+from izoo.algos.learners.td3 import TD3, TD3Config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW
@@ -149,7 +148,7 @@ def test_update_improves_a_bandit() -> None:
 
 
 def test_options() -> None:
-    assert compose_config("train", TrainConfig, ["algo=td3"]).algo == TD3Config()
+    assert compose_config(TrainConfig, ["algo=td3"]).algo == TD3Config()
     for changes in ({"policy_delay": 0}, {"target_noise": -0.1}, {"stores": "asked"}):
         with pytest.raises(IzooError):
             TD3Config(**changes)  # type: ignore[arg-type]

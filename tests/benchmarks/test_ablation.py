@@ -10,7 +10,7 @@ import pytest
 
 from izoo.benchmarks import ablation
 from izoo.benchmarks.campaign.ablation_options import REFERENCE, ROWS, AblationConfig
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.results import read_table
 from izoo.training.collectors import check_collector
 
@@ -54,7 +54,7 @@ def test_the_verdict_names_rows_that_are_told_apart() -> None:
 def test_bad_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert ablation.main(["rows=[every_8_s-none-teams]"]) == 2
     assert "did you mean 'every_8_s-none-team'" in capsys.readouterr().err.lower()
-    assert compose.compose_config("benchmarks.ablation", AblationConfig, []) == AblationConfig()
+    assert compose.compose_config(AblationConfig, []) == AblationConfig()
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from izoo.benchmarks.fidelity import twin_fidelity
 from izoo.benchmarks.fidelity.journal import Journal
 from izoo.benchmarks.fidelity.trajectory_diff import SideBySide, parting
 from izoo.benchmarks.twin import LadderConfig
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
@@ -189,7 +189,7 @@ def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
 
 
 def test_the_options_file_is_the_dataclass() -> None:
-    assert compose.compose_config("benchmarks.twin", LadderConfig, []) == LadderConfig()
+    assert compose.compose_config(LadderConfig, []) == LadderConfig()
 
 
 @pytest.mark.parametrize(

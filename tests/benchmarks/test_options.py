@@ -20,7 +20,7 @@ from izoo.benchmarks.campaign.task_plan import (
     place_name,
     train_config,
 )
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.contexts import protocols
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig

@@ -10,15 +10,15 @@ from izoo.benchmarks import tradeoffs
 from izoo.benchmarks.campaign.generalization_options import Entry
 from izoo.benchmarks.campaign.task_plan import make_plan, train_config
 from izoo.benchmarks.tradeoffs import TradeoffsConfig, on_front
+from izoo.cli.compose import compose_config
 from izoo.cli.help_page import attribute_docs
-from izoo.conf.compose import compose_config
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.training.run_folder import read_config
 
 
 def test_yaml_equals_dataclass() -> None:
-    assert compose_config("benchmarks.tradeoffs", TradeoffsConfig, []) == TradeoffsConfig()
+    assert compose_config(TradeoffsConfig, []) == TradeoffsConfig()
 
 
 def test_every_combination_of_weights_is_a_point() -> None:
@@ -84,5 +84,5 @@ def test_a_sweep_leaves_rows_and_a_plot(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_options_do_not_clash_with_the_choices_of_other_commands() -> None:
-    config = compose_config("benchmarks.tradeoffs", TradeoffsConfig, ["learner=ddpg", "eta=[0,0.5,1]", "beta=[]"])
+    config = compose_config(TradeoffsConfig, ["learner=ddpg", "eta=[0,0.5,1]", "beta=[]"])
     assert list(config.weights()) == ["ddpg_eta0", "ddpg_eta0.5", "ddpg_eta1"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import MixedContexts, PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
@@ -32,7 +32,7 @@ CHOICES = {
 
 def chosen(*words: str):
     """What ``python -m izoo.train WORDS`` takes as its contexts."""
-    return compose.compose_config("train", TrainConfig, list(words)).contexts
+    return compose.compose_config(TrainConfig, list(words)).contexts
 
 
 def test_every_file_is_the_default_of_its_dataclass():

@@ -17,7 +17,7 @@ import pytest
 from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
 from izoo.algos.drivers.scripted import GlideConfig
 from izoo.algos.learners import registry
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
 from izoo.benchmarks.tradeoffs import TradeoffsConfig
 from izoo.conf.built_in import CatalogueContexts, CityContexts

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from izoo import train
+from izoo.cli import compose
 from izoo.cli.evaluate import resolve
-from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
@@ -50,7 +50,7 @@ def own_file(tmp_path: Path) -> Path:
 
 
 def chosen(*words: str) -> Any:
-    return compose.compose_config("train", TrainConfig, list(words)).contexts
+    return compose.compose_config(TrainConfig, list(words)).contexts
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.report_options import ReportConfig
 from izoo.metrics.figures import FIGURES
 from izoo.report import tables
@@ -207,7 +207,7 @@ def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None
 
 def test_options() -> None:
     words = ["results", "out=a=b.html", "title=one -> 'two', three", "replay=false", "imports=true"]
-    config = compose_config("report", ReportConfig, COMMAND.options(words))
+    config = compose_config(ReportConfig, COMMAND.options(words))
     assert COMMAND.options(["results=a"]) == COMMAND.options(["a"]) == ["results='a'"]
     assert config == ReportConfig("results", "a=b.html", "one -> 'two', three", replay=False, imports=True)
-    assert compose_config("report", ReportConfig, COMMAND.options(["results", "title=null"])).title is None
+    assert compose_config(ReportConfig, COMMAND.options(["results", "title=null"])).title is None

@@ -15,14 +15,14 @@ from izoo import train
 from izoo.algos.drivers.scripted import UncommandedDriver
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.mappo import TEAM_BASELINE
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError
-from izoo.results.twin_executor import Batch
+from izoo.results.batch_executor import Batch
 from izoo.training import baseline_episodes, run_folder
 from izoo.training.baseline_episodes import Paired
 from izoo.training.collectors import BatchSource, check_collector
@@ -54,7 +54,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def config(*words: str) -> TrainConfig:
-    return compose_config("train", TrainConfig, [*WORDS, *words])
+    return compose_config(TrainConfig, [*WORDS, *words])
 
 
 def schedule(options: TrainConfig) -> RandomSchedule:
@@ -135,7 +135,7 @@ def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
 def test_a_control_variate_needs_the_twin() -> None:
     words = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.reward=fuel_team"]
     with pytest.raises(IzooError, match=r"control_variate=team .* choose simulator=twin"):
-        check_collector(compose_config("train", TrainConfig, words))
+        check_collector(compose_config(TrainConfig, words))
 
 
 def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

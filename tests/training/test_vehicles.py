@@ -17,10 +17,9 @@ from izoo.algos.actions.action_modes import SpeedAction
 from izoo.algos.drivers.scripted import UncommandedDriver
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.algos.learners.decisions import Decisions, shaped
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.learners.registry import make_algorithm
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.errors import IzooError
@@ -41,7 +40,7 @@ HELD = ["env.hold_s=2", "algo.frames_per_batch=160"]
 
 
 def config(*words: str) -> TrainConfig:
-    return compose_config("train", TrainConfig, [*SMALL, *words])
+    return compose_config(TrainConfig, [*SMALL, *words])
 
 
 def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list[TensorDictBase]:
@@ -190,13 +189,13 @@ def test_what_cannot_learn_from_one_decision_per_vehicle_says_so(words: list[str
     if "simulator=sumo" in words:
         given.remove("num_envs=4")
     with pytest.raises(IzooError, match=message):
-        check_collector(compose_config("train", TrainConfig, [*given, *words]))
+        check_collector(compose_config(TrainConfig, [*given, *words]))
 
 
 def test_policies_that_are_compared_choose_no_speeds() -> None:
     words = ["algo=cmaes", "simulator=twin", "action=speed", "env.action=speed", "env.reward=fuel_team"]
     with pytest.raises(IzooError, match=r"algo=cmaes compares policies .* but action is speed"):
-        check_collector(compose_config("train", TrainConfig, words))
+        check_collector(compose_config(TrainConfig, words))
 
 
 def test_advice_needs_decisions_in_every_step() -> None:
