@@ -25,7 +25,7 @@ from torch import Tensor
 
 from izoo.algos.actions.action_modes import AdviseAction, Rest
 from izoo.algos.learners import base
-from izoo.algos.learners.registry import AlgoConfig
+from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.envs.config import BY_STEP
 from izoo.envs.mdp.reward import RewardConfig
@@ -61,6 +61,7 @@ class CMAESConfig(AlgoConfig):
     frames_per_batch: ClassVar[int] = 1  # type: ignore[misc]  # no option: a batch is an episode of each environment
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "teams": {
+            **ON_TWIN,
             "action": AdviseAction(),
             "env": {
                 **BY_STEP,

@@ -25,6 +25,7 @@ from izoo.algos.actions.action_modes import DirectAction
 from izoo.algos.drivers.scripted import DEFER, Glide
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
+from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
@@ -55,6 +56,7 @@ class GlideSearchConfig(CMAESConfig):
     needs_env: ClassVar[bool] = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "teams": {
+            **ON_TWIN,
             "action": DirectAction(),
             "env": {
                 **BY_STEP,
@@ -66,7 +68,7 @@ class GlideSearchConfig(CMAESConfig):
                 "neighbours": ("leader", "follower"),
                 "observed": ("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"),
             },
-            "twin": {"compare_every": 0, "stagger": False},
+            "twin": {"surrogate": "compiled", "compare_every": 0, "stagger": False},
             "num_envs": 512,
             "total_frames": 3_072_000,
             "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": "twin"},

@@ -18,7 +18,7 @@ from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNor
 from izoo.algos.actions.action_modes import SPREADS, AdviseAction, Rest
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import EXPERT_ADVICE, WarmStart
-from izoo.algos.learners.registry import AlgoConfig
+from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
@@ -147,8 +147,9 @@ class PPOConfig(AlgoConfig):
     takes_start = True
     estimates_advantages = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "vehicle": {"num_envs": 64, "total_frames": 92_160, "validation": {"every_batches": 20}},
+        "vehicle": {**ON_TWIN, "num_envs": 64, "total_frames": 92_160, "validation": {"every_batches": 20}},
         "imitation": {
+            **ON_TWIN,
             "action": AdviseAction(),
             "env": {**BY_STEP, "hold_s": 2.0, "reward": RewardConfig()},
             "num_envs": 32,

@@ -27,6 +27,9 @@ DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "g
 :func:`cap_share`."""
 CAP = "cap_"
 
+ON_TWIN: Mapping[str, Any] = {"simulator": "twin", "twin": {"surrogate": "compiled"}}
+"""Options of a run that plays on the twin."""
+
 
 def cap_share(name: str) -> float | None:
     """Return the share of the limit that a driver ``cap_SHARE`` keeps to, such as 0.6 of ``cap_0.6``; else ``None``.

@@ -21,6 +21,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
+from izoo.report.leaderboard import write_entries
 from izoo.report.tables import print_summary
 from izoo.results.playing import Policy
 from izoo.results.policies import as_policy
@@ -90,6 +91,8 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     if others:
         print(f"{counted(others, 'other context')} of earlier evaluations in {out}: they are in the summary as well.")
     print(f"Results: {out}", flush=True)
+    for path in write_entries(out):
+        print(f"Leaderboard file: {path}", flush=True)
     print_summary(summarise(table), verbose=config.verbose)
     return out
 
@@ -107,8 +110,10 @@ def resolve(config: EvaluateConfig) -> Subject:
     if config.policy is not None:
         shipped = zoo.named(config.policy)
         name = zoo.load(shipped).name if shipped else config.policy.rpartition(":")[2]
-        found_policy = as_policy(config.policy, config.env, name)
-        return Subject(name, found_policy.policy, config.contexts, config.env, Path.cwd(), found_policy.record)
+        found_policy = as_policy(config.policy, config.env, config.name or name)
+        return Subject(
+            found_policy.name, found_policy.policy, config.contexts, config.env, Path.cwd(), found_policy.record
+        )
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, state = run_folder.load_algorithm(path)
@@ -123,9 +128,11 @@ def resolve(config: EvaluateConfig) -> Subject:
         )
     zoo.check_actions(f"the policy of {folder}", trained.env, config.env)
     run_folder.check_drivers(folder, trained, config.contexts)
-    name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
+    label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
-    return Subject(name, algorithm.policy.eval(), config.contexts, config.env, folder, record, trained.seed)
+    return Subject(
+        config.name or label, algorithm.policy.eval(), config.contexts, config.env, folder, record, trained.seed
+    )
 
 
 def _task(config: EvaluateConfig) -> str:
@@ -134,11 +141,10 @@ def _task(config: EvaluateConfig) -> str:
     if config.task is None:
         parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
         return " ".join(str(part) for part in parts if part)
-    whole = to_mapping(tasks.make(config.task).test)
-    changed = {
-        name: value for name, value in to_mapping(contexts).items() if name != "path" and whole.get(name) != value
-    }
-    return ", ".join([config.task, *(f"{name}={written(value)}" for name, value in changed.items())])
+    task = tasks.make(config.task)
+    whole = to_mapping(task.test)
+    changed = {key: value for key, value in to_mapping(contexts).items() if key != "path" and whole.get(key) != value}
+    return ", ".join([task.name, *(f"{key}={written(value)}" for key, value in changed.items())])
 
 
 def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:

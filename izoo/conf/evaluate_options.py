@@ -30,6 +30,8 @@ class EvaluateConfig:
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
             ``glide``, ``cap_0.6``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
             ``python -m izoo.zoo export`` wrote (``FILE.pt``), or ``module:function``.
+        name: what tables call it; runs of several training seeds that have the same name, and the same ``out``, are one
+            entry. null: the run's folder, or the policy.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
@@ -52,6 +54,7 @@ class EvaluateConfig:
     run: str | None = None
     checkpoint: str = "last"
     policy: str | None = None
+    name: str | None = None
     contexts: ContextsConfig = field(default_factory=CityContexts)
     env: EnvConfig = field(default_factory=lambda: EnvConfig(drain_s=DRAIN_S))
     num_contexts: int | None = 16
