@@ -84,7 +84,7 @@ class Bench:
         from izoo.benchmarks.campaign.training_runs import TrainingRuns
         from izoo.results.selection import EpisodeSeeds, choose_contexts
         from izoo.results.store import Store
-        from izoo.training.validation import VALIDATION_SEED, held_out
+        from izoo.training.validation_rollout import VALIDATION_SEED, held_out
 
         self.config, self.folder = config, folder
         source = held_out(self.options(REFERENCE, 0).contexts)

@@ -35,9 +35,9 @@ def load(folder: Path | str) -> TensorDictBase:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.offline.load`.
+        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
     """
-    from izoo.training.offline import load as load_dataset
+    from izoo.training.dataset import load as load_dataset
 
     return load_dataset(folder)
 
@@ -52,7 +52,7 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     Returns:
         A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
     """
-    from izoo.training.offline import replay_buffer as open_buffer
+    from izoo.training.dataset import replay_buffer as open_buffer
 
     return open_buffer(folder, **options)
 
@@ -62,7 +62,7 @@ def trajectories(folder: Path | str) -> Tensor:
 
     ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)`` draws slices of episodes.
     """
-    from izoo.training.offline import trajectories as read_trajectories
+    from izoo.training.dataset import trajectories as read_trajectories
 
     return read_trajectories(folder)
 

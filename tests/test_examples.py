@@ -62,7 +62,7 @@ def test_stock_torchrl_trains_with_every_loss(name: str) -> None:
     assert loop.end_lineno is not None and loop.end_lineno - loop.lineno < 40
     modules = {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
     izoos = {name for name in modules if name and name.startswith("izoo")}
-    assert izoos == {"izoo.algos.losses.losses", "izoo.contexts.procedural", "izoo.envs"}
+    assert izoos == {"izoo.algos.losses", "izoo.contexts.procedural", "izoo.envs"}
 
 
 def test_stable_baselines() -> None:

@@ -1,4 +1,4 @@
-"""What every algorithm has in common: the keys it reads, its networks, and the face it shows the training loop."""
+"""What algorithms have in common: the keys they read, network parts, and the interface that the training loop uses."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from izoo.errors import IzooError
 OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
 DECIDES = ("agents", "decides")
-"""``[*B, A]`` bool: agents whose action is a decision; absent where everyone in the mask decides (:func:`deciding`)."""
+"""``[*B, A]`` bool: agents whose action is a decision; absent where all agents decide (:func:`deciding`)."""
 NUMBER = ("agents", "number")
 """``[*B, A]`` int64: the vehicle's number in the episode's demand."""
 ACTION = ("agents", "action")
 LOG_PROB = ("agents", "action_log_prob")
-GUIDED = ("agents", "guided")
-"""``[*B, A]`` bool: agents for whom an action below 0 means something
-(:class:`izoo.algos.networks.censored_normal.RestingNormal`)."""
+TWO_SIDED = ("agents", "two_sided")
+"""``[*B, A]`` bool: agents whose actions below 0 differ from 0
+(:class:`izoo.algos.networks.censored_normal.CensoredNormal`)."""
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 ACTION_VALUE = ("agents", "state_action_value")
 POTENTIAL = ("agents", "potential")
-"""``[*B, A, 1]``: what the same vehicle is still paid where nobody commands
+"""``[*B, A, 1]``: the same vehicle's reward-to-go in the uncommanded episode
 (:func:`izoo.algos.learners.decisions.shaped`)."""
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
@@ -45,7 +45,7 @@ Keys = tuple[str | tuple[str, ...], ...]
 
 
 class Algorithm(Protocol):
-    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
+    """The interface of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
 
     One that also has ``reads``, of :data:`Keys`, learns from these keys of a batch alone, and others may be missing
     (:func:`reads`).
@@ -58,7 +58,7 @@ class Algorithm(Protocol):
 
         Args:
             batch: what the collector gathered; ``N`` environments, ``T`` steps.
-            progress: share of the run that is over, in [0, 1].
+            progress: share of the run that is done, in [0, 1].
 
         Returns:
             Scalars to log, each over valid agent-steps alone.
@@ -74,17 +74,44 @@ class Algorithm(Protocol):
         ...
 
 
+class AlgorithmWrapper:
+    """An algorithm around another one, which holds all that is learned.
+
+    Args:
+        learned: the other one.
+        policy: what acts; ``None``: the policy of ``learned``.
+    """
+
+    def __init__(self, learned: Algorithm, policy: TensorDictModuleBase | None = None) -> None:
+        self.learned, self.policy = learned, learned.policy if policy is None else policy
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the learned algorithm's state."""
+        return self.learned.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.learned.load_state_dict(state)
+
+
+def innermost(wrapped: Any) -> Any:
+    """Return the algorithm or the policy that learns, inside all wrappers."""
+    while hasattr(wrapped, "learned"):
+        wrapped = wrapped.learned
+    return wrapped
+
+
 def reads(algorithm: Algorithm) -> Keys | None:
     """Return the keys of a batch that an algorithm learns from; ``None``: any of them."""
     return getattr(algorithm, "reads", None)
 
 
 def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
-    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those who decide, or all that are there.
+    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those that decide, or all that are present.
 
     Args:
         batch: of single steps, or of whole decisions (:class:`izoo.algos.learners.decisions.Decisions`).
-        mask: key of who is there; ``None`` is returned where it is missing.
+        mask: key of the agents that are present; ``None`` is returned where it is missing.
     """
     there, decides = batch.get(mask, None), batch.get(DECIDES, None)
     return there if decides is None or there is None else there & decides

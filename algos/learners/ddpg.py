@@ -19,11 +19,11 @@ from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 from torchrl.objectives import LossModule, SoftUpdate
 
-from izoo.algos.actions.action_modes import Rest
+from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import AlgoConfig
 from izoo.algos.learners.replay import ERROR, Replay, transitions
-from izoo.algos.losses.losses import MaskedDDPGLoss
+from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
 from izoo.errors import check_choice, check_range, check_types
@@ -209,10 +209,11 @@ class ActionValue(nn.Module):
 
 
 def make_actor(
-    features: int, low: float, high: float, config: DDPGConfig, rest: Rest | None = None, size: int = 1
+    features: int, low: float, high: float, config: DDPGConfig, point_mass: PointMass | None = None, size: int = 1
 ) -> TensorDictModule:
-    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with ``rest``, from 0 on."""
-    initial = config.initial_accel_mps2 if rest is None else 0.0
+    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with
+    ``point_mass``, its untrained action is 0."""
+    initial = config.initial_accel_mps2 if point_mass is None else 0.0
     check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
     network = base.mlp(features, config.hidden, size, config.activation, last_gain=0.01)
     middle, half = (high + low) / 2, (high - low) / 2
@@ -232,15 +233,15 @@ class ExploringPolicy(TensorDictModuleBase):
         actor: from :func:`make_actor`; shared, not copied.
         low, high: bounds of the action.
         config: hyper-parameters.
-        rest: that actions around 0 are doing nothing: :attr:`quiet_band`. What is stored and learned from is the action
-            itself, so that the critic's gradient leads out of the band.
+        point_mass: actions around 0 then count as 0: :attr:`no_op_band`. The replay stores the action itself, so that
+            the critic's gradient leads out of the band.
     """
 
     noise_factor: Tensor
     uniform: Tensor
 
     def __init__(
-        self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig, rest: Rest | None = None
+        self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig, point_mass: PointMass | None = None
     ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
@@ -250,7 +251,7 @@ class ExploringPolicy(TensorDictModuleBase):
         self.low, self.high = float(low), float(high)
         self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
         stationary = self.sigma / math.sqrt(max(1.0 - (1.0 - self.theta) ** 2, 1e-3))
-        self.quiet_band = 0.0 if rest is None else min(rest.band(stationary), 0.5 * self.high)
+        self.no_op_band = 0.0 if point_mass is None else min(point_mass.band(stationary), 0.5 * self.high)
         # Buffers, so that collectors in other processes receive them with the weights.
         self.register_buffer("noise_factor", torch.tensor(1.0))
         self.register_buffer("uniform", torch.tensor(config.random_frames > 0))
@@ -296,13 +297,13 @@ class DDPG:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: an acceleration in m/s^2, a share of the speed limit, or advice.
+        low, high: bounds of the action: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
         device: where the networks and the replay live.
-        rest: that an action of 0 is doing nothing.
+        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
         size: numbers of an action.
     """
 
-    options = DDPGConfig
+    options: type[AlgoConfig] = DDPGConfig
     critic_name = "value"
     """What TorchRL's loss calls its critics."""
 
@@ -313,12 +314,12 @@ class DDPG:
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Rest | None = None,
+        point_mass: PointMass | None = None,
         size: int = 1,
     ) -> None:
         self.config, self.size = config, size
-        self.actor = make_actor(features, low, high, config, rest, size).to(device)
-        self.policy = ExploringPolicy(self.actor, low, high, config, rest).to(device)
+        self.actor = make_actor(features, low, high, config, point_mass, size).to(device)
+        self.policy = ExploringPolicy(self.actor, low, high, config, point_mass).to(device)
         self.untrained_output = self.actor.module[0][-1].bias[0].item()
         self.loss = self.make_loss(features, low, high).to(device)
         self.loss.set_keys(priority=ERROR)

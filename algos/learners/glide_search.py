@@ -1,4 +1,4 @@
-"""CMA-ES over the settings of ``glide``: how a rule should drive, found by what whole teams are paid.
+"""CMA-ES over the settings of ``glide``: how a rule should drive, found by the returns of whole teams.
 
 The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then.
 How slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers
@@ -22,7 +22,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from izoo.algos.actions.action_modes import DirectAction
-from izoo.algos.drivers.scripted import DEFER, Glide
+from izoo.algos.drivers.base import DEFER
+from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
 from izoo.algos.learners.registry import ON_TWIN
@@ -82,7 +83,7 @@ class Searched:
     """A setting of glide that is searched.
 
     Attributes:
-        name: of :class:`~izoo.algos.drivers.scripted.GlideConfig`.
+        name: of :class:`~izoo.algos.drivers.glide.GlideConfig`.
         starts: where the search begins, by kind of road.
         unit: what 1 stands for: of the setting, or, with ``ratio``, of its logarithm.
         ratio: the setting is its start times a factor, and so stays above 0.
@@ -129,14 +130,14 @@ GATE = (
     "traffic",
     "red",
 )
-"""What decides whether holding back pays: a CV glides where the sum of these, times their weights, is above 0."""
+"""What decides whether holding back is worth it: a CV glides where the weighted sum of these is above 0."""
 GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
 """Weights at the start of the search, by kind of road."""
 FOLLOWER_M = 60.0
 LATE_S = 1.0
-"""Who would reach the line later than this after the green ends does not pass: some drive on through yellow."""
+"""A vehicle that would reach the line later than this after the end of green does not pass: some pass on yellow."""
 YELLOW_MPS2 = 3.0
-"""By yellow, whoever can stop with this deceleration does."""
+"""On yellow, a vehicle that can stop with this deceleration does."""
 NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 """What the search looks at besides what glide does."""
 
@@ -144,8 +145,8 @@ NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 class SearchedGlide(Glide):
     """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
 
-    Where the gate is closed, whoever must stop brakes early and gently, as with glide; but so do those who would come
-    only after the present green, and those who follow closely.
+    Where the gate is closed, CVs that must stop brake early and gently, as with glide; so do those that would arrive
+    after the present green, and those that follow closely.
 
     Args:
         config: settings of the environment; :data:`NEEDED` must be observed besides what glide needs.
@@ -166,7 +167,7 @@ class SearchedGlide(Glide):
         self.shortest_response_s = config.decision_s
 
     def drive_with(self, numbers: Tensor, observation: Tensor, environments: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2 and who is left alone, ``[M]`` each.
+        """Return accelerations in m/s^2, and which CVs are left alone, ``[M]`` each.
 
         Args:
             numbers: ``[M or 1, kinds, n]``.
@@ -251,7 +252,7 @@ class GlidePolicies(TensorDictModuleBase):
 
     mean: Tensor
     candidates: Tensor
-    quiet_band = 0.0
+    no_op_band = 0.0
     kinds = len(KINDS)
     reads: base.Keys = (KIND,)
 
@@ -294,7 +295,7 @@ class GlideSearch(CMAES):
         config: hyper-parameters.
         features, low, high: not needed: the rule reads columns by name, and commands accelerations.
         device: where the numbers live.
-        rest: that an action of 0 is doing nothing, which is not the case here.
+        point_mass: must be ``None``: the rule itself says when to leave a CV alone.
         env: settings of the environment.
 
     Raises:
@@ -312,11 +313,11 @@ class GlideSearch(CMAES):
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Any = None,
+        point_mass: Any = None,
         *,
         env: EnvConfig,
     ) -> None:
-        if rest is not None or not math.isclose(low, ACTION_LOW_MPS2):
+        if point_mass is not None or not math.isclose(low, ACTION_LOW_MPS2):
             raise IzooError(
                 "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
             )

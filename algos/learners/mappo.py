@@ -4,7 +4,7 @@ The critic works on the *set* of controlled vehicles (Yu et al., arXiv 2103.0195
 observations): any number of them, in any order. A vehicle's value is a function of its own embedding and of one summary
 of the set, shared by all, which learned queries gather by masked attention (pooling by multi-head attention, Lee et
 al., arXiv 1810.00825). Keeping the own embedding matters, since vehicles leave at different times and, with
-``reward.eta`` below 1, are paid differently; one summary per set keeps the cost linear in the number of vehicles.
+``reward.eta`` below 1, have different rewards; one summary per set keeps the cost linear in the number of vehicles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torchrl.modules import ValueOperator
 from izoo.algos.learners import base
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
-from izoo.algos.losses.losses import MaskedMAPPOLoss
+from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.fleet_features import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out
@@ -190,7 +190,7 @@ class MAPPO(SetPPO):
     def advantages(self, batch: TensorDictBase) -> TensorDict:
         """Estimate advantages and flatten, as PPO does; with a ``control_variate`` of the team's differences.
 
-        Then ``("next", "team_baseline")``, what the team was paid at the same time of the uncommanded episode of the
+        Then ``("next", "team_baseline")``, the team's reward at the same time of the uncommanded episode of the
         same context and seed, is taken from the team's reward. This biases no gradient. The uncommanded episode is
         decided by context and seed alone, so its rewards ``b`` are the same whatever is done here; nor can an action
         decide how many of them are summed, since the team's return ends with the episode and not with a vehicle. Given

@@ -1,7 +1,7 @@
 """Proximal policy optimisation for interchangeable agents: one policy and one value function, shared by every CV.
 
 Each agent-step is an independent sample (IPPO with shared parameters). Advantages are estimated per agent slot on the
-batch ``[N, T]``; then the valid entries are flattened, once for all minibatches (:mod:`izoo.algos.losses.losses`).
+batch ``[N, T]``; then the valid entries are flattened, once for all minibatches (:mod:`izoo.algos.losses`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
-from izoo.algos.actions.action_modes import SPREADS, AdviseAction, Rest
+from izoo.algos.actions.action_modes import SPREADS, AdviseAction, PointMass
 from izoo.algos.learners import base
-from izoo.algos.learners.imitation import EXPERT_ADVICE, WarmStart
+from izoo.algos.learners.imitation import EXPERT_ACTION, WarmStart
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
-from izoo.algos.losses.losses import MaskedPPOLoss
+from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
 from izoo.envs.config import BY_STEP, RewardConfig
@@ -227,15 +227,15 @@ class PPOConfig(AlgoConfig):
 
 
 def make_actor(
-    features: int, low: float, high: float, config: PPOConfig, rest: Rest | None = None, size: int = 1
+    features: int, low: float, high: float, config: PPOConfig, point_mass: PointMass | None = None, size: int = 1
 ) -> ProbabilisticActor:
-    """Return the policy: a tanh-squashed normal over actions ``[low, high]^size``; with ``rest``, a censored one.
+    """Return the policy: a tanh-squashed normal over actions ``[low, high]^size``; with ``point_mass``, a censored one.
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
     network = base.mlp(features, config.hidden, 2 * size, config.activation, last_gain=0.01)
-    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, rest)  # type: ignore[arg-type]
-    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, rest)
+    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, point_mass)  # type: ignore[arg-type]
+    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, point_mass)
 
 
 def make_value_norm(name: str) -> ValueNorm | None:
@@ -257,16 +257,16 @@ class PPO:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: an acceleration in m/s^2, a share of the speed limit, or advice.
+        low, high: bounds of the action: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
         device: where the networks live.
-        rest: that an action of 0 is doing nothing.
+        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
         size: numbers of an action.
 
     Attributes:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
     """
 
-    options = PPOConfig
+    options: type[AlgoConfig] = PPOConfig
     advantage: Tensor
 
     def __init__(
@@ -276,10 +276,10 @@ class PPO:
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Rest | None = None,
+        point_mass: PointMass | None = None,
         size: int = 1,
     ) -> None:
-        self.config, self.rest, self.size = config, rest, size
+        self.config, self.point_mass, self.size = config, point_mass, size
         self.actor = self.make_actor(features, low, high).to(device)
         self.policy = self.make_policy(low, high)
         self.critic = self.make_critic(features).to(device)
@@ -290,11 +290,11 @@ class PPO:
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
-        return make_actor(features, low, high, self.config, self.rest, self.size)
+        return make_actor(features, low, high, self.config, self.point_mass, self.size)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return CompiledPolicy(self.actor, low, high, self.rest, self.size)
+        return CompiledPolicy(self.actor, low, high, self.point_mass, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""
@@ -327,7 +327,7 @@ class PPO:
         start, actor = self.warm_start, self.loss.actor_network
         imitates = start.imitating
         if imitates:
-            rows.set(EXPERT_ADVICE, batch.get(EXPERT_ADVICE)[batch.get(base.MASK)])
+            rows.set(EXPERT_ACTION, batch.get(EXPERT_ACTION)[batch.get(base.MASK)])
         lr = self.config.warm_start_lr if imitates and self.config.warm_start_lr is not None else self.config.lr
         for group in self.optimiser.param_groups:
             group["lr"] = lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr
@@ -418,6 +418,4 @@ class PPO:
         self.loss.kl_weight.fill_(state["kl_weight"])
         if self.loss.value_norm is not None:
             self.loss.value_norm.load_state_dict(state["value_norm"])
-        elif not isinstance(state["value_norm"], dict) or state["value_norm"]:
-            raise ValueError("it holds statistics of values, which these options do not normalise")
         self.warm_start.load_state_dict(state["warm_start"], self.loss.actor_network_params)

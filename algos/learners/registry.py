@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig
 
 DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "glide")
-"""Scripted drivers (:data:`izoo.algos.drivers.scripted.DRIVERS`); ``cap_SHARE`` is one for any share:
+"""Scripted drivers (:data:`izoo.algos.drivers.by_name.DRIVERS`); ``cap_SHARE`` is one for any share:
 :func:`cap_share`."""
 CAP = "cap_"
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from izoo.algos.learners.ddpg import DDPG, DDPGConfig
-from izoo.algos.losses.losses import MaskedTD3Loss
+from izoo.algos.losses import MaskedTD3Loss
 from izoo.errors import check_range
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import yaml
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
@@ -15,7 +16,6 @@ from izoo.files import claimed, read_text, write_json, write_text
 from izoo.metrics.summary import TRAINING, Summary, summarise_task
 from izoo.report.tables import headline, print_summary
 from izoo.results.store import check_same
-from izoo.training.run_folder import plain_yaml
 
 SETTINGS_FILE, SUMMARY_FILE = "settings.yaml", "summary.json"
 
@@ -39,7 +39,7 @@ def check_settings(
     with claimed(folder):
         if path.is_file():
             try:
-                stored, now = dict(plain_yaml(read_text(path))), plain_yaml(OmegaConf.to_yaml(wanted))
+                stored, now = dict(yaml.safe_load(read_text(path))), yaml.safe_load(OmegaConf.to_yaml(wanted))
             except (OSError, ValueError, TypeError, YAMLError) as error:
                 raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; choose another out.") from error
             grown = {name: now[name] for name in may_grow if _grew(stored.get(name), now.get(name))}

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from izoo.algos.drivers.scripted import Glide, GlideConfig
+from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.benchmarks.campaign.comparing import check_settings, summaries
 from izoo.benchmarks.campaign.generalization_options import SWEPT, Entry, GeneralizationConfig
-from izoo.benchmarks.campaign.parallel_training import SideRuns
+from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.benchmarks.campaign.policies import selected, untrained
 from izoo.benchmarks.campaign.task_plan import evaluation_env, make_plan, train_config
 from izoo.benchmarks.campaign.training_runs import Key, TrainingRuns
@@ -26,8 +26,8 @@ from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, Policy, missing, play_missing
 from izoo.results.store import Store
 from izoo.training import checkpoint, run_folder
-from izoo.training.collectors import check_collector
 from izoo.training.loggers import MetricsTable
+from izoo.training.option_checks import check_options
 from izoo.training.plots import compare_curves
 
 CURVES_FILE = "learning_curves.png"
@@ -86,7 +86,7 @@ class Campaign:
     def _check_simulators(self) -> None:
         """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
         for run in self.runs.wanted.values():
-            check_collector(run)
+            check_options(run)
         if self.config.simulator == "twin":
             for env in self.envs.values():
                 backend.check_settings(env)
@@ -123,7 +123,7 @@ class Campaign:
     def _do(self, jobs: list[Job]) -> None:
         todo = [job for job in jobs if not self._is_done(job)]
         print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
-        with SideRuns(self.config.runs_at_once) as beside:
+        with ParallelRuns(self.config.runs_at_once) as beside:
             for number, job in enumerate(todo):
                 print(f"\n[{len(jobs) - len(todo) + number + 1}/{len(jobs)}] {job}", flush=True)
                 if job.kind == "evaluate":

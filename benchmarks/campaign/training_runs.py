@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from izoo.benchmarks.campaign.parallel_training import SideRuns
+from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, counted
@@ -105,7 +105,7 @@ class TrainingRuns:
         train(*self._begin(key))
         self._require_trained(key)
 
-    def train_beside(self, beside: SideRuns, keys: Sequence[Key]) -> None:
+    def train_beside(self, beside: ParallelRuns, keys: Sequence[Key]) -> None:
         """Train the first of these runs, and those that come next, in processes of their own; wait for the first.
 
         Raises:

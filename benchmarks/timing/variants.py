@@ -31,7 +31,8 @@ from izoo.contexts.source import Schedule, episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import ACTION_HIGH_MPS2
 from izoo.envs.mdp.frame import TOTALS
-from izoo.training.collectors import BatchSource, ShiftedSchedule
+from izoo.training.collectors import BatchSource
+from izoo.training.schedules import ShiftedSchedule
 
 TWIN_ROWS = 4096
 """Steps of a batch from the twin over all its environments, about."""

@@ -24,7 +24,7 @@ from izoo.envs.mdp.columns import (
 )
 from izoo.envs.mdp.credit import HERE
 from izoo.envs.mdp.displacement import road_arrays
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, book_unfinished
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT, book_unfinished
 from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.envs.mdp.slots import enter, leave
 from izoo.envs.mdp.snapshot import Scene
@@ -292,8 +292,12 @@ class Episode:
         frame["approach_metrics"][:] = self.tables.sums
 
     def _book(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
-        """Add values of some vehicles of the demand to a sum of their approaches."""
-        np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach[numbers], values)
+        """Add values of some vehicles of the demand to a sum of their approaches, and of their movements."""
+        approach = self.traffic.approach[numbers]
+        np.add.at(self.tables.sums[:, METRIC[name]], approach, values)
+        if name in OF_COHORT:
+            turn = self.road.movement_turn[approach, self.traffic.exit[numbers]]
+            np.add.at(self.tables.sums, (approach, METRIC[f"{MOVEMENTS[0]}_{name}"] + turn), values)
 
     def scene(self) -> Scene:
         """Return copies of the present state."""

@@ -28,6 +28,7 @@ from izoo.envs.mdp.columns import (
     JUNCTION_M,
     LOCATION,
     MIN_TTC,
+    MOVEMENT,
     PATH_POSITION,
     PREV_ACCEL,
     SPEED,
@@ -41,6 +42,21 @@ from izoo.envs.mdp.columns import (
 from izoo.envs.mdp.reward import TTC_CAP_S
 from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING
+
+MOVEMENTS = ("right", "straight", "left")
+"""The movements of an approach, by the value of ``("vehicles", "movement")``."""
+OF_COHORT = ("cohort", "cohort_region_delay_s", "cohort_blocked_s")
+"""Sums over the cohort that are also kept by movement."""
+MOVEMENT_METRICS: tuple[str, ...] = tuple(
+    f"{movement}_{name}"
+    for name in (
+        *OF_COHORT,  # the parts of the approach's sums
+        "queue",  # vehicles that stand on the approach, at the end: the residual queue
+        "queue_max",  # the most that have stood there at once, which is not to be added over approaches
+    )
+    for movement in MOVEMENTS
+)
+"""Names of the sums and counts by movement, ``MOVEMENT_NAME``."""
 
 APPROACH_METRICS: tuple[str, ...] = (
     "entered",  # counted vehicles that entered the controlled region
@@ -81,6 +97,7 @@ APPROACH_METRICS: tuple[str, ...] = (
     "cohort_blocked_co2_g",  # what it would have burned standing outside, while blocked
     "cohort_region_delay_s",  # time that it lost in the region against driving at the limit
     "cohort_blocked_s",  # time for which it was blocked outside: it could have come, at the limit, and had not
+    *MOVEMENT_METRICS,
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
 
@@ -134,6 +151,9 @@ _RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
 _UNSLOTTED_STEPS = METRIC["unslotted_steps"]
 _COHORT_CO2_G = METRIC["cohort_region_co2_g"]
 _COHORT_DELAY_S = METRIC["cohort_region_delay_s"]
+_MOVEMENT_DELAY_S = METRIC["right_cohort_region_delay_s"]
+_QUEUE, _QUEUE_MAX = METRIC["right_queue"], METRIC["right_queue_max"]
+_NUM_MOVEMENTS = len(MOVEMENTS)
 _STEPS = EPISODE_METRIC["steps"]
 _RETURN = EPISODE_METRIC["return"]
 _REWARD_SUM = EPISODE_METRIC["reward_sum"]
@@ -180,6 +200,22 @@ def account_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-
         if flags[r, COHORT]:
             sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
             sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
+            sums[ints[r, APPROACH], _MOVEMENT_DELAY_S + ints[r, MOVEMENT]] += floats[r, DELAY]
+
+
+@compiled(borrows=True)
+def count_queues(rows, floats, ints, sums):  # type: ignore[no-untyped-def]
+    """Count the vehicles that stand before the stop line, by movement."""
+    for p in range(sums.shape[0]):
+        for m in range(_NUM_MOVEMENTS):
+            sums[p, _QUEUE + m] = 0.0
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if ints[r, LOCATION] == APPROACHING and floats[r, SPEED] < STOPPED_MPS:
+            sums[ints[r, APPROACH], _QUEUE + ints[r, MOVEMENT]] += 1
+    for p in range(sums.shape[0]):
+        for m in range(_NUM_MOVEMENTS):
+            sums[p, _QUEUE_MAX + m] = max(sums[p, _QUEUE_MAX + m], sums[p, _QUEUE + m])
 
 
 @compiled(borrows=True)

@@ -25,7 +25,7 @@ from izoo.envs.mdp.columns import (
 from izoo.envs.mdp.commands import plan_caps, plan_commands
 from izoo.envs.mdp.credit import count_blocked, share_out
 from izoo.envs.mdp.displacement import place
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, account, account_cohort, sum_episode
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, account, account_cohort, count_queues, sum_episode
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation_kernel import observe
 from izoo.envs.mdp.reward_kernel import NUM_TERMS, pay, reward_terms, team_pay
@@ -205,6 +205,7 @@ def conclude(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
         colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
         account(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
         account_cohort(rows, floats, ints, flags, tables.sums)
+        count_queues(rows, floats, ints, sums)
     read_clock(time_s, clock)
     begins = tables.cursor[HELD] == 0
     fleet, shared, paid, own = work.fleet, work.shared, work.paid, work.own

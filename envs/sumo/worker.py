@@ -7,33 +7,29 @@ socket then closes, and nothing that it maps has a name in the file system.
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import os
 import pickle
 import socket
-import struct
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any, BinaryIO
+from typing import Any
 
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import map_frames, row_of
 from izoo.errors import IzooError
+from izoo.processes import ChildProcess, receive, send
 
-STEP, BEGIN, INIT, CLOSE = b"s", b"b", b"i", b"q"
+STEP, BEGIN, INIT = b"s", b"b", b"i"
 DONE, FAILED = b"k", b"e"
-_STARTUP_S = 300.0
 AWAKE_S = 1e-3
 """How long a waiting process polls before it sleeps, where it has a core for that: being woken by another core takes 5
 to 90 us, up to a fifth of a step."""
-_LENGTH = struct.Struct("!Q")
 
 
 class WorkerLost(Exception):
@@ -51,31 +47,7 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-def start_process(call: str, *descriptors: int, output: BinaryIO | None = None) -> subprocess.Popen[bytes]:
-    """Start ``from MODULE import FUNCTION; FUNCTION(...)`` in a fresh interpreter that imports what this one can.
-
-    Unlike ``multiprocessing``'s, the process does not run the user's script again, so that scripts need no
-    ``if __name__ == "__main__"``. It heeds no more of the environment and the user's site than this one does. A session
-    of its own keeps the terminal's Ctrl-C away: the parent decides when it ends.
-
-    Args:
-        call: the statements.
-        descriptors: open files that the process inherits under the same numbers.
-        output: file that takes what the process prints; ``None``: where this one's goes.
-    """
-    program = f"import sys; sys.path[:] = {sys.path!r}; {call}"
-    heeds = {"-I": sys.flags.isolated, "-E": sys.flags.ignore_environment, "-s": sys.flags.no_user_site}
-    return subprocess.Popen(
-        [sys.executable, *(flag for flag, is_set in heeds.items() if is_set), "-c", program],
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=output,
-        pass_fds=descriptors,
-        start_new_session=True,
-    )
-
-
-class Worker:
+class Worker(ChildProcess):
     """Parent's handle on one worker process, which starts at once and in the background.
 
     Attributes:
@@ -84,11 +56,7 @@ class Worker:
     """
 
     def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
-        self._socket, child = socket.socketpair()
-        call = f"from izoo.envs.sumo.worker import main; main({child.fileno()}, {memory})"
-        self.process = start_process(call, child.fileno(), memory)
-        child.close()
-        self._watchdog_s = watchdog_s
+        super().__init__("izoo.envs.sumo.worker:main", memory, inherited=(memory,), watchdog_s=watchdog_s)
         self.episodes, self.busy = 0, False
         self._send(INIT, setup)
         self._ready = False
@@ -103,9 +71,9 @@ class Worker:
         """Ask for a step; :meth:`wait` for its frame."""
         self.busy = True
         try:
-            self._socket.send(STEP)
+            self.socket.send(STEP)
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
+            raise WorkerLost(self.end_text()) from error
 
     def wait(self, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
@@ -118,80 +86,42 @@ class Worker:
             WorkerLost: the process ended or did not answer in time.
             IzooError: the worker refused, for a reason that the caller can mend.
         """
-        patience_s = self._watchdog_s
         if not self._ready:
-            # The first episode also loads the compiled code, or compiles it.
-            patience_s = max(patience_s, _STARTUP_S)
-            self._answer(patience_s)
+            self._answer()
             self._ready = True
-        self._answer(patience_s, awake_s, meanwhile)
+        self._answer(awake_s, meanwhile)
+        self.answered()  # the first episode also loads the compiled code, or compiles it
 
-    def _answer(self, timeout_s: float, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
+    def _answer(self, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         try:
-            answer = _receive_awake(self._socket, awake_s, meanwhile)
+            answer = _receive_awake(self.socket, awake_s, meanwhile)
             if answer is None:
-                self._socket.settimeout(timeout_s)
-                answer = self._socket.recv(1)
+                self.socket.settimeout(self.patience_s)
+                answer = self.socket.recv(1)
             if answer == DONE:
                 self.busy = not self._ready
                 return
             if answer == FAILED:
-                self._socket.settimeout(timeout_s)
-                is_users, text = pickle.loads(_receive(self._socket))
+                self.socket.settimeout(self.patience_s)
+                is_users, text = pickle.loads(receive(self.socket))
                 self.busy = not self._ready
                 raise IzooError(text) if is_users else RuntimeError(f"a simulation worker failed:\n{text}")
         except TimeoutError as error:
-            raise WorkerLost(f"no answer for {timeout_s:g} s") from error
+            raise WorkerLost(f"no answer for {self.patience_s:g} s") from error
         except (OSError, EOFError) as error:
             raise WorkerLost(str(error) or "it ended while it answered") from error
-        raise WorkerLost(f"its process has ended ({self.process.poll()})")
+        raise WorkerLost(self.end_text())
 
     def _send(self, kind: bytes, message: Any) -> None:
-        data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            self._socket.sendall(kind + _LENGTH.pack(len(data)) + data)
+            self.socket.send(kind)
+            send(self.socket, pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
-
-    def kill(self) -> None:
-        """End the process at once."""
-        self._socket.close()
-        self.process.kill()
-        self.process.wait()
-
-    def dismiss(self) -> None:
-        """Ask the process to end, and do not wait for that."""
-        with contextlib.suppress(OSError):
-            self._socket.send(CLOSE)
-        self._socket.close()
-
-    def close(self, patience_s: float = 5.0) -> None:
-        """Ask the process to end, wait, and end it if it does not."""
-        self.dismiss()
-        try:
-            self.process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-
-def _receive(connection: socket.socket) -> bytes:
-    (length,) = _LENGTH.unpack(_exactly(connection, _LENGTH.size))
-    return _exactly(connection, length)
-
-
-def _exactly(connection: socket.socket, length: int) -> bytes:
-    chunks = []
-    while length:
-        chunk = connection.recv(min(length, 1 << 20))
-        if not chunk:
-            raise EOFError
-        chunks.append(chunk)
-        length -= len(chunk)
-    return b"".join(chunks)
+            raise WorkerLost(self.end_text()) from error
 
 
 def main(descriptor: int, memory: int) -> None:
-    """Serve one parent until it says goodbye or is gone; then end the process.
+    """Serve one parent until it closes the socket or is gone; then end the process.
 
     It ends at once, because the interpreter would spend 0.4 s on tidying up libraries whose memory goes anyway.
     """
@@ -210,22 +140,23 @@ def _serve(descriptor: int, memory: int) -> None:
             kind = _receive_awake(connection, awake_s)
             if kind is None:
                 kind = connection.recv(1)
-            if kind in (b"", CLOSE):
+            if kind == b"":
                 return
             try:
                 if kind == STEP:
                     simulator.step()
                 elif kind == BEGIN:
-                    simulator.begin({0: pickle.loads(_receive(connection))})
+                    simulator.begin({0: pickle.loads(receive(connection))})
                 elif kind == INIT:
-                    config, index, num_workers, weights = pickle.loads(_receive(connection))
+                    config, index, num_workers, weights = pickle.loads(receive(connection))
                     simulator = _make_simulator(memory, config, index, num_workers, weights)
                     awake_s = AWAKE_S if stays_awake(index, num_workers) else 0.0
                 connection.send(DONE)
             except Exception as error:
                 is_users = isinstance(error, IzooError)
                 data = pickle.dumps((is_users, str(error) if is_users else traceback.format_exc()))
-                connection.sendall(FAILED + _LENGTH.pack(len(data)) + data)
+                connection.send(FAILED)
+                send(connection, data)
     except (BrokenPipeError, ConnectionResetError, EOFError):
         return
     finally:
@@ -249,7 +180,7 @@ def _receive_awake(
 ) -> bytes | None:
     """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
 
-    Others who want this core have it in between. ``meanwhile`` is called once, unless a byte is there already.
+    Other threads may use this core in between. ``meanwhile`` is called once, unless a byte is there already.
     """
     if awake_s <= 0.0:
         return None

@@ -121,7 +121,7 @@ class SumoWorkers:
             self._collect(waiting, lost, meanwhile)
         except BaseException:
             self._end_busy()
-            self._plays[:] = [None] * self.num_workers  # others have moved: nobody goes on as if they had not
+            self._plays[:] = [None] * self.num_workers  # others have moved, so the step cannot be repeated
             raise
         for index, reason in lost.items():
             self._replace(index, reason)

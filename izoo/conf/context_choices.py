@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
+from izoo.conf.own_traffic import check_traffic, with_own_traffic
 from izoo.contexts.distributions import Box, Key, Uniform, Weighted, as_distribution
 from izoo.contexts.procedural import (
     DEFAULTS,
@@ -62,6 +62,8 @@ class PcgContexts:
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
         approach: the leg that demand enters from, A to D, or ``all``.
         exclude: boxes that no context lies in, each with one or more features, of which it holds a value, some values
             or an interval: ``[{lane_count:[2,3],green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the
@@ -85,13 +87,14 @@ class PcgContexts:
     engine: Setting = None
     cv_vehicle: Setting = None
     drivers: str | None = None
+    fleet: list[float] | None = None
     approach: Setting = None
     exclude: list[dict] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
         check_choice("contexts.preset", self.preset, PRESETS)
-        resolve_drivers(self)
+        check_traffic(self)
 
     def build(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
@@ -112,7 +115,7 @@ class PcgContexts:
         features: dict[Key, Any] = {**missing, **base.features, **changes}
         source = ProceduralSource(features, boxes)
         whole = source.interval_ends() if self.preset == "systematicity_grid" else source
-        return with_own_drivers(whole, self.drivers)
+        return with_own_traffic(whole, self)
 
 
 SingleContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts

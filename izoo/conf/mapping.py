@@ -101,7 +101,7 @@ def _convert(kind: Any, value: Any, path: str) -> Any:
 
 def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
     """Return ``value`` as the first of ``kinds`` that it can be; among groups of options, as the one of its name."""
-    groups = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
+    groups: list[Any] = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     if groups and isinstance(value, Mapping):
         name, names = value.get("name"), {field_types(kind)["name"]: kind for kind in groups}
         for declared, kind in names.items():

@@ -113,7 +113,7 @@ class Context:
 
     @functools.cached_property
     def content_hash(self) -> str:
-        """SHA-256 over every field but ``context_id`` and the place of the net file.
+        """SHA-256 over every field but ``context_id``, the place of the net file and that of the intersection.
 
         The built-in drivers and fleet are left out, so that contexts keep the hash they had before these could be
         chosen.
@@ -123,5 +123,6 @@ class Context:
         for name in ("drivers", "fleet"):
             if fields[name] is None:
                 fields.pop(name)
-        fields["intersection"].pop("net_path")
+        for name in ("net_path", "lonlat"):
+            fields["intersection"].pop(name)
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

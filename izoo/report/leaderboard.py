@@ -25,7 +25,7 @@ from jsonschema import Draft202012Validator
 
 from izoo.console import counted
 from izoo.envs import MODEL_VERSION
-from izoo.envs.mdp.metric_sums import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 from izoo.metrics.figures import FIGURES
@@ -44,7 +44,7 @@ from izoo.training.plots import draw as draw_charts
 FORMAT, MERGED_FORMAT = "izoo-leaderboard-3", "izoo-leaderboard-merged-3"
 SCHEMA_FILE = "leaderboard_schema.json"
 FOLDER = "leaderboard"
-KEPT = (*IDENTITY, *FEATURES, *APPROACH_METRICS)
+KEPT = (*IDENTITY, *FEATURES, *(name for name in APPROACH_METRICS if name not in MOVEMENT_METRICS))
 PAPER_COLUMNS = (*IDENTITY, "crossed", "emission_g")
 """Columns of superseded files."""
 DIGITS = 7

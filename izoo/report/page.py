@@ -21,6 +21,7 @@ from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.report import plots, tables
+from izoo.report.movements import movements_table, town_maps
 from izoo.report.paper_results import paper_table, published_for
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import Evaluation, Results, collect, context_rows
@@ -79,7 +80,7 @@ def write_report(
     found = collect(results, partial)
     if task is not None:
         check_choice("task", task, [evaluation.task for evaluation in found.evaluations])
-        found = dataclasses.replace(found, evaluations=[each for each in found.evaluations if each.task == task])
+        found = dataclasses.replace(found, evaluations=tuple(each for each in found.evaluations if each.task == task))
     found = dataclasses.replace(found, title=found.title if title is None else title)
     path = out or results / PAGE_FILE
     if path.is_dir():
@@ -141,7 +142,7 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
 
 def _part(evaluation: Evaluation) -> dict[str, Any]:
     """What the page says of an evaluation in tables."""
-    summary = evaluation.summary
+    summary, movements = evaluation.summary, movements_table(evaluation)
     return {
         "name": evaluation.name,
         "verdict": summary["verdict"],
@@ -152,7 +153,10 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],
+        "movements": movements.html() if movements else "",
+        "maps": town_maps(evaluation),
         "paper": paper_table(evaluation.paper, "", evaluation.task).html(),
+        "closed_by": {name: of["closed_by"] for name, of in evaluation.paper.items() if of["closed_by"]},
     }
 
 

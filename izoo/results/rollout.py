@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from izoo.algos.drivers.scripted import RandomDriver, make_driver
+from izoo.algos.drivers.by_name import make_driver
+from izoo.algos.drivers.random import RandomDriver
 from izoo.conf.evaluate_options import DRAIN_S
 from izoo.console import Progress
 from izoo.contexts.context import Context

@@ -125,7 +125,7 @@ def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
 
 
 def test_names_and_options_come_without_pytorch() -> None:
-    words = "from izoo.algos import registry; [registry.preset(c) for c in registry.choices()]; import sys; "
+    words = "from izoo.algos.learners import registry; [registry.preset(c) for c in registry.choices()]; import sys; "
     done = subprocess.run([sys.executable, "-c", words + "sys.exit('torch' in sys.modules)"], check=False)
     assert done.returncode == 0
     assert registry.DRIVER_NAMES[0] == "human"

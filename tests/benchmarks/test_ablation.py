@@ -12,7 +12,7 @@ from izoo.benchmarks import ablation
 from izoo.benchmarks.campaign.ablation_options import REFERENCE, ROWS, AblationConfig
 from izoo.cli import compose
 from izoo.results import read_table
-from izoo.training.collectors import check_collector
+from izoo.training.option_checks import check_options
 
 ROW = "every_8_s-none-own"
 QUICK = [
@@ -31,7 +31,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> ablation.Bench:
 @pytest.mark.parametrize("name", list(ROWS))
 def test_every_row_is_a_training_run(name: str, bench: ablation.Bench) -> None:
     options = bench.runs.wanted[name, 3]
-    check_collector(options)
+    check_options(options)
     assert options.seed == 3 and options.simulator == "twin"
     assert options.total_frames >= 5 * options.validation.every_batches * options.algo.frames_per_batch, "a curve"
     if name != REFERENCE:

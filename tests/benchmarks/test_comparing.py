@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks.campaign.comparing import check_settings
-from izoo.benchmarks.fidelity.journal import Journal
 from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
 from izoo.results.rollout import Play, missing
@@ -50,20 +49,3 @@ def test_what_a_store_lacks() -> None:
     plays = [Play("ppo", seed, CONTEXT, 7) for seed in (0, 1)]
     store.done.add(("ppo", 0, "twin", CONTEXT.content_hash, 7))
     assert missing(store, plays, "twin") == plays[1:] and missing(store, plays, "sumo") == plays
-
-
-def test_side_results_are_kept_and_a_line_cut_short_is_dropped(tmp_path: Path) -> None:
-    path = tmp_path / "steps.jsonl"
-    kept = Journal(path)
-    kept.add(("few", "h", 1, False), {"parted": None})
-    kept.add(("few", "h", 2, True), {"parted": 7})
-    path.write_text(path.read_text() + '{"key": ["few", "h"')
-    again = Journal(path)
-    assert again.rows == kept.rows and again.table([("few", "h", 2, True), ("few", "x", 2, True)])[
-        "parted"
-    ].tolist() == [7]
-    again.add(("few", "h", 3, True), {"parted": None})
-    assert len(Journal(path).rows) == 3
-    path.write_text("<html>\n")
-    with pytest.raises(IzooError, match="remove it, and it is made anew"):
-        Journal(path)

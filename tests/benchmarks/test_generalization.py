@@ -16,7 +16,7 @@ import torch
 from matplotlib import image
 
 from izoo.benchmarks import generalization
-from izoo.benchmarks.campaign.jobs import jobs, training_runs
+from izoo.benchmarks.campaign import jobs, training_runs
 from izoo.errors import IzooError
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.drivers.scripted import GlideConfig
+from izoo.algos.drivers.glide import GlideConfig
 from izoo.algos.learners import registry
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.cli.compose import compose_config

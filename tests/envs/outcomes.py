@@ -72,7 +72,7 @@ def uncommanded(state: TensorDictBase, time_s: float) -> TensorDictBase:
 
 
 def glide() -> Drive:
-    from izoo.algos.drivers.scripted import make_driver
+    from izoo.algos.drivers.by_name import make_driver
 
     driver = make_driver("glide", EnvConfig(step_s=STEP_S))
     return lambda state, time_s: driver(state)

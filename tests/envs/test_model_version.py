@@ -74,7 +74,7 @@ def _driver(name: str, config: EnvConfig) -> Driver:
         return steer_and_change
     if name == "constant":
         return lambda state: set_action(state, torch.full((*state["agents", "mask"].shape, 1), 0.7))
-    from izoo.algos.drivers.scripted import make_driver
+    from izoo.algos.drivers.by_name import make_driver
 
     driver = make_driver(name, config)
 

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
-from izoo.algos.drivers.scripted import RandomDriver
+from izoo.algos.drivers.random import RandomDriver
 from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv, TwinEnv

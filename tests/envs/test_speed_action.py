@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from izoo.algos.drivers.scripted import make_driver
+from izoo.algos.drivers.by_name import make_driver
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig

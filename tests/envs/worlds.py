@@ -14,9 +14,10 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, SumoParallelEnv
 from izoo.envs.env import EcoDrivingBase
-from izoo.envs.mdp.metric_sums import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 
-UNHASHED = ("due", "dropped", "outside", "early", *(name for name in APPROACH_METRICS if name.startswith("cohort")))
+_COHORT = (name for name in APPROACH_METRICS if name.startswith("cohort"))
+UNHASHED = ("due", "dropped", "outside", "early", *_COHORT, *MOVEMENT_METRICS)
 """Metrics that are younger than the golden digests."""
 Driver = Callable[[TensorDictBase], TensorDictBase]
 

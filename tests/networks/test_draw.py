@@ -85,9 +85,12 @@ def test_movements_that_are_green_together_share_a_colour() -> None:
 def test_feature_table() -> None:
     table = feature_table([spec()])
     assert table["lane_count"].tolist() == [2.0, 1.0, 1.0] and table["legs"].tolist() == [3.0] * 3
-    assert table["green_ratio"] == pytest.approx([2 / 3, 1 / 3, 2 / 3]) and table["phase_count"].tolist() == [1.0] * 3
+    assert (
+        table["signal_time_ratio"] == pytest.approx([2 / 3, 1 / 3, 2 / 3])
+        and table["phase_count"].tolist() == [1.0] * 3
+    )
     assert table["inflow_peak_vph"] == pytest.approx([672.0, 900.0, 0.0])
-    assert np.isnan(feature_table([spec(None)])["green_ratio"]).all()
+    assert np.isnan(feature_table([spec(None)])["signal_time_ratio"]).all()
 
 
 def test_draws_the_features_of_a_set(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_town_without_a_plan_says_so(tmp_path: Path) -> None:
     spec = build(tmp_path)
     assert spec.signal_plan is None and spec.imputed[-1] == "signal plan"
     report = build_from_osm(tmp_path / "map.osm", target=tmp_path / "town")
-    assert "imputed signal plan: 1 of 1 intersections" in str(report)
+    assert "imputed signal plan: 1 of 1 intersection" in str(report)
 
 
 def changed(**fields: Any) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import contextlib
 
 import torch
 
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule

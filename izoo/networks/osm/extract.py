@@ -144,7 +144,7 @@ class _Builder:
                 self.skipped[str(core.id)] = str(error)
                 continue
             key = str(core.id)
-            places = [self.streets.lonlat[node] for node in core.nodes]
+            places = [self.streets.drawn_lonlat(node) for node in core.nodes]
             self.specs[key] = spec
             self.details[key] = {
                 "streets": {leg.name: street.name for leg, street in zip(spec.legs, legs, strict=True)},
