@@ -14,7 +14,7 @@ import yaml
 
 from izoo.conf.evaluate_options import check_policy
 from izoo.conf.mapping import from_mapping
-from izoo.envs.config import SIMULATORS
+from izoo.envs import SIMULATORS
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
 from izoo.files import expanded, read_text
 from izoo.zoo import catalog
@@ -36,7 +36,6 @@ class Entry:
         policy: without training: a driver's name, ``zoo:NAME``, ``FILE.pt`` or ``module:function``.
         glide: of ``policy: glide``, settings that differ (:class:`izoo.algos.drivers.scripted.GlideConfig`).
         planner: the planner's settings (:class:`izoo.benchmarks.planner.PlannerConfig`), which drives on the twin.
-        decide: when a CV decides, where the task is not to say so (``env.decide``).
         select: which weights of a run are tested: the ``last``, or the ``best`` on the validation split.
         contexts: no more test contexts than these; ``None``: those of the part.
         seeds: training seeds; ``None``: those of the part.
@@ -48,7 +47,6 @@ class Entry:
     policy: str | None = None
     glide: Any = field(default_factory=dict)
     planner: Any = None
-    decide: str | None = None
     select: Literal["last", "best"] = "last"
     contexts: int | None = None
     seeds: int | None = None

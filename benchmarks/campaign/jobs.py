@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,8 +21,8 @@ from izoo.benchmarks import planner
 from izoo.benchmarks.campaign.experiment import UNTRAINED, Entry, Experiment
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.benchmarks.campaign.training_runs import TRAIN_FOLDER, TrainingRuns
-from izoo.conf.compose import compose_config
-from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.cli.compose import compose_config
+from izoo.conf.mapping import from_mapping
 from izoo.conf.quoting import written
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
@@ -33,7 +33,7 @@ from izoo.metrics.summary import TRAINING
 from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, evaluated, missing, play_missing
 from izoo.results.selection import EpisodeSeeds
-from izoo.results.store import SHARED, Store, flat
+from izoo.results.store import SHARED, Store
 from izoo.tasks import Task, limited
 from izoo.training import checkpoint, run_folder
 from izoo.training.option_checks import check_options
@@ -113,20 +113,19 @@ class PartRun:
         self.store = Store(self.folder, task=self.task.name, config=evaluated(self.task.env))
 
     def _task(self) -> Task:
-        part, path = self.part, self.machine.dataset
-        path = path if reads_folder(part.task) else None
+        part = self.part
+        path = self.machine.dataset if reads_folder(part.task) else None
         return tasks.make(part.task, adoption=part.adoption, cv_vehicle=part.cv_vehicle, path=path)
-
-    def task_of(self, entry: Entry) -> Task:
-        """Return the task as an entry decides."""
-        return self.task if entry.decide is None else self.task.changed(decide=entry.decide)
 
     @functools.cache  # noqa: B019 - as long as the command
     def _options(self, name: str) -> TrainConfig:
         entry = self.experiment.known(self.name)[name]
-        threads = [] if self.machine.threads is None else [f"twin.threads={self.machine.threads}"]
-        words = [*self.part.train, *entry.train, "evaluation.contexts=0", *threads]
-        return train_options(self.task_of(entry), words)
+        said = {"contexts.adoption": self.part.adoption, "contexts.cv_vehicle": self.part.cv_vehicle}
+        said |= {"contexts.path": self.machine.dataset if reads_folder(self.part.task) else None}
+        said |= {"twin.threads": self.machine.threads}
+        words = [f"task={self.part.task}", *self.part.train, *entry.train, "evaluation.contexts=0"]
+        words += [f"{name}={written(value)}" for name, value in said.items() if value is not None]
+        return compose_config(TrainConfig, last_of(words))
 
     def options(self, name: str, seed: int) -> TrainConfig:
         """Return the options of a training run."""
@@ -145,7 +144,7 @@ class PartRun:
         elif shipped:
             own = zoo.load(shipped).env
         else:
-            own = self.task_of(entry).env
+            own = self.task.env
             own = own if ":" in (entry.policy or "") else own.with_accelerations()
         return evaluated(dataclasses.replace(own, emit=(), **{key: getattr(self.task.env, key) for key in SHARED}))
 
@@ -290,18 +289,6 @@ def untrained(config: TrainConfig) -> Any:
         return policy.eval()
 
 
-def train_options(task: Task, words: Sequence[str]) -> TrainConfig:
-    """Return the options of training on a task; ``words`` are those of the command that differ, the last counts."""
-    said = {word.partition("=")[0]: word for word in words}
-    of_task = {"contexts": task.train.name, "action": task.action.name}
-    groups = {"contexts": task.train, "action": task.action, "env": task.env}
-    for group, options in groups.items():
-        of_task |= {key: value for key, value in flat({group: to_mapping(options)}).items() if value is not None}
-    of_task = {**of_task, **flat(task.training)}
-    of_task = {key: value for key, value in of_task.items() if key != "env.emit" and not key.endswith(".name")}
-    kept = [f"{key}={written(value)}" for key, value in of_task.items() if not _replaced(key, said)]
-    return compose_config("train", TrainConfig, [*kept, *said.values()])
-
-
-def _replaced(key: str, said: Collection[str]) -> bool:
-    return any(key == name or key.startswith(f"{name}.") for name in said)
+def last_of(words: Iterable[str]) -> list[str]:
+    """Return option words, of those that set the same one the last."""
+    return list({word.partition("=")[0]: word for word in words}.values())

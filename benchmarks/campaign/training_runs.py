@@ -24,7 +24,7 @@ LOG_SUFFIX = ".log"
 """Of the file beside a run's folder that takes what it says, where it does not learn in this process."""
 LOOK_EVERY_S = 1.0
 """How often runs in other processes are looked at."""
-NOT_THE_RUN = (*run_folder.CHANGEABLE, "run_dir", "start")
+NOT_THE_RUN = (*run_folder.CHANGEABLE, "run_dir", "start", "task")
 """Options in which a run that is there may differ from the one that is wanted."""
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from izoo import __version__
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_choice
 from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
@@ -52,6 +52,7 @@ def write_report(
     out: Path | None = None,
     title: str | None = None,
     *,
+    task: str | None = None,
     replay: bool = True,
     imports: bool = False,
     partial: bool = False,
@@ -63,6 +64,7 @@ def write_report(
         results: an evaluation, a training run, or a benchmark.
         out: the page; ``None``: ``report.html`` in that folder.
         title: of the page; ``None``: what the folder says.
+        task: show this one alone; ``None``: all.
         replay: show the best and the worst context of every policy; they are played again once, and then kept.
         imports: policies written ``module:function`` may be imported for that.
         partial: accept results that are not complete.
@@ -75,6 +77,9 @@ def write_report(
         IzooError: the folder holds no whole results, or the page cannot be written.
     """
     found = collect(results, partial)
+    if task is not None:
+        check_choice("task", task, [evaluation.task for evaluation in found.evaluations])
+        found = dataclasses.replace(found, evaluations=tuple(each for each in found.evaluations if each.task == task))
     found = dataclasses.replace(found, title=found.title if title is None else title)
     path = out or results / PAGE_FILE
     if path.is_dir():

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from izoo.conf.compose import compose_config
 from izoo.conf.report_options import ReportConfig
 from izoo.metrics.figures import FIGURES
 from izoo.report import tables
@@ -206,8 +205,7 @@ def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None
 
 
 def test_options() -> None:
-    words = ["results", "out=a=b.html", "title=one -> 'two', three", "replay=false", "imports=true"]
-    config = compose_config("report", ReportConfig, COMMAND.options(words))
-    assert COMMAND.options(["results=a"]) == COMMAND.options(["a"]) == ["results='a'"]
-    assert config == ReportConfig("results", "a=b.html", "one -> 'two', three", replay=False, imports=True)
-    assert compose_config("report", ReportConfig, COMMAND.options(["results", "title=null"])).title is None
+    words = ["results", "out=a=b.html", "title=one -> 'two'", "task=busy_lane", "replay=false", "imports=true"]
+    config = COMMAND.compose(COMMAND.named(words))
+    assert config == ReportConfig("results", "busy_lane", "a=b.html", "one -> 'two'", replay=False, imports=True)
+    assert COMMAND.compose(["results=a", "title=null"]).title is None

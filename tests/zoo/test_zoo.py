@@ -15,14 +15,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import collect, evaluate, train, zoo
 from izoo.algos.actions.action_modes import AdviseAction
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import Machine, PartRun
 from izoo.benchmarks.twin import FidelityConfig, env_of
+from izoo.cli.compose import compose_config
 from izoo.cli.entries import TRAIN
 from izoo.cli.zoo import ZOO, _changed
-from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv
@@ -187,10 +187,10 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     ],
 )
 def test_the_command_on_a_card_can_be_run(words: tuple[str, ...]) -> None:
-    config = compose_config("train", TrainConfig, TRAIN.options(words))
+    config = compose_config(TrainConfig, TRAIN.options(words))
     command = " ".join(_changed(config))
     assert "secret" not in command
-    again = compose_config("train", TrainConfig, shlex.split(command))
+    again = compose_config(TrainConfig, shlex.split(command))
     for name in ("algo", "action", "env", "simulator", "twin", "num_envs", "total_frames", "seed"):
         assert getattr(again, name) == getattr(config, name), name
     assert again.contexts.name == config.contexts.name

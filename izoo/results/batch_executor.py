@@ -1,12 +1,13 @@
-"""Episodes side by side on the twin, in this process: many times faster than one after the other."""
+"""Episodes side by side in this process: many times faster than one after the other."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
 
+from izoo import envs
 from izoo.contexts.context import Context
-from izoo.envs.twin_env import TwinEnv
+from izoo.envs.env import EcoDrivingBase
 from izoo.errors import IzooError
 from izoo.results.playing import EpisodeFailed, Measured, Play, Setup, measured, play
 
@@ -16,7 +17,7 @@ class Batch:
 
     def __init__(self, setup: Setup) -> None:
         self.setup, self.size = setup, setup.side_by_side
-        self._env: TwinEnv | None = None
+        self._env: EcoDrivingBase | None = None
         self._plays: list[tuple[Context, int]] = []
         self._begun = 0
 
@@ -42,9 +43,9 @@ class Batch:
             self._env.close()
             self._env = None
 
-    def _env_of(self, plays: Sequence[Play], ahead: Sequence[Play]) -> TwinEnv:
+    def _env_of(self, plays: Sequence[Play], ahead: Sequence[Play]) -> EcoDrivingBase:
         """Return environments whose next episodes are ``plays``; the ones that there are, if they are as many."""
-        if self._env is not None and self._env.num_envs != len(plays):
+        if self._env is not None and self._env.batch_size != (len(plays),):
             self.close()
         if self._env is None:
             self._plays, self._begun = [], 0
@@ -52,10 +53,11 @@ class Batch:
         self._begun += len(plays)
         if self._env is None:
             setup = self.setup
-            self._env = TwinEnv(
+            self._env = envs.make(
+                setup.simulator,
                 len(plays),
                 functools.partial(_numbered, self._plays),
-                config=setup.config,
+                setup.config,
                 threads=max(setup.workers, 1),
                 surrogate=setup.surrogate,
                 shard=0,
