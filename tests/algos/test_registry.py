@@ -14,7 +14,7 @@ from izoo import train
 from izoo.algos.actions.action_modes import DirectAction
 from izoo.algos.learners import registry
 from izoo.algos.learners.registry import ALGORITHMS, Home, choices, make_algorithm, preset
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
@@ -77,7 +77,7 @@ def calm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("choice", choices())
 def test_every_choice_composes_builds_and_survives_the_file(choice: str) -> None:
-    algo = compose.compose_config("train", TrainConfig, [f"algo={choice}"]).algo
+    algo = compose.compose_config(TrainConfig, [f"algo={choice}"]).algo
     assert algo == preset(choice)
     config = TrainConfig(algo=algo)
     assert from_mapping(TrainConfig, to_mapping(config)) == config
@@ -114,11 +114,11 @@ def test_unknown_names_are_refused_by_the_legal_ones() -> None:
 @pytest.mark.usefixtures("calm")
 def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
     assert {"calm", "calm_slow"} <= set(compose.choices()["algo"])
-    config = compose.compose_config("train", TrainConfig, ["algo=calm_slow", "algo.frames_per_batch=50"])
+    config = compose.compose_config(TrainConfig, ["algo=calm_slow", "algo.frames_per_batch=50"])
     assert (config.algo.name, config.algo.frames_per_batch) == ("calm", 50)
     assert getattr(config.algo, "accel_mps2") == 0.1  # noqa: B009
     with pytest.raises(IzooError, match="It is an option of algo=calm and algo=calm_slow"):
-        compose.compose_config("train", TrainConfig, ["algo.accel_mps2=1"])
+        compose.compose_config(TrainConfig, ["algo.accel_mps2=1"])
     run_folder.write_config(tmp_path, config)
     assert run_folder.read_config(tmp_path) == config
     assert make_algorithm(config.algo, config.action, config.env).update(None, 0.0) == {}  # type: ignore[arg-type]

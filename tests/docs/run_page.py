@@ -17,8 +17,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from izoo.cli import compose
 from izoo.cli.option_command import OptionCommand
-from izoo.conf import compose
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.docs import pages
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 
 from izoo import train
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
@@ -125,11 +125,11 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
         "validation.contexts=3",
         "validation.every_batches=0",
     ]
-    stored = compose_config("train", TrainConfig, words)
+    stored = compose_config(TrainConfig, words)
     run_folder.write_config(tmp_path, stored)
     given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
     names = frozenset(word.partition("=")[0] for word in given)
-    found, state, _ = loop._resumed(compose_config("train", TrainConfig, given), names, tmp_path)
+    found, state, _ = loop._resumed(compose_config(TrainConfig, given), names, tmp_path)
     assert state is None and found == run_folder.read_config(tmp_path)
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
@@ -152,7 +152,7 @@ def test_a_refused_resumption_leaves_the_run_as_it_was(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
-    run_folder.write_config(tmp_path, compose_config("train", TrainConfig, search))
+    run_folder.write_config(tmp_path, compose_config(TrainConfig, search))
     before = (tmp_path / run_folder.CONFIG_FILE).read_bytes()
     assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
     assert message in capsys.readouterr().err

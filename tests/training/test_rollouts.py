@@ -17,8 +17,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.actions.action_modes import ResidualAction
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.algos.learners.ddpg_config import DDPGConfig
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.graph_ppo import GCRLConfig
+from izoo.algos.learners.mappo import MAPPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.envs import EnvConfig
