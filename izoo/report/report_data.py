@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from izoo.envs import REFERENCE
 from izoo.errors import IzooError
 from izoo.files import check_folder
 from izoo.metrics.figures import FIGURES
@@ -109,8 +110,8 @@ def _evaluations(folder: Path, run: Path | None, partial: bool) -> list[Evaluati
             f"{folder} is not finished; start the same command again, it goes on where it stopped; or report what is "
             "there: partial=true."
         )
-    if "sumo" in set(table["simulator"]):
-        table = table[table["simulator"] == "sumo"]
+    if REFERENCE in set(table["simulator"]):
+        table = table[table["simulator"] == REFERENCE]
     parts = {str(task): rows for task, rows in table.groupby("task")}
     tasks = sorted((task for task in parts if not task.endswith(TRAINING)), key=lambda task: task != manifest.task)
     found = []
