@@ -23,6 +23,7 @@ from izoo.algos.learners.mappo import MAPPOConfig
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.errors import IzooError
