@@ -1,20 +1,9 @@
 """Algorithms and policies as TorchRL modules; they know TensorDict keys, not simulators.
 
-- :mod:`~izoo.algos.learners.registry`: algorithms and drivers by name.
-- :mod:`~izoo.algos.learners.base`: keys, the face of an algorithm, network parts.
-- :mod:`~izoo.algos.networks.gaussian`: parts of stochastic policies.
-- :mod:`~izoo.algos.learners.ppo`: PPO with shared parameters.
-- :mod:`~izoo.algos.losses.losses`: TorchRL's losses for agents that come and go, which stand alone; they are made of
-  :mod:`~izoo.algos.networks.masking` and :mod:`~izoo.algos.losses.masked_gae`.
-- :mod:`~izoo.algos.networks.set_networks`, :mod:`~izoo.algos.learners.set_ppo`, :mod:`~izoo.algos.learners.mappo`:
-networks on whole frames, PPO with them, and with a critic over the set of vehicles.
-- :mod:`~izoo.algos.learners.graph_ppo`: PPO on the graph of nearby vehicles.
-- :mod:`~izoo.algos.actions.action_modes`: what a learned action stands for.
-- :mod:`~izoo.algos.networks.censored_normal`, :mod:`~izoo.algos.actions.action_wrappers`,
-:mod:`~izoo.algos.actions.residual`: actions whose origin is doing
-  nothing; advice to the simulator's driver, and corrections of glide.
-- :mod:`~izoo.algos.learners.ddpg`, :mod:`~izoo.algos.learners.td3`: off-policy learners;
-:mod:`~izoo.algos.actions.executed_actions`: what came of commands.
-- :mod:`~izoo.algos.learners.ppo_config`, :mod:`~izoo.algos.learners.ddpg_config`: hyper-parameters.
-- :mod:`~izoo.algos.drivers.scripted`: drivers that do not learn.
+- :mod:`~izoo.algos.learners`: algorithms, each with its hyper-parameters; :mod:`~izoo.algos.learners.registry` names
+  them, and :mod:`~izoo.algos.learners.base` is what they have in common.
+- :mod:`~izoo.algos.losses`: TorchRL's losses for agents that come and go, which can be used alone.
+- :mod:`~izoo.algos.networks`: distributions, networks on sets of agents, compiled policies.
+- :mod:`~izoo.algos.actions`: action modes, what a learned action means.
+- :mod:`~izoo.algos.drivers`: drivers that do not learn; :mod:`~izoo.algos.drivers.by_name` builds them.
 """

@@ -11,26 +11,31 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from izoo.benchmarks.fidelity.journal import Journal
 from izoo.cli.calibrate import check_packages
 from izoo.console import exit_code, unheard
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs import MODEL_VERSION
 from izoo.errors import check_range
 from izoo.files import replacing, usable_paths
+from izoo.results.rows_file import Row, RowsFile
 
 LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
 MEDIAN_RANGES = {"s0_m": (1.5, 3.0), "T_s": (0.6, 1.6), "alpha_mps2": (0.8, 1.8), "beta_mps2": (1.2, 2.5)}
 SPREAD_RANGE = (0.1, 0.25)
 KINDS = ("median", "spread", "correlation")
-SETS_FILE = "sets.jsonl"
+SETS_FILE = "sets.csv"
+SETTINGS = ("set", "drivers", "speed_noise_mps", "warmup", "draws", "model_version")
+"""Which data set, and how it was made and calibrated."""
+NUMBERS = ("minutes", "seconds", "processor_seconds", "worst_r_hat", "least_ess", "true", "mean", "low", "high")
+"""The minutes are those that drivers were followed for; the seconds are those that the calibration took."""
 
 
 def true_population(number: int) -> DriverPopulation:
@@ -61,8 +66,6 @@ def truth(population: DriverPopulation) -> dict[str, float]:
 
 def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_mps: float) -> None:
     """Write the trajectories of human drivers of a population; to every speed, white noise is added."""
-    import pandas as pd
-
     from izoo.contexts.procedural import procedural_context
     from izoo.envs import EcoDrivingEnv, EnvConfig
     from izoo.envs.views.trajectories import write_trajectories
@@ -82,8 +85,10 @@ def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_
     table.to_csv(path, index=False)
 
 
-def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> dict[str, Any]:
-    """Simulate and calibrate one data set; return what is true and what was found."""
+def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> list[Row]:
+    """Simulate and calibrate one data set; return a row per quantity: its ``name``, what is ``true`` and what was found
+    (``mean``, and ``low`` and ``high`` of the 90 % interval), with :data:`NUMBERS` of the set and ``converged``.
+    """
     from izoo.drivers.estimate import estimate, finite
     from izoo.drivers.trajectories import ReadConfig, read_following
 
@@ -96,56 +101,43 @@ def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0
     began, worked = time.monotonic(), time.process_time()
     result = estimate(data, chains)
     found = {quantity.name: quantity for quantity in result.quantities}
-    return {
-        "set": number,
-        "drivers": len(data.drivers),
-        "minutes": data.minutes,
+    shared = {
+        "minutes": data.minutes / len(data.drivers),
         "seconds": time.monotonic() - began,
         "processor_seconds": time.process_time() - worked,
         "converged": result.converged,
-        "not_converged": [quantity.name for quantity in result.quantities if not quantity.converged],
-        "diverging": result.diverging,
-        "autocorrelation": result.predictions.autocorrelation,
         "worst_r_hat": finite(float(np.max([quantity.r_hat for quantity in result.quantities])), 4),
         "least_ess": finite(float(np.min([quantity.ess for quantity in result.quantities])), 0),
-        "quantities": {
-            name: {"true": value, "mean": found[name].mean, "low": found[name].low, "high": found[name].high}
-            for name, value in truth(population).items()
-        },
     }
+    return [
+        {**shared, "name": name, "true": value, **{end: getattr(found[name], end) for end in ("mean", "low", "high")}}
+        for name, value in truth(population).items()
+    ]
 
 
-def summarise(results: Sequence[Mapping[str, Any]]) -> str:
+def summarise(rows: pd.DataFrame) -> str:
     """Return coverage of the 90 % intervals, and errors of the medians, over the data sets."""
-    converged = sum(result["converged"] for result in results)
-    work = np.median([result["processor_seconds"] for result in results])
-    minutes = np.median([result["minutes"] / result["drivers"] for result in results])
+    sets = rows.drop_duplicates("set")
+    minutes, work = sets[["minutes", "processor_seconds"]].median()
     lines = [
-        f"{len(results)} data sets, {converged} converged; median: {results[0]['drivers']} drivers of {minutes:.1f} "
-        f"minutes behind a leader, {work:.0f} s of processor time",
+        f"{len(sets)} data sets, {sets['converged'].sum()} converged; median: {sets['drivers'].iloc[0]} drivers of "
+        f"{minutes:.1f} minutes behind a leader, {work:.0f} s of processor time",
         f"{'':34} {'inside 90 %':>12} {'mean error':>11} {'typical error':>14}",
     ]
-    inside: dict[str, list[bool]] = {kind: [] for kind in KINDS}
-    for name in results[0]["quantities"]:
-        values = [result["quantities"][name] for result in results]
-        held = [value["low"] <= value["true"] <= value["high"] for value in values]
-        inside[name.split()[0]] += held
-        line = f"{name:34} {np.mean(held):12.0%}"
-        errors = np.array([value["mean"] - value["true"] for value in values])
-        if name.startswith("correlation"):
-            line += f" {errors.mean():+11.2f} {np.sqrt(np.mean(errors**2)):14.2f}"
-        else:
-            errors = errors / np.array([value["true"] for value in values])
-            line += f" {errors.mean():+11.1%} {np.sqrt(np.mean(errors**2)):14.1%}"
-        lines.append(line)
-    lines += [
-        f"all {kind}s: {np.mean(held):.1%} of {len(held)} intervals hold the truth" for kind, held in inside.items()
-    ]
-    everything = [value for held in inside.values() for value in held]
-    return "\n".join([*lines, f"all: {np.mean(everything):.1%} of {len(everything)} intervals hold the truth"])
+    held = (rows["low"] <= rows["true"]) & (rows["true"] <= rows["high"])
+    for name, part in rows.groupby("name", sort=False):
+        share = name.startswith("correlation")
+        errors = part["mean"] - part["true"] if share else part["mean"] / part["true"] - 1.0
+        form = ("+11.2f", "14.2f") if share else ("+11.1%", "14.1%")
+        typical = float(np.sqrt(np.mean(errors**2)))
+        lines.append(f"{name:34} {held[part.index].mean():12.0%} {errors.mean():{form[0]}} {typical:{form[1]}}")
+    for kind in KINDS:
+        of = held[rows["name"].str.startswith(kind)]
+        lines.append(f"all {kind}s: {of.mean():.1%} of {len(of)} intervals hold the truth")
+    return "\n".join([*lines, f"all: {held.mean():.1%} of {len(held)} intervals hold the truth"])
 
 
-def draw(results: Sequence[Mapping[str, Any]], path: Path) -> None:
+def draw(rows: pd.DataFrame, path: Path) -> None:
     """Draw what was recovered over what is true, with 90 % intervals, as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -155,10 +147,8 @@ def draw(results: Sequence[Mapping[str, Any]], path: Path) -> None:
     axes = figure.subplots(2, len(MEDIAN_RANGES))
     for column, parameter in enumerate(MEDIAN_RANGES):
         for row, kind in enumerate(KINDS[:2]):
-            values = [result["quantities"][f"{kind} {parameter}"] for result in results]
-            true, mean, low, high = (
-                np.array([value[key] for value in values]) for key in ("true", "mean", "low", "high")
-            )
+            chosen = rows[rows["name"] == f"{kind} {parameter}"]
+            true, mean, low, high = (chosen[key].to_numpy(float) for key in ("true", "mean", "low", "high"))
             axis = axes[row, column]
             axis.errorbar(true, mean, [mean - low, high - mean], fmt="o", markersize=4, color="#0072b2", linewidth=1)
             ends = [true.min(), true.max()]
@@ -180,22 +170,26 @@ def run(options: argparse.Namespace) -> int:
     from izoo.drivers.mcmc import SamplerConfig
 
     chains = SamplerConfig(options.warmup, options.draws)
-    made_with = options.drivers, options.speed_noise, options.warmup, options.draws, MODEL_VERSION
     options.out.mkdir(parents=True, exist_ok=True)
-    kept, results = Journal(options.out / SETS_FILE), []
+    columns = (*SETTINGS, "name", "converged", *NUMBERS)
+    kept = RowsFile(options.out / SETS_FILE, columns, ("name",), ("set", "drivers", "warmup", "draws")).read()
+    wanted = []
     for number in range(options.sets):
-        key = (number, *made_with)
-        if key not in kept.rows:
-            kept.add(key, recover(number, options.drivers, chains, options.speed_noise))
-        last = kept.rows[key]
-        results.append(last)
-        r_hat, ess = (last[name] for name in ("worst_r_hat", "least_ess"))
+        key = (number, options.drivers, options.speed_noise, options.warmup, options.draws, MODEL_VERSION)
+        own = [row for row in kept.rows if tuple(row[name] for name in SETTINGS) == key]
+        if not own:
+            found = recover(number, options.drivers, chains, options.speed_noise)
+            own = [{**dict(zip(SETTINGS, key, strict=True)), **row} for row in found]
+            kept.add(own)
+        wanted += own
+        last, r_hat, ess = own[0], own[0]["worst_r_hat"], own[0]["least_ess"]
         said = "chains that do not move" if None in (r_hat, ess) else f"worst R-hat {r_hat:.3f}, least ESS {ess:.0f}"
         print(
             f"set {number}: {last['seconds']:.0f} s, {said}{'' if last['converged'] else ', not converged'}", flush=True
         )
-    print(summarise(results))
-    draw(results, options.out / "recovery.png")
+    rows = pd.DataFrame(wanted)
+    print(summarise(rows))
+    draw(rows, options.out / "recovery.png")
     return 0
 
 

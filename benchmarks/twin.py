@@ -1,18 +1,19 @@
 """How far the twin is from SUMO, on any contexts.
 
-``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both, rung by rung:
-one and two vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what
-drivers did (changes of lane, vehicles that passed on each signal, how queues left); for all policies CO2, delay and
-vehicles that crossed per approach; and what each policy saves over human driving. SUMO plays everything once more with
-one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far the twin
-is. The folder ``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets
-``ladder.json``, ``approaches.csv``, ``ladder.png`` and ``steps.jsonl``; those of late vehicles are in ``late-1`` and so
+``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both: one and two
+vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what drivers did
+(changes of lane, vehicles that passed on each signal, how queues left); for all policies CO2, delay and vehicles that
+crossed per approach; and what each policy saves over human driving. SUMO plays everything once more with one vehicle
+of every approach a step late (``late=1``): how far it is from itself then stands beside how far the twin is. The folder
+``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets ``fidelity.json``,
+``approaches.csv``, ``fidelity.png``, ``few.csv`` and ``steps.csv``; rows with late vehicles are in ``late-1`` and so
 on. The same command goes on where it was stopped.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -33,16 +34,13 @@ from izoo.zoo import catalog
 if TYPE_CHECKING:
     import pandas as pd
 
-    from izoo.benchmarks.fidelity.journal import Journal
     from izoo.contexts.context import Context
     from izoo.results.policies import NamedPolicy
     from izoo.results.selection import EpisodeSeeds
 
-STEPS_FILE = "steps.jsonl"
-
 
 @dataclass(frozen=True)
-class LadderConfig:
+class FidelityConfig:
     """Options of the comparison of the twin with SUMO.
 
     Attributes:
@@ -51,8 +49,8 @@ class LadderConfig:
         num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
         adoptions: shares of CVs; human driving is played beside them in any case.
         demand: ``given`` as the contexts say, ``all`` with vehicles from all approaches.
-        policies: drivers, ``zoo:NAME``, ``FILE.pt``, or ``module:function``; everybody is played in the environment of
-            the policy from the zoo, if there is one.
+        policies: drivers, ``zoo:NAME``, ``FILE.pt``, or ``module:function``; all are played in the environment of the
+            policy from the zoo, if there is one.
         exact: of which of them to compare every vehicle in every step, in the first episode of each context.
         seeds: episodes per context.
         late: how often SUMO plays everything again, with another vehicle of every approach a step late. How far it is
@@ -61,7 +59,7 @@ class LadderConfig:
         num_workers: worker processes that play SUMO.
         out: folder of the results; a comparison that was interrupted goes on there.
         cache: folder of the cached episodes of human and uncommanded driving; null: the user's cache folder.
-        verbose: print every rung, not only how far apart policies are.
+        verbose: print every table, not only how far apart policies are.
     """
 
     contexts: ContextsConfig = field(default_factory=CityContexts)
@@ -75,7 +73,7 @@ class LadderConfig:
     late: int = 1
     seed: int = 0
     num_workers: int = 2
-    out: str = "twin-ladder"
+    out: str = "twin-fidelity"
     cache: str | None = None
     verbose: bool = False
 
@@ -103,19 +101,18 @@ class LadderConfig:
                 object.__setattr__(self, name, str(expanded(value).absolute()))
 
 
-def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
+def run(config: FidelityConfig, given: frozenset[str] = frozenset()) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
 
-    from izoo.benchmarks.fidelity import twin_fidelity
-    from izoo.benchmarks.fidelity.few_vehicles import compare_few
-    from izoo.benchmarks.fidelity.journal import Journal
+    from izoo.benchmarks.fidelity import few_vehicles, trajectory_diff, twin_fidelity
     from izoo.console import counted
     from izoo.envs.twin.backend import check_settings
     from izoo.envs.twin.net.supported import check_contexts
     from izoo.files import write_json, write_text
     from izoo.results.policies import BASELINES, as_policy
     from izoo.results.rollout import evaluated
+    from izoo.results.rows_file import RowsFile
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 
     config = dataclasses.replace(config, env=evaluated(env_of(config, given)))
@@ -132,27 +129,29 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
     both = play_all(config, policies, contexts, seeds)
     late = [play_all(config, policies, contexts, seeds, number) for number in range(1, config.late + 1)]
     sumo, played = (both[both["simulator"] == name] for name in ("sumo", "twin"))
-    kept = Journal(out / STEPS_FILE)
-    few = twin_fidelity.few(compare_few(base, seeds, config.env.step_s, kept))
-    exact = compare_steps(contexts, seeds, config.env, exact_of, kept)
+    few_file, steps_file = (
+        RowsFile(out / name, (*of.TEXT, *of.NUMBERS), of.TEXT, ("seed",)).read()
+        for name, of in (("few.csv", few_vehicles), ("steps.csv", trajectory_diff))
+    )
+    few = few_vehicles.compare_few(base, seeds, config.env.step_s, few_file)
+    exact = pd.DataFrame(trajectory_diff.compare_steps(contexts, seeds, config.env, exact_of, steps_file))
     own = twin_fidelity.own_spread(sumo, late)
     compared = twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), own)
     gained = twin_fidelity.gains(sumo, played, late)
-    own_rungs = pd.DataFrame() if own.empty else twin_fidelity.rungs(own)
-    found = twin_fidelity.Ladder(
-        few,
-        twin_fidelity.exactness(exact),
-        twin_fidelity.conduct(exact),
-        twin_fidelity.rungs(compared),
-        own_rungs,
-        gained,
-    )
+    found = {
+        "few": twin_fidelity.few(few),
+        "exact": twin_fidelity.exactness(exact),
+        "driving": twin_fidelity.driving(exact),
+        "groups": twin_fidelity.by_group(compared),
+        "own": own if own.empty else twin_fidelity.by_group(own),
+        "gains": gained,
+    }
     write_text(out / "approaches.csv", compared.to_csv(index=False))
     about = {"contexts": len(contexts), "seeds": len(seeds), "late": config.late}
-    rows = {name: json.loads(table.to_json(orient="records")) for name, table in found._asdict().items()}
-    write_json(out / "ladder.json", {**about, **rows, "same_order": twin_fidelity.same_order(gained)})
+    rows = {name: json.loads(table.to_json(orient="records")) for name, table in found.items()}
+    write_json(out / "fidelity.json", {**about, **rows, "same_order": twin_fidelity.same_order(gained)})
     shown_of = f"{counted(len(contexts), 'context')}, {counted(len(seeds), 'seed')}"
-    twin_fidelity.plot(compared, out / "ladder.png", f"The twin beside SUMO: {shown_of}")
+    twin_fidelity.plot(compared, out / "fidelity.png", f"The twin beside SUMO: {shown_of}")
     for table in [*(twin_fidelity.tables(found) if config.verbose else ()), twin_fidelity.headline(compared, gained)]:
         table.show()
     print(f"Results: {out}\n{twin_fidelity.verdict(compared, gained)}", flush=True)
@@ -160,7 +159,7 @@ def run(config: LadderConfig, given: frozenset[str] = frozenset()) -> Path:
 
 
 def play_all(
-    config: LadderConfig,
+    config: FidelityConfig,
     policies: Sequence[NamedPolicy],
     contexts: Sequence[Context],
     seeds: EpisodeSeeds,
@@ -172,28 +171,28 @@ def play_all(
     """
     import pandas as pd
 
-    from izoo.results.rollout import Play, play_missing
+    from izoo.results.rollout import play_policy
     from izoo.results.schema import EPISODE
     from izoo.results.store import Store
 
     env = dataclasses.replace(config.env, late_vehicle=late or config.env.late_vehicle)
     store = Store(Path(config.out, f"late-{late}" if late else ""), task="twin and SUMO", config=env)
-    simulators, wanted = ("sumo",) if late else ("sumo", "twin"), []
-    with store.open({policy.name: policy.record for policy in policies}):
+    episodes = [(context, seed) for context in contexts for seed in seeds.of(context)]
+    options: dict[str, Any] = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
+    wanted = []
+    with store.open():
         store.keep_contexts(contexts)
-        for simulator in simulators:
-            for policy in policies:
-                print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
-                plays = [Play(policy.name, 0, context, seed) for context in contexts for seed in seeds.of(context)]
-                options = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
-                play_missing(store, plays, {policy.name: policy.policy}, env, simulator, **options)
-                wanted += [(p.policy, 0, simulator, p.context.content_hash, p.seed) for p in plays]
+        for simulator, policy in itertools.product(("sumo",) if late else ("sumo", "twin"), policies):
+            print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
+            known = dataclasses.asdict(policy.record)
+            play_policy(store, policy.policy, episodes, env, simulator, name=policy.name, known=known, **options)
+            wanted += [(policy.name, 0, simulator, context.content_hash, seed) for context, seed in episodes]
     table = store.table
     return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]
 
 
-def env_of(config: LadderConfig, given: frozenset[str]) -> EnvConfig:
-    """Return the environment that everybody is played in.
+def env_of(config: FidelityConfig, given: frozenset[str]) -> EnvConfig:
+    """Return the environment that all policies are played in.
 
     It is that of a policy that ships with izoo, if there is one among them, but for what ``given`` names.
     """
@@ -206,7 +205,7 @@ def env_of(config: LadderConfig, given: frozenset[str]) -> EnvConfig:
     return env
 
 
-def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
+def variants(base: Sequence[Context], config: FidelityConfig) -> list[Context]:
     """Return the contexts with every demand and at every adoption that is asked for, without repetition."""
     found = [
         context.replace(adoption=adoption, approach=None if demand == "all" else context.approach)
@@ -217,70 +216,6 @@ def variants(base: Sequence[Context], config: LadderConfig) -> list[Context]:
     return list({context.content_hash: context for context in found}.values())
 
 
-def compare_steps(
-    contexts: Sequence[Context], seeds: EpisodeSeeds, env: EnvConfig, policies: Sequence[NamedPolicy], kept: Journal
-) -> pd.DataFrame:
-    """Play each context's first episode side by side, up to its horizon, unless the journal has it; a row for each.
-
-    Contexts without demand have none.
-
-    Returns:
-        ``policy``, ``context``, ``seed``, ``adoption``, ``demand``, ``lanes``, ``steps``, ``parted`` (the first step
-        that differs; missing where none does), ``where`` (the vehicle that differs there), ``ks_speed``, ``ks_accel``,
-        and with ``_sumo`` and ``_twin`` what is counted of drivers
-        (:data:`izoo.benchmarks.fidelity.driving_statistics.COUNTS`), missing where decisions last longer than a step.
-    """
-    from izoo.benchmarks.fidelity.trajectory_diff import SideBySide
-    from izoo.console import Progress
-    from izoo.results.store import settings
-
-    env, own = dataclasses.replace(env, drain_s=0.0), json.dumps(settings(env), sort_keys=True)
-    plays = {
-        ("steps", each.name, each.record.weights, own, context.content_hash, seeds.of(context)[0]): (each, context)
-        for context in contexts
-        if context.demand_approaches
-        for each in policies
-    }
-    todo = [key for key in plays if key not in kept.rows]
-    if todo:
-        both = SideBySide(env)
-        try:
-            with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
-                for number, key in enumerate(todo, 1):
-                    kept.add(key, _compared(both, *plays[key], key[-1]))
-                    bar.update(number, plays[key][1].name)
-        finally:
-            both.close()
-    return kept.table(plays)
-
-
-def _compared(both: Any, policy: NamedPolicy, context: Context, seed: int) -> dict[str, Any]:
-    from izoo.benchmarks.fidelity.twin_fidelity import COUNTED, ks_distance
-    from izoo.networks.net.build import build_net
-    from izoo.networks.road import read_road
-
-    played = both.play(policy.policy, context, seed)
-    sumo, twin = played.motions
-    road = read_road(build_net(context.intersection))
-    distances = {"ks_speed": ks_distance(sumo.speed, twin.speed), "ks_accel": ks_distance(sumo.accel, twin.accel)}
-    counts: dict[str, float | None] = dict.fromkeys(COUNTED)
-    for side, conduct in zip(("sumo", "twin"), played.conducts or (), strict=False):
-        counts |= {f"{name}_{side}": count for name, count in conduct.counts().items()}
-    return {
-        "policy": policy.name,
-        "context": context.name,
-        "seed": seed,
-        "adoption": context.adoption,
-        "demand": "all" if context.approach is None else "one",
-        "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
-        "steps": played.steps,
-        "parted": None if played.parting is None else played.parting.step,
-        "where": "" if played.parting is None else str(played.parting),
-        **distances,
-        **counts,
-    }
-
-
 COMMAND = OptionCommand(
     name="benchmarks.twin",
     summary="Compare the twin with SUMO on any contexts: every vehicle and step, CO2 per approach, gains of policies.",
@@ -289,7 +224,7 @@ COMMAND = OptionCommand(
         "izoo.benchmarks.twin contexts=dataset contexts.path=NETS adoptions=[0.33,1] policies=[uncommanded,glide]",
         "izoo.benchmarks.twin contexts=city contexts.city=atlanta num_contexts=20 demand=[all] out=atlanta",
     ),
-    config="izoo.benchmarks.twin:LadderConfig",
+    config="izoo.benchmarks.twin:FidelityConfig",
     work="izoo.benchmarks.twin:run",
     stopped=GOES_ON,
 )

@@ -1,9 +1,9 @@
-"""What a simulator must do: play episodes behind frames.
+"""The interface of a simulator: it plays episodes and writes frames.
 
 A :class:`Backend` owns the simulations of one or several environments and writes their frames
-(:mod:`izoo.envs.mdp.frame`); TorchRL's face (:mod:`izoo.envs.env`) and the other views drive it, and nothing above may
-ask which one it is. To say who is where, a backend has one :class:`~izoo.envs.mdp.episode.Episode` per environment,
-which turns that into observations, rewards and metrics, or calls the compiled functions below it for many at once.
+(:mod:`izoo.envs.mdp.frame`); the TorchRL environments (:mod:`izoo.envs.env`) and the other views drive it without
+knowing which one it is. A backend reports the vehicles' positions to one :class:`~izoo.envs.mdp.episode.Episode` per
+environment, which computes observations, rewards and metrics, or calls the compiled functions for many at once.
 """
 
 from __future__ import annotations
@@ -54,29 +54,29 @@ class Backend(Protocol):
 
     @property
     def closed(self) -> bool:
-        """Whether all simulations were ended for good."""
+        """Whether all simulations were ended permanently."""
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, play their warm-up, and write their first frames.
 
         Raises:
             IzooError: a context cannot be simulated, or its intersection does not fit the frame.
-            RuntimeError: a simulation was lost, again and again.
+            RuntimeError: a simulation was lost repeatedly.
         """
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
         """Take the commands from the frames, simulate one decision of every environment, and write the next frames.
 
-        A decision is ``config.hold_steps`` steps, and fewer where the horizon comes or the episode ends, or, with a
-        ``config.decide`` other than ``step``, a CV of that environment is to decide. Where episodes are played out,
-        each environment ends by itself, and stays as it is while others go on.
+        A decision is ``config.hold_steps`` steps, or fewer where the horizon or the end of the episode comes first or,
+        with a ``config.decide`` other than ``step``, a CV of that environment must decide. Where episodes are played
+        out, each environment ends by itself, and its frame stays as it is while others go on.
 
         Args:
             meanwhile: may be called once while a simulation is waited for.
 
         Returns:
-            Environments whose simulation was lost and replaced in this step; of their frames only observation, mask
-            and vehicles of the agents are to be read, which are as before the step, and they need :meth:`begin`.
+            Environments whose simulation was lost and replaced in this step. They need :meth:`begin`; of their frames
+            only the agents' observation, mask and vehicles are valid, and are those before the step.
 
         Raises:
             IzooError: all episodes have ended, or one where episodes end at their horizon.
@@ -89,11 +89,11 @@ class Backend(Protocol):
         """End all simulations."""
 
 
-def rest_where_ended(config: EnvConfig, frames: dict[str, np.ndarray]) -> np.ndarray:
-    """Return which environments have ended and rest while others are played out, ``[N]`` bool; empty their slots.
+def clear_ended(config: EnvConfig, frames: dict[str, np.ndarray]) -> np.ndarray:
+    """Return which environments have ended while others are played out, ``[N]`` bool; empty their slots.
 
     Raises:
-        IzooError: there is nothing to play: all have ended, or one where episodes end at their horizon.
+        IzooError: all have ended, or one has where episodes end at their horizon.
     """
     ended: np.ndarray = frames["done"][:, 0] != 0
     if not ended.any():
@@ -108,14 +108,14 @@ def rest_where_ended(config: EnvConfig, frames: dict[str, np.ndarray]) -> np.nda
 
 
 def scene_from_frame(config: EnvConfig, context: Context, frame: dict[str, np.ndarray]) -> Scene:
-    """Return the present state of an environment as its frame tells it, for simulations in other processes.
+    """Return the present state of an environment from its frame, for simulations in other processes.
 
     Raises:
         IzooError: the frame holds no vehicles or no signals.
     """
     missing = {"vehicles", "signal"} - set(config.emit)
     if missing:
-        raise IzooError(f"EnvConfig.emit lacks {', '.join(sorted(missing))}; the state cannot be told without.")
+        raise IzooError(f"EnvConfig.emit lacks {', '.join(sorted(missing))}; the state cannot be read without.")
     road = read_road(build_net(context.intersection))
     flags = dict(zip(VEHICLE_FLAGS, frame["vehicle_flags"].T.astype(bool), strict=True))
     there = flags["present"]
@@ -132,7 +132,7 @@ def entry_edges(road: RoadNet, approaches: Sequence[str], step_s: float) -> list
     """Return the edges on which vehicles are first seen in the region."""
     entering = [road.approaches.index(name) for name in approaches]
     edges = [edge for p in entering for edge in road.incoming_edges[p]]
-    # An approach that is passed within a step shows its vehicles inside the junction first.
+    # Vehicles that pass a short approach within a step are first seen inside the junction.
     short = [p for p in entering if road.lane_length_m[p] < road.speed_limit_mps[p] * step_s]
     first_seen = (road.lane_location == INSIDE) & np.isin(road.lane_approach, short)
     inside = [road.lane_ids[lane].rsplit("_", 1)[0] for lane in np.flatnonzero(first_seen)]

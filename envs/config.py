@@ -1,9 +1,10 @@
-"""Settings of an environment: what it simulates, what a CV observes, how it is paid, what is emitted."""
+"""Settings of an environment: simulation, decisions, observation, reward, emitted groups."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
@@ -17,14 +18,14 @@ MIN_SHARE = 0.1
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 MAX_WORKERS = 1024
-SIMULATOR_NAMES = {"sumo": "SUMO", "twin": "the twin"}
-SIMULATORS = tuple(SIMULATOR_NAMES)
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward", "number")
 STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
 SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
+BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})
+"""Settings with which accelerations are decided in every step."""
 
 
 @dataclass(frozen=True)
@@ -32,44 +33,44 @@ class EnvConfig:
     """Everything about an environment that is not the context.
 
     Attributes:
-        step_s: length of a simulation step, in whole milliseconds. Human drivers react once per step: at 1 s they run
-            into each other now and then, in SUMO as on the twin (which does not count it); at 0.5 s none was seen to.
+        step_s: length of a simulation step, in whole milliseconds. Human drivers react once per step: at 1 s they
+            collide now and then, in SUMO as on the twin (which does not count it); at 0.5 s no collision was seen.
         hold_s: how long a decision of the policy lasts, a whole multiple of ``step_s``; ``None``: one step. Its action
-            is held, rewards are summed over its steps, and whoever enters during it makes a first decision when it ends
-            (until then its own driver drives). The last decision of an episode may be shorter. A commanded lane change
-            is repeated in every step, so one decision may cross several lanes; rows of vehicles, unlike agents' slots,
-            may be handed on within a decision, which ``vehicle_number`` tells. Where ``decide`` is not ``step``, the
-            longest that a step of the environment plays on; ``None``: until a CV is to decide.
+            is held, rewards are summed over its steps, and a CV that enters during it makes its first decision when it
+            ends (uncommanded until then). The last decision of an episode may be shorter. A commanded lane change is
+            repeated in every step, so one decision may cross several lanes; rows of vehicles, unlike agents' slots,
+            may be reused within a decision, which ``vehicle_number`` shows. Where ``decide`` is not ``step``, the
+            longest step of the environment; ``None``: until a CV must decide.
         decide: when a CV decides: in every ``step`` (of ``hold_s``); once per ``vehicle``, when it enters; or once per
-            ``vehicle_and_line``, and once more when it has crossed the stop line. Its decision is carried out until
-            its next, and a step of the environment plays on until a CV is to decide, the horizon, or the end.
-        action: what a decision is: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
-            the vehicle's own car-following keeps to; 1 leaves it alone.
+            ``vehicle_and_line``, and once more when it has crossed the stop line. A decision holds until the next one,
+            and a step of the environment lasts until a CV must decide, the horizon, or the end.
+        action: kind of decision: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
+            the vehicle's own car-following keeps to; 1 is uncommanded.
         action_parts: numbers of an action ``speed``: one for the whole way (``speed``), one for the way to the stop
             line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``).
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
             rounded to whole steps.
-        warmup_s: time at the start in which nothing is controlled or measured.
-        drain_s: an episode is played out: after the horizon no further demand comes, and simulation and control go on
-            until every vehicle has left, or for this long. 0 (as in training): it ends at the horizon.
+        warmup_s: time at the start without control or measurement.
+        drain_s: how long an episode is played out after the horizon at most: no further demand comes, and simulation
+            and control go on until every vehicle has left. 0 (as in training): it ends at the horizon.
         num_agents: agent slots ``A``; surplus CVs are driven by IDM and counted.
         num_vehicles: vehicle slots ``V``; surplus vehicles are simulated and measured, but not emitted.
         num_approaches: rows ``P`` of the per-approach metrics.
-        observed: context features that a CV observes, a subset of the observable ones, in their order.
-        neighbours: which of the six neighbouring vehicles a CV sees.
+        observed: context features in the observation, a subset of the observable ones, in their order.
+        neighbours: which of the six neighbouring vehicles are observed.
         sensor_range_m: neighbours farther than this (bumper to bumper) count as absent; ``None``: the whole region.
         lane_change: whether the policy also commands lane changes (0 right, 1 keep, 2 left).
         reward: weights of the reward.
         emit: groups of keys that are emitted besides ``agents``: any of ``vehicles``, ``signal``, ``context``,
-            ``metrics``, ``reward_vector``, ``team_reward`` (the reward's fleet part, whether or not a CV is there to be
-            paid), ``number`` (``("agents", "number")``, the vehicle's number in the demand, which goes with a
-            ``decide`` other than ``step`` in any case). Fewer groups make stepping and storage cheaper.
+            ``metrics``, ``reward_vector``, ``team_reward`` (the reward's fleet part, also without any CV), ``number``
+            (``("agents", "number")``, the vehicle's number in the demand, always emitted with a ``decide`` other than
+            ``step``). Fewer groups make stepping and storage cheaper.
         recycle_episodes: a worker process is replaced after this many episodes, should SUMO leak memory.
         watchdog_s: a worker that does not answer for this long is replaced.
         gui: open sumo-gui (one environment, in this process).
         late_vehicle: this vehicle of every approach, counted from 1 in the order of departure, departs a step later
-            than drawn; 0: none. What such a change makes of an episode is the simulator's own spread
-            (``izoo.benchmarks.twin`` measures it).
+            than drawn; 0: none. The effect of such a change is the simulator's own spread, which
+            ``izoo.benchmarks.twin`` measures.
     """
 
     step_s: float = 0.5
@@ -140,7 +141,7 @@ class EnvConfig:
         if abs(ratio - round(ratio)) > 1e-6:
             near = sorted({max(int(ratio), 1) * self.step_s, (int(ratio) + 1) * self.step_s})
             raise IzooError(
-                f"env.hold_s is {self.hold_s:g}, which is no whole multiple of env.step_s={self.step_s:g}: a decision "
+                f"env.hold_s is {self.hold_s:g}, not a whole multiple of env.step_s={self.step_s:g}: a decision "
                 f"lasts whole steps. Give {' or '.join(f'{value:g}' for value in near)}, or null for one step."
             )
 
@@ -164,11 +165,11 @@ class EnvConfig:
             )
 
     def require_accelerations(self, what: str, instead: str = "") -> None:
-        """Raise :class:`IzooError` unless CVs are commanded accelerations in every step, or every ``hold_s``.
+        """Raise :class:`IzooError` unless decisions are accelerations in every step, or every ``hold_s``.
 
         Args:
-            what: needs that, the beginning of a sentence.
-            instead: another way out, the end of it.
+            what: what needs them, the beginning of a sentence.
+            instead: an alternative, its end.
         """
         if (self.decide, self.action) != (STEP, ACCELERATION):
             raise IzooError(
@@ -178,8 +179,7 @@ class EnvConfig:
 
     def with_accelerations(self, hold_s: float | None = None) -> EnvConfig:
         """Return the same environment, in which accelerations are commanded in every step, or every ``hold_s``."""
-        changes = {"decide": STEP, "hold_s": hold_s, "action": ACCELERATION, "action_parts": WHOLE_WAY}
-        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+        return dataclasses.replace(self, **BY_STEP, hold_s=hold_s)  # type: ignore[arg-type]
 
     @property
     def action_size(self) -> int:
@@ -188,12 +188,12 @@ class EnvConfig:
 
     @property
     def action_columns(self) -> int:
-        """Numbers of an action as a simulator reads it: behind the stop line stands 1 where nothing is said of it."""
+        """Numbers of an action as a simulator reads it: the share behind the stop line is 1 where it is not given."""
         return 2 if self.action_parts == BEFORE else self.action_size
 
     @property
     def hold_steps(self) -> int:
-        """Simulation steps of a decision, at most where ``decide`` is not ``step``."""
+        """Simulation steps of a decision; the maximum where ``decide`` is not ``step``."""
         if self.hold_s is None:
             return 1 if self.decide == STEP else self.total_steps
         return round(self.hold_s / self.step_s)
@@ -205,10 +205,10 @@ class EnvConfig:
 
     @property
     def decisions(self) -> int:
-        """Decisions of an episode up to its horizon: steps as a policy sees them.
+        """Decisions of an episode up to its horizon, which are steps of the environment.
 
-        Where ``decide`` is not ``step`` their number is not known beforehand; this is how many simulation steps there
-        are, at most as many steps as a policy can see.
+        Where ``decide`` is not ``step`` their number is not known beforehand; this is the number of simulation steps,
+        an upper bound.
         """
         if self.decide != STEP:
             return self.control_steps
@@ -216,7 +216,7 @@ class EnvConfig:
 
     @property
     def warmup_steps(self) -> int:
-        """Steps in which nothing is controlled or measured."""
+        """Steps without control or measurement."""
         return round(self.warmup_s / self.step_s)
 
     @property
@@ -236,7 +236,11 @@ class EnvConfig:
 
 
 def checked_config(config: EnvConfig | None) -> EnvConfig:
-    """Return the settings that a constructor was given; ``None`` stands for the defaults, and nothing else does."""
+    """Return a constructor's settings; ``None`` stands for the defaults.
+
+    Raises:
+        IzooError: it is something else.
+    """
     if config is None:
         return EnvConfig()
     if not isinstance(config, EnvConfig):

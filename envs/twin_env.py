@@ -7,7 +7,7 @@ import functools
 import hashlib
 import hmac
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.render import draw
@@ -45,7 +46,7 @@ def _settings(config: EnvConfig) -> dict[str, Any]:
 
 def _mark_of(state: Mapping[str, Any]) -> str:
     """Return what only this user can have added to a state: compiled code takes the state as it is."""
-    plain = [__version__, MODEL_VERSION, *(state[name] for name in _ENTRIES[:-1])]
+    plain = [__version__, MODEL_VERSION, APPROACH_METRICS, *(state[name] for name in _ENTRIES[:-1])]
     packed = [hashlib.sha256(bytes(part.numpy())).hexdigest() for part in state["packed"]]
     return hmac.new(own_key(), json.dumps([*plain, *packed]).encode(), "sha256").hexdigest()
 
@@ -111,13 +112,15 @@ class TwinEnv(EcoDrivingBase):
         self._look_ahead()
         return frame
 
-    def _take_all(self) -> None:
-        self.backend.share_out(self.reader.take)
+    def share_out(self, task: Callable[[slice], object]) -> None:
+        """Call ``task`` with each thread's share of the environments, all threads side by side."""
+        self.backend.share_out(task)
 
     def _look_ahead(self) -> None:
         """Let the next episode of every environment be prepared."""
         schedule = self.schedule
-        for index, number in enumerate(self._next_episode.tolist()):
+        for index in self.backend.unexpected(self._next_episode):
+            number = int(self._next_episode[index])
             self.backend.expect(index, number, functools.partial(_planned, schedule, number))
 
     def advance(self, decisions: Sequence[int]) -> TensorDict:

@@ -8,13 +8,23 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.cli.entries import COLLECT as COMMAND
+from izoo.cli.option_command import OptionCommand
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
+COMMAND = OptionCommand(
+    name="collect",
+    summary="Store what a policy experiences as a memory-mapped TensorDict, for offline learning.",
+    examples=(
+        "izoo.collect policy=random frames=20000 out=DIR",
+        "izoo.collect policy=runs/RUN frames=100000 out=DIR contexts=dataset contexts.path=DATASET",
+    ),
+    config="izoo.conf.train_options:CollectConfig",
+    work="izoo.training.offline:collect",
+)
 main = COMMAND.main
 
 
@@ -25,9 +35,9 @@ def load(folder: Path | str) -> TensorDictBase:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.offline.load`.
+        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
     """
-    from izoo.training.offline import load as load_dataset
+    from izoo.training.dataset import load as load_dataset
 
     return load_dataset(folder)
 
@@ -42,7 +52,7 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     Returns:
         A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
     """
-    from izoo.training.offline import replay_buffer as open_buffer
+    from izoo.training.dataset import replay_buffer as open_buffer
 
     return open_buffer(folder, **options)
 
@@ -52,7 +62,7 @@ def trajectories(folder: Path | str) -> Tensor:
 
     ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)`` draws slices of episodes.
     """
-    from izoo.training.offline import trajectories as read_trajectories
+    from izoo.training.dataset import trajectories as read_trajectories
 
     return read_trajectories(folder)
 

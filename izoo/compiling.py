@@ -11,7 +11,6 @@ import contextlib
 import functools
 import hashlib
 import importlib.util
-import pickle
 import shutil
 import sys
 import time
@@ -31,7 +30,7 @@ from izoo.files import cache_root
 
 SOURCES = {
     "izoo": ("compiling.py",),
-    "izoo.algos": ("learners/base.py", "networks/*.py"),
+    "izoo.algos": ("networks/censored_normal.py", "networks/compiled_mlp.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
     "izoo.envs": ("config.py", "frame_copies.py", "mdp/*.py", "twin/**/*.py"),
@@ -66,7 +65,7 @@ def _beside() -> Path:
 def folder() -> Path:
     """Return where code is compiled to: beside this file, or else in the user's cache.
 
-    Folders of other sources beside this file are removed once nobody has begun to use them for a day: a process
+    Folders of other sources beside this file are removed once no process has begun to use them for a day: a process
     loads a function from there when it first calls it.
     """
     here = _beside()
@@ -89,29 +88,6 @@ def _last_begun_s(compiled_folder: Path) -> float:
         return time.time()
 
 
-def _unsealed(digest: bytes, content: bytes) -> Any:
-    if hashlib.sha256(content).digest() != digest:
-        raise ValueError("it is damaged")
-    return pickle.loads(content)
-
-
-class _Sealed:
-    """Bytes of ``pickle`` that are only loaded where they are what was written."""
-
-    def __init__(self, content: bytes) -> None:
-        self.content = content
-
-    def __reduce__(self) -> tuple[Any, tuple[bytes, bytes]]:
-        return _unsealed, (hashlib.sha256(self.content).digest(), self.content)
-
-
-class _Entries(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """A function's compiled code in one folder."""
-
-    def _dump(self, obj: Any) -> bytes:
-        return pickle.dumps(_Sealed(super()._dump(obj)))
-
-
 _told, *_others = caching.CompileResultCacheImpl._locator_classes
 
 
@@ -130,8 +106,8 @@ class _Implementation(caching.CompileResultCacheImpl):  # type: ignore[misc]
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
     """numba's cache of a function. What cannot be read is compiled anew, what cannot be written is not kept.
 
-    What lies beside the package is read as well where other code is kept elsewhere: whoever has installed it may have
-    compiled it.
+    What lies beside the package is read as well where other code is kept elsewhere: it may have been compiled at
+    installation.
     """
 
     _impl_class = _Implementation
@@ -140,7 +116,9 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         super().__init__(function)
         kept = Path(self.cache_path)
         about = self._impl.filename_base, self._impl.locator.get_source_stamp()
-        self._places = [_Entries(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))]
+        self._places = [
+            caching.IndexDataCacheFile(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))
+        ]
         self._cache_file = self._places[0]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -149,7 +127,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
             self._cache_file = place
             try:
                 found = super().load_overload(sig, target_context) if found is None else found
-            except Exception:  # what damaged bytes raise depends on the bytes
+            except Exception:  # of an interrupted installation; what unpickling raises depends on the bytes
                 with contextlib.suppress(OSError):
                     self.flush()
         return found
@@ -234,8 +212,8 @@ def local_floats(typing_context, count):  # type: ignore[no-untyped-def]
 def compiling_once(kernel: Any) -> Iterator[None]:
     """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
 
-    Where files cannot be locked, everybody compiles. A kernel from another machine, which numba will not use, is not
-    recognised as such.
+    Where files cannot be locked, every process compiles. A kernel from another machine, which numba will not use, is
+    not recognised as such.
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
@@ -262,7 +240,7 @@ def compiling_once(kernel: Any) -> Iterator[None]:
         if is_there():
             lock.release()
         else:
-            with contextlib.suppress(OSError):  # nobody may read it
+            with contextlib.suppress(OSError):  # the output may be lost
                 print(MESSAGE, file=sys.stderr)
         yield
     finally:

@@ -42,14 +42,14 @@ def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
     """Return what ``main`` returns, or how it ended.
 
     That is 1 for work that cannot be finished or output that cannot be written, 2 for input that cannot be used, and
-    130 for Ctrl-C: also where the work was then closed in good order.
+    130 for Ctrl-C or SIGTERM, also where the work was saved before.
 
     Args:
         name: of the command, without ``izoo``.
         main: its work.
         stopped: what to say after Ctrl-C beside that it was stopped.
     """
-    with _guarded():
+    with _guarded(), _terminable():
         try:
             try:
                 code = main()
@@ -72,6 +72,19 @@ def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
                 return 0  # whatever read the output, such as `head`, has had enough
             print(f"izoo {name}: cannot write the output: {lost}.", file=sys.stderr, flush=True)
             return EXIT_UNFINISHED
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM interrupt the work inside the block as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextlib.contextmanager
@@ -153,20 +166,25 @@ def _mute(stream: TextIO) -> None:
 
 
 class Interrupt:
-    """Remembers that Ctrl-C was pressed; a second time raises :class:`KeyboardInterrupt`."""
+    """Remembers Ctrl-C or SIGTERM; Ctrl-C after that raises :class:`KeyboardInterrupt`.
+
+    SIGTERM may come twice: a job scheduler sends it to every process of a job, and a parent passes it on.
+    """
 
     def __init__(self) -> None:
         self.requested = self.insisted = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Handle SIGINT."""
+        """Handle a signal."""
+        if self.requested and number == signal.SIGTERM:
+            return
         if self.requested:
             self.insisted = True
             signal.signal(signal.SIGINT, signal.default_int_handler)
             raise KeyboardInterrupt
         self.requested = True
         print(
-            "\nFinishing this batch and closing the run in good order. Ctrl-C again stops at once.",
+            "\nFinishing this batch and saving the run. Ctrl-C again stops at once.",
             file=sys.stderr,
             flush=True,
         )
@@ -174,12 +192,12 @@ class Interrupt:
 
 @contextlib.contextmanager
 def graceful_interrupt() -> Iterator[Interrupt]:
-    """Turn the first Ctrl-C inside the block into ``interrupt.requested``."""
+    """Turn the first Ctrl-C or SIGTERM inside the block into ``interrupt.requested``."""
     interrupt = Interrupt()
     if threading.current_thread() is not threading.main_thread():
         yield interrupt
         return
-    before = signal.signal(signal.SIGINT, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield interrupt
     except Exception as error:
@@ -187,7 +205,8 @@ def graceful_interrupt() -> Iterator[Interrupt]:
             raise KeyboardInterrupt from error
         raise
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
-"""Files and folders on disk: whole or absent whoever reads meanwhile, used by one process at a time, and free names.
+"""Files and folders on disk: whole or absent at any time, used by one process at a time, and free names.
 
-What is being written lies beside its place under a name of its own (:func:`partial_of`) and is renamed at the end.
+A file is written under a name of its own beside its place (:func:`partial_of`) and renamed at the end.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import secrets
 import shutil
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,8 @@ _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<place>[0-9a-f]{8})-(?P<pid>\
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with the home folder in place of ``~`` or ``~name``; where nobody has that name, as it is."""
-    return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises where nobody has that name)
+    """Return a path with the home folder in place of ``~`` or ``~name``; if there is no such user, as it is."""
+    return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises without such a user)
 
 
 @contextlib.contextmanager
@@ -144,6 +144,26 @@ def read_text(path: Path, most: int | None = None) -> str:
         raise ValueError(f"it is no text ({error.reason} at byte {error.start:,})") from error
 
 
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while one of izoo's own files is read and used into one sentence.
+
+    Raises:
+        IzooError: it is missing, damaged, or another version of izoo wrote it.
+    """
+    try:
+        yield
+    except IzooError:
+        raise
+    except FileNotFoundError:
+        raise IzooError(f"there is no {path}.") from None
+    except Exception as error:  # what damaged content raises depends on the content
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise IzooError(
+            f"cannot read {path}: {reason}. It is damaged, or another version of izoo or other options wrote it."
+        ) from error
+
+
 class DamagedError(Exception):
     """A part of a file is not what was written."""
 
@@ -184,17 +204,31 @@ def replacing_folder(target: Path) -> Iterator[Path]:
 
     What killed processes left beside ``target`` is removed first.
     """
-    staging = partial_of(target)
+    staging, old = partial_of(target), partial_of(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         discard_partials(target.parent, target.name)
         staging.mkdir()
         yield staging
         if target.exists():
-            shutil.rmtree(target)
+            target.replace(old)
         staging.replace(target)
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        for left in (staging, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def check_replaceable(target: Path, known: Callable[[], Collection[str]]) -> None:
+    """Refuse a target of :func:`replacing_folder` that is no folder, or holds anything that nobody knows.
+
+    Args:
+        known: returns the names of what the same command wrote there before; called if the folder holds anything.
+    """
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        raise IzooError(f"the target {target} is not a folder; choose a new one.")
+    held = {child.name for child in target.iterdir()} if target.exists() else set()
+    if held and (foreign := sorted(held - set(known()))):
+        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
 
 
 def partial_of(path: Path) -> Path:
@@ -218,7 +252,7 @@ def is_partial(path: Path) -> bool:
 def discard_partials(folder: Path, name: str | None = None) -> None:
     """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it.
 
-    What those of other machines and containers write is left alone: nobody can tell here whether they live.
+    What processes of other machines and containers write is left alone: whether they run is not known here.
     """
     for path in folder.iterdir():
         match = _PARTIAL.fullmatch(path.name)

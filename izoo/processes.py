@@ -1,31 +1,141 @@
-"""Processes of fresh interpreters, for work beside this one."""
+"""Processes that run a function of izoo apart from this one: started afresh, watched, and gone when their parent is."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import socket
+import struct
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from typing import BinaryIO
 
+STARTUP_S = 300.0
+"""How long the first answer may take: a process imports PyTorch, and may have to compile."""
+_LENGTH = struct.Struct("!Q")
 
-def start_process(call: str, *descriptors: int, output: BinaryIO | None = None) -> subprocess.Popen[bytes]:
-    """Start ``from MODULE import FUNCTION; FUNCTION(...)`` in a fresh interpreter that imports what this one can.
 
-    Unlike ``multiprocessing``'s, the process does not run the user's script again, so that scripts need no
-    ``if __name__ == "__main__"``. It heeds no more of the environment and the user's site than this one does. A session
-    of its own keeps the terminal's Ctrl-C away: the parent decides when it ends.
+class ChildProcess:
+    """The parent's handle on a process that runs ``function(descriptor, *arguments)``.
+
+    The descriptor is the child's end of a socket to its parent, which closes when the parent is gone. The process is a
+    fresh interpreter that imports what this one can. Unlike those of ``multiprocessing`` it does not run the user's
+    script again, so scripts need no ``if __name__ == "__main__"``. It has a session of its own and ignores SIGTERM, so
+    neither a terminal's Ctrl-C nor a signal to the whole job reaches it: the parent decides when it ends.
 
     Args:
-        call: the statements.
-        descriptors: open files that the process inherits under the same numbers.
+        function: ``module:function``.
+        arguments: numbers and texts.
+        inherited: open descriptors that the process gets under the same numbers.
         output: file that takes what the process prints; ``None``: where this one's goes.
+        watchdog_s: how long it may owe an answer, once it has given its first.
+
+    Attributes:
+        socket: to the process.
+        process: the process.
+        patience_s: how long it may owe an answer now.
     """
-    program = f"import sys; sys.path[:] = {sys.path!r}; {call}"
-    heeds = {"-I": sys.flags.isolated, "-E": sys.flags.ignore_environment, "-s": sys.flags.no_user_site}
-    return subprocess.Popen(
-        [sys.executable, *(flag for flag, is_set in heeds.items() if is_set), "-c", program],
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=output,
-        pass_fds=descriptors,
-        start_new_session=True,
-    )
+
+    def __init__(
+        self,
+        function: str,
+        *arguments: int | str,
+        inherited: tuple[int, ...] = (),
+        output: BinaryIO | None = None,
+        watchdog_s: float = STARTUP_S,
+    ) -> None:
+        self.socket, child = socket.socketpair()
+        module, _, name = function.partition(":")
+        call = f"{name}({', '.join(map(repr, (child.fileno(), *arguments)))})"
+        program = f"import signal, sys; signal.signal(signal.SIGTERM, signal.SIG_IGN); sys.path[:] = {sys.path!r}; "
+        heeds = {"-I": sys.flags.isolated, "-E": sys.flags.ignore_environment, "-s": sys.flags.no_user_site}
+        with child:
+            flags = [flag for flag, is_set in heeds.items() if is_set]
+            self.process = subprocess.Popen(
+                [sys.executable, *flags, "-c", f"{program}from {module} import {name}; {call}"],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                pass_fds=(child.fileno(), *inherited),
+                start_new_session=True,
+            )
+        self._watchdog_s, self.patience_s = watchdog_s, max(watchdog_s, STARTUP_S)
+        self.asked()
+
+    def asked(self) -> None:
+        """Begin to wait for an answer."""
+        self._since_s = time.monotonic()
+
+    def answered(self) -> None:
+        """Take note of a sign of life."""
+        self._since_s, self.patience_s = time.monotonic(), self._watchdog_s
+
+    def patience_left_s(self) -> float:
+        """For how long it may still owe its answer."""
+        return self._since_s + self.patience_s - time.monotonic()
+
+    def end_text(self) -> str:
+        """Return how the process has ended, or that it does not answer."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            code = self.process.wait(max(min(self.patience_left_s(), 5.0), 0.0))
+            return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        return f"no answer for {self.patience_s:g} s"
+
+    def dismiss(self) -> None:
+        """Let the process know that it should end, by closing the socket, and do not wait for that."""
+        self.socket.close()
+
+    def kill(self) -> None:
+        """End the process at once, also where it is stopped."""
+        self.socket.close()
+        self.process.kill()
+        self.process.wait()
+
+    def close(self, patience_s: float = 5.0) -> None:
+        """Dismiss the process, wait for its end, and kill it if that does not come."""
+        self.dismiss()
+        try:
+            self.process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+
+def send(connection: socket.socket, message: bytes) -> None:
+    """Send a message, behind its length."""
+    connection.sendall(_LENGTH.pack(len(message)) + message)
+
+
+def receive(connection: socket.socket) -> bytes:
+    """Return a message that :func:`send` sent.
+
+    Raises:
+        EOFError: the other end is closed.
+    """
+    (length,) = _LENGTH.unpack(_exactly(connection, _LENGTH.size))
+    return _exactly(connection, length)
+
+
+def _exactly(connection: socket.socket, length: int) -> bytes:
+    chunks = []
+    while length:
+        chunk = connection.recv(min(length, 1 << 20))
+        if not chunk:
+            raise EOFError
+        chunks.append(chunk)
+        length -= len(chunk)
+    return b"".join(chunks)
+
+
+def end_with_parent(descriptor: int, end: Callable[[], object] = lambda: os._exit(1)) -> None:
+    """In a child: call ``end`` once the parent is gone or has dismissed this process."""
+
+    def watch() -> None:
+        with contextlib.suppress(OSError):
+            os.read(descriptor, 1)
+        end()
+
+    threading.Thread(target=watch, daemon=True).start()

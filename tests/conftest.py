@@ -21,7 +21,7 @@ LONGEST = (
     # These two compile the twin and the environment on SUMO where they are not compiled yet: each in its own process.
     *("tests/training/test_simulators.py", "tests/test_train.py"),
     *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),
-    *("tests/test_packaging.py", "tests/envs/test_steadiness.py", "tests/training/"),
+    *("tests/test_packaging.py", "tests/envs/test_worker_failures.py", "tests/training/"),
     *("tests/test_cli.py", "tests/envs/", "tests/results/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
 )
 """Files and folders whose tests begin first, longest first: none of them goes on alone while other workers are idle."""

@@ -18,7 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
-    {"files", "console", "gpu"},
+    {"files", "console", "gpu", "imports", "processes"},
     {"compiling"},
     {"metrics", "emissions"},
     {"contexts"},
@@ -27,7 +27,7 @@ FLOORS = (
     {"drivers", "envs"},
     {"algos"},
     {"conf"},
-    {"zoo"},
+    {"tasks", "zoo"},
     {"results"},
     {"training"},
     {"report"},
@@ -40,7 +40,7 @@ ENV_FLOORS = (
     {"config", "mdp", "model_version"},
     {"backend"},
     {"sumo", "twin"},
-    {"specs", "reader", "tape", "picture", "env", "twin_env"},
+    {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},
     {"views"},
 )
 """The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""
@@ -142,10 +142,10 @@ def test_every_room_has_a_floor() -> None:
         ("izoo.traffic.demand", "from izoo import envs"),
         ("izoo.envs.env", "def late():\n    from izoo.algos.learners.ppo import PPO"),
         ("izoo.algos.learners.ppo", "from izoo.training import runs"),
-        ("izoo.algos.learners.ppo", "from ..conf import mapping"),
+        ("izoo.algos.learners.ppo", "from ...conf import mapping"),
         ("izoo.results.rollout", "def late():\n    from izoo.training import runs"),
         ("izoo.report.page", "from izoo.benchmarks import plan"),
-        ("izoo.cli.entries", "import izoo.benchmarks.campaign.task_plan"),
+        ("izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
         ("izoo.console", "from izoo.files import write_text"),
         ("izoo.new_room.thing", "from izoo import errors"),
     ],

@@ -127,8 +127,7 @@ def start(program: str, folder: Path, output: int, error: int) -> subprocess.Pop
     )
 
 
-@pytest.mark.parametrize("both", [False, True], ids=["output", "output and errors"])
-@pytest.mark.parametrize("how", LOST)
+@pytest.mark.parametrize(("how", "both"), [*((how, False) for how in LOST), ("nobody reads", True)])
 def test_work_that_leaves_files_goes_on_without_its_output(how: str, both: bool, tmp_path: Path) -> None:
     with LOST[how]() as (output, lose), (tmp_path / "errors").open("wb") as errors:
         process = start(WORK, tmp_path, output, output if both else errors.fileno())
@@ -159,7 +158,7 @@ def test_a_command_that_only_talks_ends_with_its_output(how: str, code: int, sai
     assert (tmp_path / "errors").read_text() == said
 
 
-@pytest.mark.parametrize("words", [["izoo.contexts", "--help"], ["izoo.contexts", "list"], ["izoo.train", "--help"]])
+@pytest.mark.parametrize("words", [["izoo.contexts", "list"], ["izoo.train", "--help"]])
 def test_help_and_lists_on_a_full_disk_are_one_sentence(words: list[str]) -> None:
     with open("/dev/full", "wb") as file:  # noqa: PTH123
         done = subprocess.run([sys.executable, "-m", *words], stdout=file, stderr=subprocess.PIPE, text=True)
@@ -167,7 +166,7 @@ def test_help_and_lists_on_a_full_disk_are_one_sentence(words: list[str]) -> Non
     assert len(done.stderr.splitlines()) <= 2
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
 def test_characters_that_a_terminal_cannot_spell_are_escapes(encoding: str) -> None:
     text = "50 % \u2192 \udc80"
     program = f"import sys; from izoo.console import exit_code; sys.exit(exit_code('x', lambda: print({text!r}) or 0))"

@@ -62,7 +62,7 @@ def test_stock_torchrl_trains_with_every_loss(name: str) -> None:
     assert loop.end_lineno is not None and loop.end_lineno - loop.lineno < 40
     modules = {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
     izoos = {name for name in modules if name and name.startswith("izoo")}
-    assert izoos == {"izoo.algos.losses.losses", "izoo.contexts.procedural", "izoo.envs"}
+    assert izoos == {"izoo.algos.losses", "izoo.contexts.procedural", "izoo.envs"}
 
 
 def test_stable_baselines() -> None:
@@ -93,7 +93,7 @@ def test_rllib() -> None:
         actions = {agent: np.zeros(1, np.float32) for agent in env.agents}
         observations, _, _, truncated, _ = env.step(actions)
         known, over, steps = known | set(observations), truncated["__all__"], steps + 1
-    assert env.par_env.host.over and len(known) > 10 and steps > 50
+    assert env.par_env.session.over and len(known) > 10 and steps > 50
     env.close()
     try:
         returns = rllib_ppo.main(iterations=2, steps_per_iteration=300, horizon_s=80.0, num_env_runners=0)

@@ -1,38 +1,38 @@
-"""What the action of a learned policy stands for: ``action=direct``, ``speed``, ``arrive`` and others."""
+"""Action modes, what the action of a learned policy means: ``action=direct``, ``speed``, ``arrive`` and others."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, MIN_SHARE, EnvConfig
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
-    from izoo.algos.actions.executed_actions import AppliedAcceleration
+    from izoo.algos.actions.executed_actions import ExecutedAcceleration
     from izoo.algos.learners.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
-"""What builds an algorithm from its options, the length of an observation, the bounds of its action and, where an
-action of 0 is doing nothing, ``rest=``, a :class:`Rest`, or, where an action is several numbers, ``size=``."""
+"""Builds an algorithm from its options, the length of an observation, the bounds of its action and, where the action 0
+leaves a vehicle alone, ``point_mass=``, a :class:`PointMass`, or, where an action is several numbers, ``size=``."""
 
 SPREADS = (0.02, 10.0)
 """Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
-(:func:`izoo.algos.networks.gaussian.normal_parameters`), and the band of doing nothing is reckoned from it."""
+(:func:`izoo.algos.networks.gaussian.normal_parameters`), and the band of the point mass follows from it."""
 
 
 @dataclass(frozen=True)
-class Rest:
-    """That an action of 0 is doing nothing, and how often an untrained policy does something else.
+class PointMass:
+    """Zero action is a no-op; this is the initial probability of acting.
 
     Attributes:
-        act_share: share of the decisions in which an untrained policy acts, to either side that means something.
+        act_share: share of the decisions in which an untrained policy acts, to each side that differs from 0.
         spread: standard deviation of an untrained normal policy before censoring and tanh.
-        two_sided: whether there are agents for whom both signs mean something; which, the policy is told with each
-            observation. For all others values below 0 are doing nothing, too.
+        two_sided: whether there are agents whose actions below 0 differ from 0; which, the policy is told with each
+            observation. For all others actions below 0 are no-ops, too.
     """
 
     act_share: float = 0.08
@@ -45,12 +45,12 @@ class Rest:
         check_range("action.spread", self.spread, *SPREADS)
 
     @property
-    def dead(self) -> float:
-        """Half the width of the band of a normal policy that is untrained, and so has median 0."""
+    def half_band(self) -> float:
+        """Half the width of the band of an untrained normal policy, whose median is 0."""
         return self.band(self.spread)
 
     def band(self, spread: float) -> float:
-        """Return what normal noise with this ``spread`` exceeds with probability ``act_share``."""
+        """Return the value that normal noise of this ``spread`` exceeds with probability ``act_share``."""
         return spread * NormalDist().inv_cdf(1.0 - self.act_share)
 
 
@@ -63,6 +63,7 @@ class DirectAction:
     """
 
     name: Literal["direct"] = "direct"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
 
     def __post_init__(self) -> None:
         check_types("action", self)
@@ -72,9 +73,9 @@ class DirectAction:
         learned = build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
         if not _stores_applied(config):
             return learned
-        from izoo.algos.actions.executed_actions import AsApplied
+        from izoo.algos.actions.executed_actions import ExecutedActions
 
-        return AsApplied(learned, env)
+        return ExecutedActions(learned, env)
 
 
 @dataclass(frozen=True)
@@ -110,9 +111,9 @@ class SpeedAction:
 
 @dataclass(frozen=True)
 class ArriveAction:
-    """The policy's action says how late in a green the vehicle is to arrive, and how slowly it is to drive behind it.
+    """The policy's action: how late in a green a vehicle should arrive, and how slowly it should drive behind the line.
 
-    That is carried out as two desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
+    Both become desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
     takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
 
     Attributes:
@@ -149,19 +150,20 @@ def _begun(config: Any, initial: float, spread: float) -> Any:
 
 @dataclass(frozen=True)
 class AdviseAction:
-    """The policy's action is advice to the simulator's own driver: at or below 0 none, above it a lower speed limit.
+    """The policy's action is speed advice to the simulator's own driver: above 0 a lower speed limit, else none.
 
-    So an untrained policy is, but for its exploration, the uncommanded CV. Advice is heard before the stop line alone.
+    Apart from its exploration, an untrained policy is therefore the uncommanded CV. Advice acts before the stop line.
 
     Attributes:
         name: the action mode.
-        depth: advice caps the speed at no less than 1 minus this, in units of the limit.
-        brake_mps2: it never brakes harder than this.
-        act_share: share of decisions in which an untrained policy that explores advises anything.
-        spread: standard deviation of an untrained policy before censoring and tanh: how strong such advice is.
+        depth: the speed is capped at no less than 1 minus this, in units of the limit.
+        brake_mps2: bound on the braking.
+        act_share: share of decisions in which an untrained policy that explores acts.
+        spread: standard deviation of an untrained policy before censoring and tanh: how strong such actions are.
     """
 
     name: Literal["advise"] = "advise"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
     depth: float = 0.8
     brake_mps2: float = 1.5
     act_share: float = 0.06
@@ -171,41 +173,43 @@ class AdviseAction:
         check_types("action", self)
         check_range("action.depth", self.depth, 0.01, 1.0)
         check_range("action.brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
-        _ = self.rest
+        _ = self.point_mass
 
     @property
-    def rest(self) -> Rest:
-        """What doing nothing is."""
-        return Rest(self.act_share, self.spread)
+    def point_mass(self) -> PointMass:
+        """The point mass at the action 0."""
+        return PointMass(self.act_share, self.spread)
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes for advice."""
-        from izoo.algos.actions.action_wrappers import Advised, SpeedCap
-        from izoo.algos.drivers.scripted import make_driver
+        """Return the algorithm that ``build`` makes, with its actions transformed."""
+        from izoo.algos.actions.action_wrappers import SpeedCap, TransformedAlgorithm
+        from izoo.algos.drivers.by_name import make_driver
 
-        learned = build(config, features, -self.depth, self.depth, rest=self.rest)
+        learned = build(config, features, -self.depth, self.depth, point_mass=self.point_mass)
         name = getattr(config, "warm_start", "none")
         expert = None if name == "none" else make_driver(name, env)
-        applied = _applied(config, env)
-        return Advised(learned, SpeedCap(env, self.brake_mps2), self.depth, expert=expert, applied=applied)
+        return TransformedAlgorithm(
+            learned, SpeedCap(env, self.brake_mps2), self.depth, expert=expert, executed=_executed(config, env)
+        )
 
 
 @dataclass(frozen=True)
 class ResidualAction:
-    """The policy's action is taken from the acceleration of the nominal controller, glide; 0 leaves that as it is.
+    """The policy's action is subtracted from the acceleration of the nominal controller, glide.
 
     A CV that glide leaves alone stays with the simulator's driver unless its action is above 0.
 
     Attributes:
         name: the action mode.
         half_width_mps2: the action lies between plus and minus this. 1 m/s^2 is as much as glide itself commands, so
-            that it can be overruled where it brakes for nothing, and no more.
+            that glide can be overruled where it brakes for nothing, and no more.
         act_share: share of decisions in which an untrained policy that explores holds a CV back (and, where glide
             commands, as often lets it go).
-        spread: standard deviation of an untrained policy before censoring and tanh: how strong that is.
+        spread: standard deviation of an untrained policy before censoring and tanh: how strong such actions are.
     """
 
     name: Literal["residual"] = "residual"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35
@@ -213,33 +217,34 @@ class ResidualAction:
     def __post_init__(self) -> None:
         check_types("action", self)
         check_range("action.half_width_mps2", self.half_width_mps2, 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2")
-        _ = self.rest
+        _ = self.point_mass
 
     @property
-    def rest(self) -> Rest:
-        """What doing nothing is."""
-        return Rest(self.act_share, self.spread, two_sided=True)
+    def point_mass(self) -> PointMass:
+        """The point mass at the action 0."""
+        return PointMass(self.act_share, self.spread, two_sided=True)
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes for corrections."""
-        from izoo.algos.actions.action_wrappers import Advised
+        """Return the algorithm that ``build`` makes, with its actions transformed."""
+        from izoo.algos.actions.action_wrappers import TransformedAlgorithm
         from izoo.algos.actions.residual import Correction, NominalDriver
 
-        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, rest=self.rest)
-        applied = _applied(config, env)
-        return Advised(learned, Correction(NominalDriver(env)), self.half_width_mps2, applied=applied)
+        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, point_mass=self.point_mass)
+        return TransformedAlgorithm(
+            learned, Correction(NominalDriver(env)), self.half_width_mps2, executed=_executed(config, env)
+        )
 
 
 def _stores_applied(config: Any) -> bool:
-    """Whether an algorithm replays what came of its actions."""
+    """Whether an algorithm replays executed actions instead of commanded ones."""
     return getattr(config, "stores", "commanded") == "applied"
 
 
-def _applied(config: Any, env: EnvConfig) -> AppliedAcceleration | None:
-    """Return what tells the algorithm what came of its actions, if it wants to know."""
-    from izoo.algos.actions.executed_actions import AppliedAcceleration
+def _executed(config: Any, env: EnvConfig) -> ExecutedAcceleration | None:
+    """Return what reads executed accelerations, if the algorithm learns from them."""
+    from izoo.algos.actions.executed_actions import ExecutedAcceleration
 
-    return AppliedAcceleration(env) if _stores_applied(config) else None
+    return ExecutedAcceleration(env) if _stores_applied(config) else None
 
 
 ActionConfig = DirectAction | SpeedAction | ArriveAction | AdviseAction | ResidualAction

@@ -1,64 +1,63 @@
-"""Policies whose origin is doing nothing: what they emit is advice, and advice of 0 changes nothing.
+"""Action modes whose action 0 leaves a vehicle alone: the learned policy's raw action is transformed into a command.
 
-To the algorithm, the advice *is* the action: it is what its networks emit, what it computes log-probabilities of, and
-what its losses see. A :class:`Translator` makes commands of it for the environment.
+To the algorithm, the raw action *is* the action: its networks emit it, its log-probabilities and losses are of it. An
+:class:`ActionTransform` turns it into a command for the environment.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from izoo.algos.actions.executed_actions import AppliedAcceleration
-from izoo.algos.drivers.scripted import DEFER
+from izoo.algos.actions.executed_actions import ExecutedAcceleration
+from izoo.algos.drivers.base import DEFER
 from izoo.algos.learners import base
-from izoo.algos.learners.imitation import EXPERT_ADVICE
+from izoo.algos.learners.imitation import EXPERT_ACTION
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError
 
-ADVICE = ("agents", "advice")
-MOST_IMITATED = 0.98
-"""Advice is imitated up to this share of the deepest: the tanh reaches that nowhere."""
+RAW_ACTION = ("agents", "raw_action")
+"""``[*B, A, 1]``: the learned policy's action before it is transformed."""
+MAX_IMITATED = 0.98
+"""Raw actions are imitated up to this share of their bound, which tanh never reaches."""
 NOTICED_MPS2 = 0.05
-"""A vehicle that accelerates less than commanded by no more than this does what it was told."""
+"""A vehicle whose acceleration is less than the command by no more than this has followed it."""
 
 
-class Translator(nn.Module):
-    """Makes commands of advice.
+class ActionTransform(nn.Module):
+    """Turns raw actions into commands.
 
     Attributes:
-        two_sided: whether there are agents for whom advice below 0 means something.
+        two_sided: whether there are agents whose raw actions below 0 differ from 0.
     """
 
     two_sided = False
 
     def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
-        """Return what :meth:`command` needs, ``[*B, A]`` each; two-sided translators: secondly, who is guided.
+        """Return what :meth:`command` needs, ``[*B, A]`` each; of two-sided transforms the second is which agents are.
 
         Args:
             observation: ``[*B, A, F]``.
-            mask: ``[*B, A]``; what empty slots get does not matter.
+            mask: ``[*B, A]``; results in empty slots do not matter.
         """
         raise NotImplementedError
 
-    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2, and who is left to the simulator's driver, ``[*B, A]`` each.
+    def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
+        """Return accelerations in m/s^2, and which vehicles are left to the simulator's driver, ``[*B, A]`` each.
 
         Args:
             seen: what :meth:`look` returned.
-            advice: ``[*B, A]``.
+            raw: ``[*B, A]``.
         """
         raise NotImplementedError
 
-    def advice_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
-        """Return the advice ``[*B, A]`` that comes closest to a command; the inverse of :meth:`command`.
+    def raw_action_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
+        """Return the raw action ``[*B, A]`` that comes closest to a command; the inverse of :meth:`command`.
 
         Args:
             seen: what :meth:`look` returned.
@@ -67,28 +66,28 @@ class Translator(nn.Module):
         """
         raise NotImplementedError
 
-    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
-        """Return the advice ``[*B, A]`` that stands for what came of ``advice``.
+    def carried_out(self, seen: tuple[Tensor, ...], raw: Tensor, executed: Tensor) -> Tensor:
+        """Return the raw action ``[*B, A]`` that an executed acceleration corresponds to.
 
         Args:
             seen: what :meth:`look` returned.
-            advice: ``[*B, A]``, without its band.
-            applied: ``[*B, A]`` m/s^2, the acceleration that the vehicle had.
+            raw: ``[*B, A]``, without its band.
+            executed: ``[*B, A]`` m/s^2, the acceleration that the vehicle had.
         """
         raise NotImplementedError
 
 
-class SpeedCap(Translator):
-    """Advice ``u`` in ``(0, 1)`` caps a vehicle's speed at ``(1 - u)`` times the limit; 0 and below do nothing.
+class SpeedCap(ActionTransform):
+    """A raw action ``u`` in ``(0, 1)`` caps a vehicle's speed at ``(1 - u)`` times the limit; 0 and below do nothing.
 
-    A vehicle that is faster brakes, within one decision or as hard as allowed, whichever is milder. Below the cap it
-    accelerates no faster than to reach the cap at the end of the decision; the simulator keeps it to what its own
-    driver would do, so a small ``u`` changes little. Advice is heard before the stop line alone: what is behind it
-    does not count in the benefit of an approach, so that whoever searches for that would find ways to burn it there.
+    A faster vehicle brakes within one decision or as hard as allowed, whichever is milder. Below the cap it accelerates
+    no faster than to reach the cap at the end of the decision; the simulator bounds that by its own driver's
+    acceleration, so a small ``u`` changes little. It acts before the stop line only: driving behind the line does not
+    count in the benefit of an approach, so a search for that benefit would burn fuel there.
 
     Args:
         config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
-        brake_mps2: no advice brakes harder than this.
+        brake_mps2: bound on the braking.
     """
 
     def __init__(self, config: EnvConfig, brake_mps2: float) -> None:
@@ -108,117 +107,110 @@ class SpeedCap(Translator):
         speed, limit = observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
         return speed, limit, observation[..., self.approaching] > 0.5
 
-    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
-        speed, limit, heard = seen
-        accel = ((1.0 - advice) * limit - speed) / self.decision_s
-        return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), (advice <= 0.0) | ~heard
+    def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
+        speed, limit, approaching = seen
+        accel = ((1.0 - raw) * limit - speed) / self.decision_s
+        return accel.clamp(-self.brake_mps2, ACTION_HIGH_MPS2), (raw <= 0.0) | ~approaching
 
-    def advice_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
-        speed, limit, heard = seen
-        advice = 1.0 - (speed + accel * self.decision_s) / limit.clamp_min(1e-3)
-        return torch.where(defer | ~heard, torch.zeros_like(advice), advice.clamp(0.0, 1.0))
+    def raw_action_for(self, seen: tuple[Tensor, ...], accel: Tensor, defer: Tensor) -> Tensor:
+        speed, limit, approaching = seen
+        raw = 1.0 - (speed + accel * self.decision_s) / limit.clamp_min(1e-3)
+        return torch.where(defer | ~approaching, torch.zeros_like(raw), raw.clamp(0.0, 1.0))
 
-    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
-        """Return the advice, and 0 where it changed nothing: where the vehicle accelerated less than it was told."""
-        accel, defer = self.command(seen, advice)
-        return torch.where(defer | (applied < accel - NOTICED_MPS2), torch.zeros_like(advice), advice)
+    def carried_out(self, seen: tuple[Tensor, ...], raw: Tensor, executed: Tensor) -> Tensor:
+        """Return the raw action, or 0 where it changed nothing: the vehicle accelerated less than commanded."""
+        accel, defer = self.command(seen, raw)
+        return torch.where(defer | (executed < accel - NOTICED_MPS2), torch.zeros_like(raw), raw)
 
 
-class AdvisedPolicy(TensorDictModuleBase):
-    """A learned policy's action becomes ``("agents", "advice")``, and what it stands for the action.
+class TransformedPolicy(TensorDictModuleBase):
+    """A learned policy whose action becomes :data:`RAW_ACTION`; the action is the command that follows from it.
 
     Args:
-        learned: writes ``("agents", "action")`` ``[*B, A, 1]``, and has a ``quiet_band``.
-        translator: makes commands of it.
+        learned: writes ``("agents", "action")`` ``[*B, A, 1]``, and has a ``no_op_band``.
+        transform: turns its actions into commands.
     """
 
-    def __init__(self, learned: TensorDictModuleBase, translator: Translator) -> None:
+    def __init__(self, learned: TensorDictModuleBase, transform: ActionTransform) -> None:
         super().__init__()
-        self.learned, self.translator = learned, translator
+        self.learned, self.transform = learned, transform
         self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION, base.MASK]))
-        self.out_keys = [*learned.out_keys, ADVICE, DEFER, *([base.GUIDED] if translator.two_sided else [])]
+        self.out_keys = [*learned.out_keys, RAW_ACTION, DEFER, *([base.TWO_SIDED] if transform.two_sided else [])]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write advice and acceleration, ``[*B, A, 1]`` each, ``defer``, and what else the learned policy writes."""
-        seen = self.translator.look(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
-        if self.translator.two_sided:
-            tensordict.set(base.GUIDED, seen[1])
-        advice = self.learned(tensordict).get(base.ACTION)
-        tensordict.set(ADVICE, advice)
-        acted = self.without_band(advice).squeeze(-1)
-        accel, defer = self.translator.command(seen, acted)
+        """Write raw action and acceleration, ``[*B, A, 1]`` each, ``defer``, and the learned policy's other outputs."""
+        seen = self.transform.look(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
+        if self.transform.two_sided:
+            tensordict.set(base.TWO_SIDED, seen[1])
+        raw = self.learned(tensordict).get(base.ACTION)
+        tensordict.set(RAW_ACTION, raw)
+        accel, defer = self.transform.command(seen, self.without_band(raw).squeeze(-1))
         tensordict.set(DEFER, defer)
         return tensordict.set(base.ACTION, accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1))
 
-    def without_band(self, advice: Tensor) -> Tensor:
-        """Return advice, of any shape, less the band around 0 that counts as doing nothing."""
-        band = float(self.learned.quiet_band)
-        return advice.sign() * (advice.abs() - band).clamp_min(0.0) if band > 0.0 else advice
+    def without_band(self, raw: Tensor) -> Tensor:
+        """Return raw actions, of any shape, less the band around 0 that counts as 0."""
+        band = float(self.learned.no_op_band)
+        return raw.sign() * (raw.abs() - band).clamp_min(0.0) if band > 0.0 else raw
 
 
-class Advised:
-    """An algorithm whose actions are advice; see :class:`izoo.algos.learners.base.Algorithm`.
+class TransformedAlgorithm(base.AlgorithmWrapper):
+    """An algorithm whose actions are transformed; see :class:`izoo.algos.learners.base.Algorithm`.
 
     Args:
-        learned: the algorithm, built for advice.
-        translator: makes commands of what its policy emits.
-        depth: no advice is beyond this.
-        expert: a driver for it to imitate; every batch is then handed on with the advice that it would have given.
-        applied: reads what came of the commands; the algorithm then learns from that.
+        learned: the algorithm, built for raw actions.
+        transform: turns its actions into commands.
+        bound: raw actions lie between plus and minus this.
+        expert: a driver to imitate; every batch then also holds the raw actions that it would have chosen.
+        executed: reads executed accelerations; the algorithm then learns from those.
     """
+
+    policy: TransformedPolicy
 
     def __init__(
         self,
         learned: base.Algorithm,
-        translator: Translator,
-        depth: float,
+        transform: ActionTransform,
+        bound: float,
         *,
         expert: TensorDictModuleBase | None = None,
-        applied: AppliedAcceleration | None = None,
+        executed: ExecutedAcceleration | None = None,
     ) -> None:
-        self.learned, self.translator, self.depth = learned, translator, depth
-        self.expert, self.applied = expert, applied
-        self.policy = AdvisedPolicy(learned.policy, translator)
-        own, looks = base.reads(learned), expert is not None or applied is not None
-        self.reads: base.Keys | None = None if own is None or looks else (*own, ADVICE, DEFER, base.MASK)
+        super().__init__(learned, TransformedPolicy(learned.policy, transform))
+        self.transform, self.bound = transform, bound
+        self.expert, self.executed = expert, executed
+        own, looks = base.reads(learned), expert is not None or executed is not None
+        self.reads: base.Keys | None = None if own is None or looks else (*own, RAW_ACTION, DEFER, base.MASK)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Hand the batch on with the advice in the place of the action; the batch itself stays as it is."""
+        """Learn from the batch with the raw action as its action; the batch itself is not changed."""
         own = batch.copy()
-        emitted = batch.get(ADVICE)
-        own.set(base.ACTION, emitted if self.applied is None else self.carried_out(batch, self.applied(batch)))
+        emitted = batch.get(RAW_ACTION)
+        own.set(base.ACTION, emitted if self.executed is None else self.carried_out(batch, self.executed(batch)))
         if self.expert is not None:
-            own.set(EXPERT_ADVICE, self.expert_advice(batch))
+            own.set(EXPERT_ACTION, self.expert_action(batch))
         stats = self.learned.update(own, progress)
         mask = batch.get(base.MASK)
         if mask.any():
-            stats["advice_abs"] = float(batch.get(ADVICE)[mask].abs().mean())
+            stats["raw_action_abs"] = float(emitted[mask].abs().mean())
             stats["acting_share"] = float((~batch.get(DEFER)[mask]).float().mean())
         return stats
 
     def carried_out(self, batch: TensorDictBase, accel: Tensor) -> Tensor:
-        """Return the advice that stands for accelerations ``[N, T, A, 1]`` of a batch, in the same shape."""
-        seen = self.translator.look(batch.get(base.OBSERVATION), batch.get(base.MASK))
-        advice = self.policy.without_band(batch.get(ADVICE)).squeeze(-1)
-        done = self.translator.carried_out(seen, advice, accel.squeeze(-1)).unsqueeze(-1)
-        # What was carried out as it was advised stays as the policy emitted it, the band around 0 included.
-        return torch.where(done == advice.unsqueeze(-1), batch.get(ADVICE), done.clamp(-self.depth, self.depth))
+        """Return the raw actions that executed accelerations ``[N, T, A, 1]`` correspond to, in the same shape."""
+        seen = self.transform.look(batch.get(base.OBSERVATION), batch.get(base.MASK))
+        raw = self.policy.without_band(batch.get(RAW_ACTION)).squeeze(-1)
+        done = self.transform.carried_out(seen, raw, accel.squeeze(-1)).unsqueeze(-1)
+        # What was carried out as commanded stays as the policy emitted it, the band around 0 included.
+        return torch.where(done == raw.unsqueeze(-1), batch.get(RAW_ACTION), done.clamp(-self.bound, self.bound))
 
     @torch.no_grad()
-    def expert_advice(self, batch: TensorDictBase) -> Tensor:
-        """Return what the expert would have advised in a batch ``[N, T]``, ``[N, T, A, 1]``."""
+    def expert_action(self, batch: TensorDictBase) -> Tensor:
+        """Return the raw actions that the expert would have chosen in a batch ``[N, T]``, ``[N, T, A, 1]``."""
         assert self.expert is not None
         observation, mask = batch.get(base.OBSERVATION), batch.get(base.MASK)
         asked = TensorDict(batch_size=batch.batch_size, device=observation.device)
         commands = self.expert(asked.set(base.OBSERVATION, observation).set(base.MASK, mask))
-        seen = self.translator.look(observation, mask)
-        advice = self.translator.advice_for(seen, commands.get(base.ACTION).squeeze(-1), commands.get(DEFER))
-        return advice.clamp(max=MOST_IMITATED * self.depth).unsqueeze(-1)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the learned algorithm's state: a translator has none."""
-        return self.learned.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
-        self.learned.load_state_dict(state)
+        seen = self.transform.look(observation, mask)
+        raw = self.transform.raw_action_for(seen, commands.get(base.ACTION).squeeze(-1), commands.get(DEFER))
+        return raw.clamp(max=MAX_IMITATED * self.bound).unsqueeze(-1)

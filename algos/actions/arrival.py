@@ -1,19 +1,17 @@
-"""Actions that say when to arrive at the stop line: the option ``action=arrive``.
+"""The action mode ``action=arrive``: when to arrive at the stop line.
 
-A learned policy says how late in a green a vehicle is to arrive, and how much slower than the limit it is to drive
-behind the line; what that comes to is a pair of desired speeds, one before and one behind the line.
+A learned policy chooses how late in a green a vehicle should arrive, and how much slower than the limit it should drive
+behind the line. Both become desired speeds, one before and one behind the line.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from izoo.algos.drivers.scripted import greens
+from izoo.algos.drivers.signal_timing import greens
 from izoo.algos.learners import base
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
@@ -22,14 +20,14 @@ from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
 
 LATENESS = ("agents", "lateness")
-"""``[*B, A, 2]`` in [0, 1]: what the policy said."""
+"""``[*B, A, 2]`` in [0, 1]: the learned policy's action."""
 
 
 class Arrival(nn.Module):
-    """Desired speeds of lateness: 0 is as early as possible, and unhindered behind the line; 1 is as late as possible.
+    """Turns lateness into desired speeds: 0 is early and unhindered behind the line, 1 is as late as possible.
 
-    A vehicle aims for the first green in which it can arrive, driving at the limit at most, and there for its share of
-    the green. It knows of no queue: that is for the policy to learn.
+    A vehicle aims for its share of the first green that it can reach at the speed limit. Queues are ignored: the policy
+    has to learn about them.
 
     Args:
         config: settings of the environment; the features ``green_s``, ``red_s`` and ``speed_limit_mps`` must be
@@ -62,12 +60,12 @@ class Arrival(nn.Module):
         return torch.stack([before, behind], -1).clamp(self.slowest, 1.0)
 
     def arrival(self, observation: Tensor, free_s: Tensor, late: Tensor) -> Tensor:
-        """Return in how many seconds vehicles are to arrive, ``[*B, A]``.
+        """Return in how many seconds vehicles should arrive, ``[*B, A]``.
 
         Args:
             observation: ``[*B, A, F]``.
             free_s: ``[*B, A]`` seconds to the stop line at the limit.
-            late: ``[*B, A]`` share of the green that is to have gone by.
+            late: ``[*B, A]`` share of the green that should have passed.
         """
         starts, length = greens(observation, self.columns)
         found = torch.full_like(free_s, torch.inf)
@@ -78,11 +76,11 @@ class Arrival(nn.Module):
 
 
 class ArrivingPolicy(TensorDictModuleBase):
-    """A learned policy whose action becomes :data:`LATENESS`, and the desired speeds that it stands for the action.
+    """A learned policy whose action becomes :data:`LATENESS`; the action is the desired speeds that follow from it.
 
     Args:
         learned: writes ``("agents", "action")`` ``[*B, A, 2]``.
-        arrival: makes speeds of it.
+        arrival: turns it into speeds.
     """
 
     def __init__(self, learned: TensorDictModuleBase, arrival: Arrival) -> None:
@@ -98,25 +96,17 @@ class ArrivingPolicy(TensorDictModuleBase):
         return tensordict.set(LATENESS, lateness).set(base.ACTION, speeds)
 
 
-class Arriving:
-    """An algorithm whose actions say when to arrive; see :class:`izoo.algos.learners.base.Algorithm`.
+class Arriving(base.AlgorithmWrapper):
+    """An algorithm whose actions are lateness; see :class:`izoo.algos.learners.base.Algorithm`.
 
     Args:
         learned: the algorithm, built for actions ``[0, 1]^2``.
-        arrival: makes speeds of what its policy emits.
+        arrival: turns its actions into speeds.
     """
 
     def __init__(self, learned: base.Algorithm, arrival: Arrival) -> None:
-        self.learned, self.policy = learned, ArrivingPolicy(learned.policy, arrival)
+        super().__init__(learned, ArrivingPolicy(learned.policy, arrival))
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Hand the batch on with the lateness in the place of the action; the batch itself stays as it is."""
+        """Learn from the batch with lateness as its action; the batch itself is not changed."""
         return self.learned.update(batch.copy().set(base.ACTION, batch.get(LATENESS)), progress)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the learned algorithm's state."""
-        return self.learned.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
-        self.learned.load_state_dict(state)

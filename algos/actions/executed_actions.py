@@ -1,12 +1,10 @@
-"""What came of commands: the accelerations that vehicles had, for learners that replay them.
+"""Accelerations that were actually executed, for learners that replay them.
 
-The simulator's own driver may brake harder than a command asks. All commands above what it does are then the same, and
-a critic that is told what was asked for has to find that out.
+The simulator's own driver may brake harder than a command asks. All commands above that are then equivalent, which a
+critic that sees the commands would have to learn.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -18,7 +16,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 
 
-class AppliedAcceleration:
+class ExecutedAcceleration:
     """Reads accelerations from the speeds that were observed before and after.
 
     Args:
@@ -31,7 +29,7 @@ class AppliedAcceleration:
     def __call__(self, batch: TensorDictBase) -> Tensor:
         """Return the mean acceleration over each decision of a batch ``[N, T]``, ``[N, T, A, 1]`` m/s^2.
 
-        Of a vehicle that has left, whose speed is not known, it is the command, and so it is in the last decision of an
+        It is the command where the next speed is unknown, because the vehicle has left, and in the last decision of an
         episode, which may be shorter than the others.
         """
         before, after = (part.get(base.OBSERVATION)[..., self.speed] for part in (batch, batch.get("next")))
@@ -42,8 +40,8 @@ class AppliedAcceleration:
         return torch.where(known.unsqueeze(-1), accel, batch.get(base.ACTION))
 
 
-class AsApplied:
-    """An algorithm that commands accelerations, and learns from those that came of it; the rest is the algorithm's own.
+class ExecutedActions(base.AlgorithmWrapper):
+    """An algorithm that commands accelerations and learns from those that were executed.
 
     Args:
         learned: the algorithm; see :class:`izoo.algos.learners.base.Algorithm`.
@@ -51,18 +49,11 @@ class AsApplied:
     """
 
     def __init__(self, learned: base.Algorithm, config: EnvConfig) -> None:
-        self.learned, self.policy, self.applied = learned, learned.policy, AppliedAcceleration(config)
+        super().__init__(learned)
+        self.executed = ExecutedAcceleration(config)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
-        """Hand the batch on with what was applied in the place of the action; the batch itself stays as it is."""
+        """Learn from the batch with executed accelerations as its actions; the batch itself is not changed."""
         own = batch.copy()
-        own.set(base.ACTION, self.applied(batch))
+        own.set(base.ACTION, self.executed(batch))
         return self.learned.update(own, progress)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the algorithm's state."""
-        return self.learned.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
-        self.learned.load_state_dict(state)

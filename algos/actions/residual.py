@@ -1,7 +1,7 @@
-"""Advice that corrects a scripted driver: ``acceleration = clip(nominal(observation) - advice)``.
+"""The action mode ``action=residual``: ``acceleration = clip(nominal(observation) - raw action)``.
 
-The nominal controller is glide (:mod:`izoo.algos.drivers.scripted`), so learning starts from it and corrects it
-(residual policy learning for eco-driving: arXiv 2403.04232).
+The nominal controller is glide (:mod:`izoo.algos.drivers.glide`), so learning starts from it and corrects it (residual
+policy learning for eco-driving: arXiv 2403.04232).
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from izoo.algos.actions.action_wrappers import Translator
-from izoo.algos.drivers.scripted import Glide
+from izoo.algos.actions.action_wrappers import ActionTransform
+from izoo.algos.drivers.glide import Glide
 from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
@@ -18,7 +18,7 @@ from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS
 
 
 class NominalDriver(nn.Module):
-    """Glide where it commands; where it leaves a CV alone, what the car-following model would do.
+    """Glide where it commands; elsewhere an estimate of what the car-following model would do.
 
     A residual that brakes needs something to be subtracted from, so the simulator's intelligent driver model
     (Treiber et al., Phys. Rev. E 62, 1805) is estimated from the observation, with ``cv_vehicle=paper``'s parameters.
@@ -37,11 +37,11 @@ class NominalDriver(nn.Module):
         self.columns = {name: column for column, name in enumerate(observation_names(config))}
 
     def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2, and which are estimates of the simulator's own, both ``[*B, A]``.
+        """Return accelerations in m/s^2, and which of them are such estimates, both ``[*B, A]``.
 
         Args:
             observation: ``[*B, A, F]``.
-            mask: ``[*B, A]``; what empty slots get does not matter.
+            mask: ``[*B, A]``; results in empty slots do not matter.
         """
         advised, idle = self.glide.drive(observation, mask)
         return torch.where(idle, self.follow(observation), advised), idle
@@ -74,11 +74,11 @@ class NominalDriver(nn.Module):
         return observation[..., self.columns[name]] > 0.5
 
 
-class Correction(Translator):
-    """Advice holds a vehicle back by so many m/s^2 against the nominal controller; below 0 it lets it go.
+class Correction(ActionTransform):
+    """A raw action holds a vehicle back by so many m/s^2 against the nominal controller; below 0 it speeds it up.
 
     A CV that the nominal controller leaves alone can only be held back: it stays with the simulator's driver unless its
-    advice is above 0. So advice of 0 is the nominal controller, and no estimate of it.
+    raw action is above 0. So a raw action of 0 is the nominal controller, not an estimate of it.
 
     Args:
         nominal: the controller that is corrected.
@@ -94,11 +94,11 @@ class Correction(Translator):
         accel, idle = self.nominal(observation, mask)
         return accel, ~idle
 
-    def command(self, seen: tuple[Tensor, ...], advice: Tensor) -> tuple[Tensor, Tensor]:
+    def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
         accel, guided = seen
-        return accel - advice, ~guided & (advice <= 0.0)
+        return accel - raw, ~guided & (raw <= 0.0)
 
-    def carried_out(self, seen: tuple[Tensor, ...], advice: Tensor, applied: Tensor) -> Tensor:
-        """Return how much the vehicle was held back, and 0 where it was left to the simulator's driver."""
+    def carried_out(self, seen: tuple[Tensor, ...], raw: Tensor, executed: Tensor) -> Tensor:
+        """Return how much the vehicle was held back; 0 where it was left to the simulator's driver."""
         accel, guided = seen
-        return torch.where(guided | (advice > 0.0), accel - applied, torch.zeros_like(advice))
+        return torch.where(guided | (raw > 0.0), accel - executed, torch.zeros_like(raw))

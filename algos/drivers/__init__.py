@@ -1,1 +1,1 @@
-"""Scripted drivers."""
+"""Scripted drivers: policies without learning."""

@@ -1,4 +1,4 @@
-"""What every algorithm has in common: the keys it reads, its networks, and the face it shows the training loop."""
+"""What algorithms have in common: the keys they read, network parts, and the interface that the training loop uses."""
 
 from __future__ import annotations
 
@@ -12,26 +12,32 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from izoo.errors import IzooError
+
 OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
 DECIDES = ("agents", "decides")
-"""``[*B, A]`` bool: agents whose action is a decision; absent where everyone in the mask decides (:func:`deciding`)."""
+"""``[*B, A]`` bool: agents whose action is a decision; absent where all agents decide (:func:`deciding`)."""
 NUMBER = ("agents", "number")
 """``[*B, A]`` int64: the vehicle's number in the episode's demand."""
 ACTION = ("agents", "action")
 LOG_PROB = ("agents", "action_log_prob")
-GUIDED = ("agents", "guided")
-"""``[*B, A]`` bool: agents for whom an action below 0 means something
-(:class:`izoo.algos.networks.censored_normal.RestingNormal`)."""
+TWO_SIDED = ("agents", "two_sided")
+"""``[*B, A]`` bool: agents whose actions below 0 differ from 0
+(:class:`izoo.algos.networks.censored_normal.CensoredNormal`)."""
 LOC, SCALE = ("agents", "loc"), ("agents", "scale")
 VALUE, ADVANTAGE, VALUE_TARGET = ("agents", "state_value"), ("agents", "advantage"), ("agents", "value_target")
 ACTION_VALUE = ("agents", "state_action_value")
 POTENTIAL = ("agents", "potential")
-"""``[*B, A, 1]``: what the same vehicle is still paid where nobody commands
+"""``[*B, A, 1]``: the same vehicle's reward-to-go in the uncommanded episode
 (:func:`izoo.algos.learners.decisions.shaped`)."""
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
+
+MOST_WEIGHTS = 10**8
+"""Weights of a network, in all: 400 MB, and twice as much again for Adam."""
+TYPICAL_FEATURES = 60
 
 
 Keys = tuple[str | tuple[str, ...], ...]
@@ -39,7 +45,7 @@ Keys = tuple[str | tuple[str, ...], ...]
 
 
 class Algorithm(Protocol):
-    """The face of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
+    """The interface of an algorithm: the loop collects with ``policy`` and hands every batch to ``update``.
 
     One that also has ``reads``, of :data:`Keys`, learns from these keys of a batch alone, and others may be missing
     (:func:`reads`).
@@ -52,7 +58,7 @@ class Algorithm(Protocol):
 
         Args:
             batch: what the collector gathered; ``N`` environments, ``T`` steps.
-            progress: share of the run that is over, in [0, 1].
+            progress: share of the run that is done, in [0, 1].
 
         Returns:
             Scalars to log, each over valid agent-steps alone.
@@ -68,17 +74,44 @@ class Algorithm(Protocol):
         ...
 
 
+class AlgorithmWrapper:
+    """An algorithm around another one, which holds all that is learned.
+
+    Args:
+        learned: the other one.
+        policy: what acts; ``None``: the policy of ``learned``.
+    """
+
+    def __init__(self, learned: Algorithm, policy: TensorDictModuleBase | None = None) -> None:
+        self.learned, self.policy = learned, learned.policy if policy is None else policy
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the learned algorithm's state."""
+        return self.learned.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.learned.load_state_dict(state)
+
+
+def innermost(wrapped: Any) -> Any:
+    """Return the algorithm or the policy that learns, inside all wrappers."""
+    while hasattr(wrapped, "learned"):
+        wrapped = wrapped.learned
+    return wrapped
+
+
 def reads(algorithm: Algorithm) -> Keys | None:
     """Return the keys of a batch that an algorithm learns from; ``None``: any of them."""
     return getattr(algorithm, "reads", None)
 
 
 def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
-    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those who decide, or all that are there.
+    """Return the agents that a batch ``[*B]`` is learned from, ``[*B, A]``: those that decide, or all that are present.
 
     Args:
         batch: of single steps, or of whole decisions (:class:`izoo.algos.learners.decisions.Decisions`).
-        mask: key of who is there; ``None`` is returned where it is missing.
+        mask: key of the agents that are present; ``None`` is returned where it is missing.
     """
     there, decides = batch.get(mask, None), batch.get(DECIDES, None)
     return there if decides is None or there is None else there & decides
@@ -87,6 +120,15 @@ def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
 def explores() -> bool:
     """Return whether TorchRL's exploration type asks policies to draw their actions."""
     return exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+def check_widths(option: str, widths: Sequence[int]) -> None:
+    """Raise :class:`IzooError` unless these are widths of hidden layers that fit into a memory."""
+    if not widths or min(widths) < 1:
+        raise IzooError(f"{option} is {list(widths)}; it needs one or more positive widths, like [128,128].")
+    weights = sum(before * after for before, after in itertools.pairwise((TYPICAL_FEATURES, *widths)))
+    if weights > MOST_WEIGHTS:
+        raise IzooError(f"{option} is {list(widths)}: {weights:,} weights, more than {MOST_WEIGHTS:,}; give fewer.")
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float) -> nn.Sequential:

@@ -1,9 +1,8 @@
 """CMA-ES over linear policies: no gradients, no credit to assign, whole episodes compared with each other.
 
-The policies of a generation play the same contexts with the same seeds, so that what tells two of them apart is their
-driving and not the traffic that they met: differences that policy gradients lose in the noise of single actions are
-plain in the returns of whole teams (common random numbers). One return belongs to a whole fleet, so what a vehicle
-does for those behind it counts by itself.
+The policies of a generation play the same contexts with the same seeds (common random numbers), so they differ by their
+driving and not by the traffic that they met: differences that policy gradients lose in the noise of single actions show
+in the returns of whole teams. A return belongs to a whole fleet, so a vehicle's effect on those behind it counts.
 
 The strategy is Hansen's (arXiv 1604.00772), by the library ``cma``; linear policies for control by random search:
 Mania et al., arXiv 1803.07055.
@@ -12,7 +11,9 @@ Mania et al., arXiv 1803.07055.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import cma
 import numpy as np
@@ -21,11 +22,13 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.actions.action_modes import Rest
+from izoo.algos.actions.action_modes import AdviseAction, PointMass
 from izoo.algos.learners import base
-from izoo.algos.learners.cmaes_config import CMAESConfig
+from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
-from izoo.errors import IzooError
+from izoo.envs.config import BY_STEP
+from izoo.envs.mdp.reward import RewardConfig
+from izoo.errors import IzooError, check_range, check_types
 
 MOST = 2.0
 """Observations are cut off here: some count far away as very large."""
@@ -33,24 +36,81 @@ FULL = 3.0
 """Of this the tanh is 0.995."""
 
 
+@dataclass(frozen=True)
+class CMAESConfig(AlgoConfig):
+    """Hyper-parameters of the evolution strategy CMA-ES over linear policies.
+
+    Sources: "Hansen" is arXiv 1604.00772; "Mania" is arXiv 1803.07055, which found linear policies enough for
+    locomotion; "ours" was chosen by short runs.
+
+    Attributes:
+        name: the algorithm.
+        population: policies of a generation, each of which plays the same contexts and seeds (Hansen: 4 + 3 ln n, which
+            is 14 for 30 numbers; ours 16). It divides ``num_envs``, and the quotient is how many contexts they play.
+        initial_spread: standard deviation of the first generation's weights (ours 0.3: observations are of order 1, so
+            that some of these policies do something and few do much).
+        most_difference: a policy's return in one context differs from the generation's mean there by no more than this
+            share of it, so that a few contexts that jam do not decide alone; null: no bound.
+    """
+
+    name: Literal["cmaes"] = "cmaes"
+    population: int = 16
+    initial_spread: float = 0.3
+    most_difference: float | None = None
+    frames_per_batch: ClassVar[int] = 1  # type: ignore[misc]  # no option: a batch is an episode of each environment
+    runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "teams": {
+            **ON_TWIN,
+            "action": AdviseAction(),
+            "env": {
+                **BY_STEP,
+                "hold_s": 2.0,
+                "reward": RewardConfig.fuel_team(),
+                "neighbours": ("leader",),
+                "observed": ("green_s", "red_s", "speed_limit_mps"),
+            },
+            "num_envs": 256,
+            "total_frames": 1_990_000,
+            "validation": {"every_batches": 4, "contexts": 16, "seeds": 3, "simulator": "twin"},
+        }
+    }
+
+    def __post_init__(self) -> None:
+        check_types("algo", self)
+        check_range("algo.population", self.population, 4, 4096)
+        check_range("algo.initial_spread", self.initial_spread, 1e-6, 100.0)
+        if self.most_difference is not None:
+            check_range("algo.most_difference", self.most_difference, 1e-6, 100.0)
+
+    @classmethod
+    def teams(cls) -> CMAESConfig:
+        """Return the preset ``teams``: advice every 2 s from a few observations, whole teams compared."""
+        return cls()
+
+    @property
+    def candidates(self) -> int:
+        """How many policies are compared in each batch."""
+        return self.population
+
+
 class LinearPolicies(TensorDictModuleBase):
     """A population of linear policies while exploring in training mode, and their mean otherwise.
 
     Environments are shared out among the policies in equal blocks, in order. An agent's action is a tanh of
-    ``x = weights . observation + bias``, stretched to the bounds. Where an action of 0 is doing nothing, so is every
-    ``x`` within ``band`` of 0, and weights of 0 are; elsewhere they ask for full throttle, which the simulator's own
-    driver bounds.
+    ``x = weights . observation + bias``, stretched to the bounds. With a ``band``, every ``x`` within it stands for the
+    action 0, which leaves the vehicle alone, and so do weights of 0; without one, weights of 0 ask for full throttle,
+    which the simulator's own driver bounds.
 
     Args:
         features: length ``F`` of an observation.
         low, high: bounds of the action.
         population: policies, of ``F + 1`` weights each.
-        band: see above; ``None``: no action is doing nothing.
+        band: see above; ``None``: there is none.
     """
 
     mean: Tensor
     candidates: Tensor
-    quiet_band = 0.0
+    no_op_band = 0.0
     kinds = 1
     reads: base.Keys = ()
     """What :meth:`kind_of` looks at."""
@@ -83,7 +143,7 @@ class LinearPolicies(TensorDictModuleBase):
 
 
 def own_numbers(policies: Any, mask: Tensor) -> Tensor:
-    """Return whose numbers act in each environment, ``[N, ...]``: the candidates' while exploring, or the mean's.
+    """Return the parameters that act in each environment, ``[N, ...]``: the candidates' while exploring, or the mean's.
 
     Args:
         policies: a module with ``candidates`` ``[P, ...]`` and ``mean`` ``[...]``.
@@ -109,10 +169,12 @@ class CMAES:
     Args:
         config: hyper-parameters.
         features: length of an observation.
-        low, high: bounds of the action: an acceleration in m/s^2, or advice.
+        low, high: bounds of the action: of an acceleration in m/s^2, or of a raw action.
         device: where the weights live.
-        rest: that an action of 0 is doing nothing; a policy whose weights are 0 then does nothing.
+        point_mass: at the action 0; a policy whose weights are 0 then leaves every vehicle alone.
     """
+
+    options: type[AlgoConfig] = CMAESConfig
 
     def __init__(
         self,
@@ -121,9 +183,9 @@ class CMAES:
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Rest | None = None,
+        point_mass: PointMass | None = None,
     ) -> None:
-        band = None if rest is None else config.initial_spread
+        band = None if point_mass is None else config.initial_spread
         self._start(config, LinearPolicies(features, low, high, config.population, band).to(device))
 
     def _start(self, config: Any, policy: Any) -> None:
@@ -156,11 +218,11 @@ class CMAES:
         self.policy.mean.copy_(torch.from_numpy(means).view_as(self.policy.mean))
 
     def _tell(self, returns: np.ndarray) -> None:
-        """Take what each kind's candidates were paid, ``[kinds, population]``; NaN where no context was of its kind."""
+        """Tell the searches their candidates' returns, ``[kinds, population]``; NaN where no context is of a kind."""
         self.returns.append(returns)
-        for kind, (strategy, paid) in enumerate(zip(self.strategies, returns, strict=True)):
-            if not np.isnan(paid).any():
-                strategy.tell(self._asked[kind], list(-paid))
+        for kind, (strategy, own) in enumerate(zip(self.strategies, returns, strict=True)):
+            if not np.isnan(own).any():
+                strategy.tell(self._asked[kind], list(-own))
                 self._asked[kind] = strategy.ask()
         self._show()
 
@@ -204,9 +266,6 @@ class CMAES:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned."""
         returns = state["returns"].numpy()
-        wanted = (self.policy.kinds, self.config.population)
-        if returns.ndim != 3 or returns.shape[1:] != wanted:
-            raise ValueError(f"generations of {list(returns.shape)[1:]} policies, not {list(wanted)}")
         self.seed, self.returns = int(state["seed"]), []
         self._begin()
         for told in returns:

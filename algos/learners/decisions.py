@@ -27,11 +27,11 @@ class Decisions:
     that has not ended with its batch is kept, and comes with a later one.
 
     Args:
-        whole: keep the whole frames ``[K, 1, A]``, of which ``("agents", "decides")`` says who decided, for networks in
-            which agents meet; else only the agent itself, ``[K, 1, 1]``.
+        whole: keep whole frames ``[K, 1, A]``, of which ``("agents", "decides")`` marks the agents that decided, for
+            networks in which agents interact; else only the agent itself, ``[K, 1, 1]``.
 
     Attributes:
-        open: decisions ``[M]`` that have not ended, beside each its environment and slot.
+        open: decisions ``[M]`` that have not ended, with their environments and slots.
     """
 
     def __init__(self, whole: bool = False) -> None:
@@ -51,7 +51,7 @@ class Decisions:
         ends_at = torch.where(ends, torch.arange(length, device=ends.device).view(1, -1, 1), length)
         ends_at = ends_at.flip(1).cummin(1).values.flip(1)
         reward = steps.get(NEXT_REWARD).squeeze(-1).double()
-        paid = torch.cat([torch.zeros_like(reward[:, :1]), reward.cumsum(1)], 1)
+        reward_sum = torch.cat([torch.zeros_like(reward[:, :1]), reward.cumsum(1)], 1)
 
         begun = self._begun(steps)
         if self.open is not None and len(self.open) > 0:
@@ -60,13 +60,15 @@ class Decisions:
         end = ends_at[env, begin, slot]
         ended = end < length
         last = end.clamp_max(length - 1)
-        begun.set("paid", begun.get("paid") + paid[env, last + 1, slot] - paid[env, begin, slot])
+        begun.set(
+            "reward_sum", begun.get("reward_sum") + reward_sum[env, last + 1, slot] - reward_sum[env, begin, slot]
+        )
 
         closed, last = begun[ended], last[ended]
         self.open = begun[~ended].set("begin", torch.zeros_like(begin[~ended]))
         own = closed.get("env"), last, closed.get("slot")
         following = self._frames(steps.get("next"), *own)
-        following.get("agents").set("reward", self._paid(closed, following))
+        following.get("agents").set("reward", self._reward_sum(closed, following))
         for name in ("done", "terminated", "truncated"):
             flag = steps.get(("next", "agents", name))[own]
             following.set(name, flag)
@@ -77,7 +79,7 @@ class Decisions:
         decides = steps.get(base.MASK) & steps.get(base.DECIDES)
         env, begin, slot = decides.nonzero(as_tuple=True)
         frame = self._frames(steps.exclude("next"), env, begin, slot)
-        where = {"env": env, "begin": begin, "slot": slot, "paid": torch.zeros_like(env, dtype=torch.float64)}
+        where = {"env": env, "begin": begin, "slot": slot, "reward_sum": torch.zeros_like(env, dtype=torch.float64)}
         return TensorDict({**where, "frame": frame}, [len(env)], device=env.device)
 
     def _frames(self, steps: TensorDictBase, env: Tensor, step: Tensor, slot: Tensor) -> TensorDict:
@@ -94,10 +96,10 @@ class Decisions:
         agents.set("decides", torch.ones_like(agents.get("mask")))
         return found.set("agents", agents)
 
-    def _paid(self, closed: TensorDictBase, following: TensorDictBase) -> Tensor:
+    def _reward_sum(self, closed: TensorDictBase, following: TensorDictBase) -> Tensor:
         """Return the rewards ``[M, A, 1]`` of decisions; others in whole frames have none."""
-        paid = closed.get("paid").float().view(-1, 1, 1)
-        return torch.where(following.get(base.DECIDES).unsqueeze(-1), paid, torch.zeros_like(paid))
+        reward_sum = closed.get("reward_sum").float().view(-1, 1, 1)
+        return torch.where(following.get(base.DECIDES).unsqueeze(-1), reward_sum, torch.zeros_like(reward_sum))
 
     def state_dict(self) -> dict[str, Any]:
         """Return the decisions that have not ended, as tensors by their keys joined with ``/``."""
@@ -123,10 +125,10 @@ def shaped(batch: TensorDictBase, gamma: float) -> TensorDictBase:
     """Return a batch whose rewards are compared with the uncommanded episode's, by
     :data:`~izoo.algos.learners.base.POTENTIAL`.
 
-    The potential of a vehicle is what the same vehicle is still paid, from the same time on, in the uncommanded episode
-    of the same context and seed. A reward becomes ``r + gamma * potential' - potential``, where who has left has none:
+    The potential of a vehicle is its reward-to-go at the same time of the uncommanded episode of the same context and
+    seed. A reward becomes ``r + gamma * potential' - potential``, where a vehicle that has left has potential 0:
     potential-based shaping (Ng et al., ICML 1999). A return loses the potential at the time of its decision and nothing
-    else, which no action of that vehicle moves; so the mean gradient stays as it is, and its variance falls by what the
+    else, which no action of that vehicle changes; so the mean gradient is the same, and its variance falls by what the
     two episodes have in common: a control variate.
 
     Args:

@@ -1,4 +1,4 @@
-"""CMA-ES over the settings of ``glide``: how a rule should drive, found by what whole teams are paid.
+"""CMA-ES over the settings of ``glide``: how a rule should drive, found by the returns of whole teams.
 
 The rule knows what to look at: when the signal turns, how long the queue ahead is, how slow to drive to arrive then.
 How slow is too slow, how long a queue takes, and where holding back pays at all, it does not know, and the answers
@@ -9,23 +9,28 @@ search of its own, told by the contexts of its kind.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.drivers.scripted import DEFER, Glide
+from izoo.algos.actions.action_modes import DirectAction
+from izoo.algos.drivers.base import DEFER
+from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
-from izoo.algos.learners.cmaes import CMAES, own_numbers
-from izoo.algos.learners.glide_search_config import GlideSearchConfig
+from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
+from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
+from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
@@ -35,11 +40,50 @@ KIND = "road_kind"
 
 
 @dataclass(frozen=True)
+class GlideSearchConfig(CMAESConfig):
+    """Hyper-parameters of CMA-ES over the settings of glide, one set for roads of one lane and one for several.
+
+    Attributes:
+        name: the algorithm.
+        population: rules of a generation, each of which plays the same contexts and seeds (arXiv 1604.00772: 4 + 3 ln
+            n, which is 13 for 23 numbers; ours 16). It divides ``num_envs``.
+        initial_spread: standard deviation of the first generation's numbers (ours 0.5: settings differ by a sixth).
+        most_difference: as for CMA-ES (ours a tenth).
+    """
+
+    name: Literal["glide_search"] = "glide_search"  # type: ignore[assignment]
+    initial_spread: float = 0.5
+    most_difference: float | None = 0.1
+    needs_env: ClassVar[bool] = True
+    runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "teams": {
+            **ON_TWIN,
+            "action": DirectAction(),
+            "env": {
+                **BY_STEP,
+                "hold_s": 2.0,
+                "num_agents": 64,
+                "num_vehicles": 192,
+                "horizon_s": 600.0,
+                "reward": dataclasses.replace(RewardConfig.fuel_team(), delay=-0.2),
+                "neighbours": ("leader", "follower"),
+                "observed": ("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"),
+            },
+            "twin": {"surrogate": "compiled", "compare_every": 0, "stagger": False},
+            "num_envs": 512,
+            "total_frames": 3_072_000,
+            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": "twin"},
+            "evaluation": {"contexts": 16, "seeds": 3},
+        }
+    }
+
+
+@dataclass(frozen=True)
 class Searched:
     """A setting of glide that is searched.
 
     Attributes:
-        name: of :class:`~izoo.algos.drivers.scripted.GlideConfig`.
+        name: of :class:`~izoo.algos.drivers.glide.GlideConfig`.
         starts: where the search begins, by kind of road.
         unit: what 1 stands for: of the setting, or, with ``ratio``, of its logarithm.
         ratio: the setting is its start times a factor, and so stays above 0.
@@ -86,14 +130,14 @@ GATE = (
     "traffic",
     "red",
 )
-"""What decides whether holding back pays: a CV glides where the sum of these, times their weights, is above 0."""
+"""What decides whether holding back is worth it: a CV glides where the weighted sum of these is above 0."""
 GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
 """Weights at the start of the search, by kind of road."""
 FOLLOWER_M = 60.0
 LATE_S = 1.0
-"""Who would reach the line later than this after the green ends does not pass: some drive on through yellow."""
+"""A vehicle that would reach the line later than this after the end of green does not pass: some pass on yellow."""
 YELLOW_MPS2 = 3.0
-"""By yellow, whoever can stop with this deceleration does."""
+"""On yellow, a vehicle that can stop with this deceleration does."""
 NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 """What the search looks at besides what glide does."""
 
@@ -101,8 +145,8 @@ NEEDED = ("follower_present", "context_adoption", "context_lane_length_m")
 class SearchedGlide(Glide):
     """Glide with settings that are tensors, and a gate in the place of its limits on lanes and green.
 
-    Where the gate is closed, whoever must stop brakes early and gently, as with glide; but so do those who would come
-    only after the present green, and those who follow closely.
+    Where the gate is closed, CVs that must stop brake early and gently, as with glide; so do those that would arrive
+    after the present green, and those that follow closely.
 
     Args:
         config: settings of the environment; :data:`NEEDED` must be observed besides what glide needs.
@@ -123,7 +167,7 @@ class SearchedGlide(Glide):
         self.shortest_response_s = config.decision_s
 
     def drive_with(self, numbers: Tensor, observation: Tensor, environments: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2 and who is left alone, ``[M]`` each.
+        """Return accelerations in m/s^2, and which CVs are left alone, ``[M]`` each.
 
         Args:
             numbers: ``[M or 1, kinds, n]``.
@@ -208,7 +252,7 @@ class GlidePolicies(TensorDictModuleBase):
 
     mean: Tensor
     candidates: Tensor
-    quiet_band = 0.0
+    no_op_band = 0.0
     kinds = len(KINDS)
     reads: base.Keys = (KIND,)
 
@@ -251,12 +295,14 @@ class GlideSearch(CMAES):
         config: hyper-parameters.
         features, low, high: not needed: the rule reads columns by name, and commands accelerations.
         device: where the numbers live.
-        rest: that an action of 0 is doing nothing, which is not the case here.
+        point_mass: must be ``None``: the rule itself says when to leave a CV alone.
         env: settings of the environment.
 
     Raises:
         IzooError: an action mode was chosen that makes commands of something else.
     """
+
+    options = GlideSearchConfig
 
     config: GlideSearchConfig
 
@@ -267,11 +313,11 @@ class GlideSearch(CMAES):
         low: float,
         high: float,
         device: torch.device | str = "cpu",
-        rest: Any = None,
+        point_mass: Any = None,
         *,
         env: EnvConfig,
     ) -> None:
-        if rest is not None or not math.isclose(low, ACTION_LOW_MPS2):
+        if point_mass is not None or not math.isclose(low, ACTION_LOW_MPS2):
             raise IzooError(
                 "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
             )

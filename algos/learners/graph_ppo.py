@@ -13,27 +13,29 @@ road among the ``neighbours``: nothing observed says which approach a vehicle is
 one approach, since opposite approaches share phases; unequal ones prove two only for equal intentions, so a rule made
 of them would cut some of the wrong pairs and keep as many. What tells roads apart as far as it can be told (signal
 clock, intention, lane, location, context features) is in the encodings that the attention weighs. ``neighbours=null``
-makes everyone within ``range_m`` a neighbour, so that nobody on the own road is crowded out.
+makes everyone within ``range_m`` a neighbour, so that no vehicle on the own road is crowded out.
 """
 
 from __future__ import annotations
 
 import math
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Literal, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from izoo.algos.actions.action_modes import Rest
+from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
-from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
-from izoo.algos.losses.losses import MaskedGraphPPOLoss
+from izoo.algos.losses import MaskedGraphPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, places
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
+from izoo.errors import IzooError, check_range
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""
@@ -45,14 +47,73 @@ BIN_ROWS = 16
 calls."""
 
 
+@dataclass(frozen=True)
+class GCRLConfig(PPOConfig):
+    """Hyper-parameters of graph RL: those of PPO, and of the graph network.
+
+    Sources: "DGN" is arXiv 1810.09202, appendix; "released" is the IntersectionZoo code's ``ppo_gat_training.py``,
+    whose settings the preset ``paper`` takes. (There the nodes of a graph are the rows of a minibatch, whatever step or
+    episode they stem from, and actor and critic share the network; here nodes are the vehicles of one step, and actor
+    and critic share nothing.)
+
+    Attributes:
+        name: the algorithm.
+        neighbours: how many of the nearest vehicles are neighbours, ties included; ``null``: all (DGN 3; released: all;
+            ours 4).
+        range_m: vehicles farther away than this are no neighbours; ``null``: any distance (DGN and released: none; ours
+            100, the order of the distances over which one driver's speed reaches those behind).
+        layers: convolutions (DGN 2; released 2; ours 2).
+        heads: attention heads per convolution (DGN 8; released 4; ours 4).
+        hidden: widths of the encoder's layers; the last is also that of every convolution, shared among its heads (DGN
+            512, 128; released 64, where each head is that wide; ours 128, 128).
+    """
+
+    name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
+    neighbours: int | None = 4
+    range_m: float | None = 100.0
+    layers: int = 2
+    heads: int = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.neighbours is not None:
+            check_range("algo.neighbours", self.neighbours, 0, 4096)
+        if self.range_m is not None:
+            check_range("algo.range_m", self.range_m, 0.0, 1e6, "m")
+        for name in ("layers", "heads"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 4096)
+        if self.hidden[-1] % self.heads:
+            raise IzooError(
+                f"the last of algo.hidden={list(self.hidden)} must be a multiple of algo.heads={self.heads}: the heads "
+                "share it."
+            )
+
+    @classmethod
+    def paper(cls) -> GCRLConfig:
+        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none.
+
+        The code also asks for minibatches of 32 rows, by an option (``mini_batch_size_per_learner``) of RLlib's new API
+        stack alone, while its model (``TorchModelV2``) runs on the old one: there they stay at 128.
+        """
+        return replace(
+            cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
+            epochs=10,
+            max_grad_norm=4.0,
+            hidden=(64,),
+            activation="relu",
+            neighbours=None,
+            range_m=None,
+        )
+
+
 def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: float | None) -> Tensor:
     """Return how far away the last neighbour of each agent may be, ``[*M, A]``; below 0, it has none.
 
     Args:
         position_m: ``[*M, A]`` positions along the road; all must be finite.
         others: ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` could be a neighbour of ``i``.
-        count: the nearest so many are neighbours, and whoever is as near as the last of them, so that the order of the
-            slots decides nothing; ``None`` for all.
+        count: the nearest so many are neighbours, and all that are as near as the last of them, so that the order of
+            the slots decides nothing; ``None`` for all.
         range_m: neighbours are at most so far away; ``None`` for any distance.
     """
     bound = torch.finfo(position_m.dtype).max if range_m is None else range_m
@@ -88,7 +149,7 @@ class Bins(Sets):
 
 
 def neighbourhood(position_m: Tensor, others: Tensor, reach: Tensor) -> Tensor:
-    """Return who attends to whom, ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` is ``i`` or its neighbour.
+    """Return the attention mask ``[*M, A, A]`` bool: entry ``(i, j)`` says that ``j`` is ``i`` or its neighbour.
 
     The arguments are those of :func:`reach_m`, and what it returned.
     """
@@ -120,7 +181,7 @@ class Convolution(nn.Module):
         Args:
             encoding: of all agents.
             bins: which of them are together.
-            unattended: ``[K, W, W]`` who attends to whom: 0, and minus infinity for the others.
+            unattended: ``[K, W, W]``: 0 where ``i`` attends to ``j``, minus infinity elsewhere.
         """
         sets, agents = bins.shape
         parts = bins.pack(self.project(encoding)).view(sets, agents, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
@@ -180,17 +241,23 @@ class GraphActor(SetNetwork):
         features: length ``F`` of an observation.
         low, high: bounds of the action.
         config: hyper-parameters.
-        rest: where actions are advice.
+        point_mass: at the action 0; ``None``: there is none.
         size: numbers of an action.
     """
 
     def __init__(
-        self, features: int, low: float, high: float, config: GCRLConfig, rest: Rest | None = None, size: int = 1
+        self,
+        features: int,
+        low: float,
+        high: float,
+        config: GCRLConfig,
+        point_mass: PointMass | None = None,
+        size: int = 1,
     ) -> None:
         super().__init__()
         self.graph = GraphNetwork(features, 2 * size, config, last_gain=0.01)
         last = cast(nn.Linear, self.graph.head[-1])
-        self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread, rest)
+        self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread, point_mass)
 
     def rows(
         self, observation: Tensor, frame: Tensor, column: Tensor, reach: Tensor | None = None
@@ -203,9 +270,9 @@ class GraphPolicy(SamplingPolicy):
     """The policy for collection; it acts on whole frames, so it needs the mask."""
 
     def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
     ) -> None:
-        super().__init__(actor, low, high, rest, size)
+        super().__init__(actor, low, high, point_mass, size)
         self.in_keys = [base.OBSERVATION, base.MASK]
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -216,16 +283,17 @@ class GraphPolicy(SamplingPolicy):
 class GCRL(SetPPO):
     """PPO whose actor and critic are graph networks."""
 
+    options = GCRLConfig
     config: GCRLConfig
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
         """Return the policy on flat rows of whole frames."""
-        network = GraphActor(features, low, high, self.config, self.rest, self.size)
-        return tanh_normal(RowView(network), ROW, low, high, self.rest)
+        network = GraphActor(features, low, high, self.config, self.point_mass, self.size)
+        return tanh_normal(RowView(network), ROW, low, high, self.point_mass)
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high, self.rest, self.size)
+        return GraphPolicy(self.actor, low, high, self.point_mass, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""

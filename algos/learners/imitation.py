@@ -1,9 +1,9 @@
 """Learning that begins by imitating a scripted driver, on the states that the learner itself comes to.
 
-At first, for ``algo.warm_start_frames`` frames, the policy drives as it is, the expert says at every step what it would
-have advised, and the policy learns that (dataset aggregation's queries, arXiv 1011.0686, without the aggregation); the
-value function learns already. Then the policy is learned by reinforcement, with a penalty on the divergence from the
-imitation at its end that fades to 0 over the rest of the run.
+For the first ``algo.warm_start_frames`` frames the policy drives, and learns the actions that the expert would have
+chosen in every step (the queries of dataset aggregation, arXiv 1011.0686, without the aggregation); the value function
+learns already. Then reinforcement learning goes on from there, with a penalty on the divergence from the imitation at
+its end that fades to 0 over the rest of the run.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from torch.distributions import kl_divergence
 
 from izoo.algos.networks.censored_normal import normal_of
 
-EXPERT_ADVICE = ("agents", "expert_advice")
-"""``[*B, A, 1]``: what the expert would have advised."""
+EXPERT_ACTION = ("agents", "expert_action")
+"""``[*B, A, 1]``: the raw action that the expert would have chosen."""
 LEAST_SPREAD = 0.1
 """Imitation narrows the policy no further than this, before the tanh: reinforcement goes on from its exploration."""
 
 
 class WarmStart:
-    """How far the warm start of a policy is, and what it adds to the losses.
+    """How far the warm start of a policy is, and the losses that it adds.
 
     Args:
         frames: how long the policy imitates; 0: not at all.
@@ -53,7 +53,7 @@ class WarmStart:
 
         Args:
             actor: the loss's actor, with the parameters that learn.
-            rows: ``[n]`` a minibatch; it holds :data:`EXPERT_ADVICE` while the policy imitates.
+            rows: ``[n]`` a minibatch; it holds :data:`EXPERT_ACTION` while the policy imitates.
             found: the losses of reinforcement.
             progress: share of the run that is over.
         """
@@ -66,7 +66,7 @@ class WarmStart:
         return found.set("loss_kl_to_start", weight * divergence)
 
     def count(self, frames: int, parameters: TensorDictBase, progress: float) -> None:
-        """Take note that a batch of so many frames has been learned from.
+        """Count a batch that has been learned from.
 
         Args:
             frames: of the batch.
@@ -106,8 +106,8 @@ class WarmStart:
 
 
 def imitation_loss(actor: ProbabilisticTensorDictSequential, rows: TensorDictBase) -> Tensor:
-    """Return minus the mean log-likelihood of the expert's advice ``[n, 1]``: where it is 0, of doing nothing."""
+    """Return minus the mean log-likelihood of the expert's raw actions ``[n, 1]``, point mass included."""
     distribution: Any = actor.get_dist(rows.select(*actor.in_keys))
     own = distribution.base_dist
     own.scale = own.scale.clamp_min(LEAST_SPREAD)
-    return -distribution.log_prob(rows.get(EXPERT_ADVICE)).mean()
+    return -distribution.log_prob(rows.get(EXPERT_ACTION)).mean()

@@ -58,7 +58,7 @@ def transitions(
     flat = TensorDict(batch_size=[len(where)], device=where.device)
     flat.set(base.OBSERVATION, batch.get(base.OBSERVATION)[env, time, slot])
     flat.set(base.ACTION, batch.get(base.ACTION)[env, time, slot])
-    # Nobody is observed there; whatever stands in the slot must not reach a network, for 0 x NaN is NaN.
+    # No vehicle is observed there; the content of the slot must not reach a network, since 0 x NaN is NaN.
     flat.set(NEXT_OBSERVATION, torch.where(gone, torch.zeros_like(following), following))
     flat.set(NEXT_REWARD, total)
     flat.set(NEXT_DONE, done[last])

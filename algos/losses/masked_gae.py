@@ -132,9 +132,9 @@ class MaskedGAE(GAE):
         """Return values of the network in the unit of the rewards."""
         return values if self.value_norm is None else self.value_norm.denormalize(values)
 
-    def _mask(self, batch: TensorDictBase, like: Tensor) -> Tensor:
+    def _mask(self, batch: TensorDictBase, template: Tensor) -> Tensor:
         mask = base.deciding(batch, self.mask)
-        return torch.ones(like.shape[:-1], dtype=torch.bool, device=like.device) if mask is None else mask
+        return torch.ones(template.shape[:-1], dtype=torch.bool, device=template.device) if mask is None else mask
 
     def values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:
         """Return the values ``[wanted.sum(), 1]`` of the agents ``wanted`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
@@ -142,14 +142,14 @@ class MaskedGAE(GAE):
         if not is_set_module(network):
             return self._true(network(rows_of(frames, wanted, network.in_keys)).get(key))
         some = wanted.any(-1)
-        # Everyone of a frame is needed, whoever is wanted.
-        everyone = frames.get(self.mask)[some] | wanted[some]
+        # All agents of a frame are needed, whichever are wanted.
+        all_agents = frames.get(self.mask)[some] | wanted[some]
         parts = [wanted.new_zeros((0, 1), dtype=torch.float32)]
         chosen, wanted, origin = frames[some], wanted[some], some.nonzero()
         for begin in range(0, len(chosen), FRAMES_AT_ONCE):
             part = slice(begin, begin + FRAMES_AT_ONCE)
-            rows = rows_of(chosen[part], everyone[part], network.in_keys, origin[part])
-            parts.append(network(rows).get(key)[wanted[part][everyone[part]]])
+            rows = rows_of(chosen[part], all_agents[part], network.in_keys, origin[part])
+            parts.append(network(rows).get(key)[wanted[part][all_agents[part]]])
         return self._true(torch.cat(parts))
 
     def team_values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Fully connected policies compiled for one step: a few dozen agents per call, or many shared out among threads.
 
 It computes what the torch modules compute; at this size those spend most of their time on overhead. Each agent is
-computed alone, so its action is the same to the last bit, whichever others are there.
+computed alone, so its action is the same to the last bit, whichever other agents there are.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import torch
 from torch import Tensor, nn
 
 from izoo.algos.learners.base import ACTIVATIONS
-from izoo.algos.networks.censored_normal import MOST_EXCESS
+from izoo.algos.networks.censored_normal import MAX_EXCESS
 from izoo.compiling import compiled
 from izoo.emissions.kernel import fast_tanh
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_MOST_EXCESS = MOST_EXCESS
+_MOST_EXCESS = MAX_EXCESS
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
 """Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
 
@@ -150,12 +150,12 @@ def log_cdf(z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def rest_log_prob(loc, scale, dead, guided):  # type: ignore[no-untyped-def]
-    """Return the log-probability of doing nothing
-    (:meth:`izoo.algos.networks.censored_normal.RestingNormal.rest_log_prob`)."""
-    if not guided:
-        return log_cdf((dead - loc) / scale)
-    high, low = log_cdf((dead - abs(loc)) / scale), log_cdf((-dead - abs(loc)) / scale)
+def zero_log_prob(loc, scale, half_band, two_sided):  # type: ignore[no-untyped-def]
+    """Return the log-probability of the action 0
+    (:meth:`izoo.algos.networks.censored_normal.CensoredNormal.zero_log_prob`)."""
+    if not two_sided:
+        return log_cdf((half_band - loc) / scale)
+    high, low = log_cdf((half_band - abs(loc)) / scale), log_cdf((-half_band - abs(loc)) / scale)
     return high + math.log1p(-math.exp(min(low - high, -1e-6)))
 
 
@@ -170,18 +170,19 @@ def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def sample(parameters, rows, spread, bounds, dead, guided, noise, out):  # type: ignore[no-untyped-def]
+def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out):  # type: ignore[no-untyped-def]
     """Draw for the agents ``rows [r]``.
 
-    With ``dead`` of 0 or more, actions are advice (:class:`izoo.algos.networks.censored_normal.RestingNormal`).
+    With ``half_band`` of 0 or more, actions have a point mass at 0
+    (:class:`izoo.algos.networks.censored_normal.CensoredNormal`).
 
     Args:
         parameters: ``[r, 2]`` a network's outputs.
         rows: ``[r]`` their places among the ``n`` slots.
         spread: ``(offset, summand, floor)``: the spread is ``max(softplus(output + offset) + summand, floor)``.
         bounds: ``(low, high)`` of the action.
-        dead: half the width of the band of doing nothing; below 0: there is none.
-        guided: ``[n]`` uint8: negative advice means something.
+        half_band: half the width of the band that stands for the action 0; below 0: there is none.
+        two_sided: ``[n]`` uint8: actions below 0 differ from 0.
         noise: ``[n]`` standard normal numbers.
         out: ``[4, n]`` outputs: median and spread before the tanh, action, log-probability.
     """
@@ -195,13 +196,13 @@ def sample(parameters, rows, spread, bounds, dead, guided, noise, out):  # type:
         raw = parameters[j, 0] + scale * z
         out[0, r] = parameters[j, 0]
         out[1, r] = scale
-        if dead >= 0.0:
-            excess = min(abs(raw) - dead, _MOST_EXCESS)
-            if excess <= 0.0 or (raw < 0.0 and not guided[r]):
-                out[3, r] = rest_log_prob(float(parameters[j, 0]), scale, dead, guided[r] != 0)
+        if half_band >= 0.0:
+            excess = min(abs(raw) - half_band, _MOST_EXCESS)
+            if excess <= 0.0 or (raw < 0.0 and not two_sided[r]):
+                out[3, r] = zero_log_prob(float(parameters[j, 0]), scale, half_band, two_sided[r] != 0)
                 continue
             out[2, r] = math.copysign(half * math.tanh(excess), raw)
-            z = (math.copysign(excess + dead, raw) - parameters[j, 0]) / scale
+            z = (math.copysign(excess + half_band, raw) - parameters[j, 0]) / scale
             raw = excess
         else:
             out[2, r] = middle + half * math.tanh(raw)
@@ -210,7 +211,9 @@ def sample(parameters, rows, spread, bounds, dead, guided, noise, out):  # type:
 
 
 @compiled(error_model="numpy", nogil=True)
-def act(observation, mask, first, last, weights, biases, activation, spread, bounds, dead, guided, noise, out):  # type: ignore[no-untyped-def]
+def act(  # type: ignore[no-untyped-def]
+    observation, mask, first, last, weights, biases, activation, spread, bounds, half_band, two_sided, noise, out
+):
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
 
     These get median 0, spread 1, action 0 and log-probability 0.
@@ -221,13 +224,15 @@ def act(observation, mask, first, last, weights, biases, activation, spread, bou
         first, last: of the ``M`` environments those that are acted for.
         weights, biases: tuples of the layers' ``[O, I]`` and ``[O]``; the last layer has two outputs.
         activation: place in :data:`izoo.algos.learners.base.ACTIVATIONS`.
-        spread, bounds, dead, guided, noise, out: see :func:`sample`.
+        spread, bounds, half_band, two_sided, noise, out: see :func:`sample`.
     """
     slots = mask.shape[1]
     rows = np.flatnonzero(mask[first:last]) + first * slots
     for k in range(4):
         out[k, first * slots : last * slots] = 1.0 if k == 1 else 0.0
-    sample(layers(observation[rows], weights, biases, activation), rows, spread, bounds, dead, guided, noise, out)
+    sample(
+        layers(observation[rows], weights, biases, activation), rows, spread, bounds, half_band, two_sided, noise, out
+    )
 
 
 @compiled(error_model="numpy", nogil=True)

@@ -1,7 +1,7 @@
 """All vehicles of the region, human-driven ones too, as numbers of a fixed length: for critics that see them.
 
 A picture of the road: how many vehicles there are on each stretch of each approach, how fast they are, how many stand,
-and how many are controlled. It is a sum over the set, so neither order nor number of the slots matters.
+and how many are controlled. It is a sum over the set, so neither the order nor the number of slots matters.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 FLEET = ("agents", "fleet")
-"""Key of the picture beside every agent slot of its frame, ``[*B, A, FLEET_WIDTH]``."""
+"""Key of the picture, repeated for every agent slot of its frame, ``[*B, A, FLEET_WIDTH]``."""
 COLUMNS = ("speed_mps", "path_position_m", "approach", "is_cv", "present")
 """Entries of ``("vehicles", name)`` that are looked at."""
 APPROACHES = 6

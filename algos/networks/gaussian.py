@@ -1,4 +1,4 @@
-"""Tanh-squashed normal policies over accelerations and advice: parts that algorithms with a stochastic policy share."""
+"""Tanh-squashed normal policies: what algorithms with a stochastic policy share."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModu
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from izoo.algos.actions.action_modes import Rest
+from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
 from izoo.algos.networks import compiled_mlp
-from izoo.algos.networks.censored_normal import RestingNormal
+from izoo.algos.networks.censored_normal import CensoredNormal
 from izoo.errors import check_range
 
 _LOG_2, _HALF_LOG_2_PI = math.log(2.0), 0.5 * math.log(2.0 * math.pi)
@@ -27,7 +27,7 @@ def normal_parameters(
     high: float,
     initial_accel_mps2: float,
     initial_spread: float,
-    rest: Rest | None = None,
+    point_mass: PointMass | None = None,
 ) -> NormalParamExtractor:
     """Return what turns a network's outputs, two for each number of an action, into median and spread before the tanh.
 
@@ -36,10 +36,10 @@ def normal_parameters(
         low, high: bounds of the action: an acceleration in m/s^2, or a share of the speed limit.
         initial_accel_mps2: median action of the untrained policy.
         initial_spread: its standard deviation before the tanh.
-        rest: replaces the last two where actions are advice; the untrained median is doing nothing.
+        point_mass: replaces the last two; the untrained median is then the action 0.
     """
-    if rest is not None:
-        return NormalParamExtractor(scale_mapping=f"biased_softplus_{rest.spread}", scale_lb=0.01)
+    if point_mass is not None:
+        return NormalParamExtractor(scale_mapping=f"biased_softplus_{point_mass.spread}", scale_lb=0.01)
     check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
     with torch.no_grad():
         last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
@@ -47,21 +47,23 @@ def normal_parameters(
 
 
 def tanh_normal(
-    network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float, rest: Rest | None = None
+    network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float, point_mass: PointMass | None = None
 ) -> ProbabilisticActor:
     """Return the policy over actions in ``[low, high]`` whose ``(loc, scale)`` ``network`` returns.
 
-    With ``rest``, actions are advice, and 0 is doing nothing.
+    With ``point_mass``, the distribution has one at 0.
     """
     parameters = {"loc": base.LOC, "scale": base.SCALE}
-    if rest is not None and rest.two_sided:
-        parameters["guided"] = base.GUIDED
+    if point_mass is not None and point_mass.two_sided:
+        parameters["two_sided"] = base.TWO_SIDED
     return ProbabilisticActor(
         TensorDictModule(network, in_keys=list(in_keys), out_keys=[base.LOC, base.SCALE]),
         in_keys=parameters,
         out_keys=[base.ACTION],
-        distribution_class=TanhNormal if rest is None else RestingNormal,
-        distribution_kwargs={"low": low, "high": high} if rest is None else {"bound": high, "dead": rest.dead},
+        distribution_class=TanhNormal if point_mass is None else CensoredNormal,
+        distribution_kwargs={"low": low, "high": high}
+        if point_mass is None
+        else {"bound": high, "half_band": point_mass.half_band},
         return_log_prob=True,
         log_prob_key=base.LOG_PROB,
     )
@@ -76,19 +78,19 @@ class SamplingPolicy(TensorDictModuleBase):
     Args:
         actor: whose network is shared.
         low, high: bounds of the action.
-        rest: where actions are advice.
+        point_mass: at the action 0; ``None``: there is none.
         size: numbers of an action.
     """
 
-    quiet_band = 0.0
-    """Actions smaller than this are still to be taken for doing nothing."""
+    no_op_band = 0.0
+    """Actions smaller than this count as 0."""
 
     def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
     ) -> None:
         super().__init__()
         self.in_keys, self.size = [base.OBSERVATION], size
-        self.dead = -1.0 if rest is None else rest.dead
+        self.half_band = -1.0 if point_mass is None else point_mass.half_band
         self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
         self.network = actor[0].module
         self.bounds = (float(low), float(high))
@@ -106,7 +108,7 @@ class SamplingPolicy(TensorDictModuleBase):
             for key, value in self._vectors(observation, mask, noise).items():
                 agents.set(key, value)
             return tensordict
-        loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("guided", None)).unbind(0)
+        loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("two_sided", None)).unbind(0)
         one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
         for key, value in (*one.items(), ("action_log_prob", log_prob)):
             agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
@@ -121,20 +123,20 @@ class SamplingPolicy(TensorDictModuleBase):
         loc, scale, action, log_prob = padded.unbind(0)
         return {"loc": loc, "scale": scale, "action": action, "action_log_prob": log_prob.sum(-1)}
 
-    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``.
 
         Args:
             observation, mask: ``[*B, A, F]`` and ``[*B, A]``.
             noise: ``[*B, A]`` standard normal.
-            guided: ``[*B, A]`` bool: negative advice means something.
+            two_sided: ``[*B, A]`` bool: actions below 0 differ from 0.
         """
         loc, scale = self.parameters_of(observation, mask)
-        if self.dead >= 0.0:
-            distribution = RestingNormal(
-                loc, scale, self.bounds[1], self.dead, None if guided is None else guided[mask]
+        if self.half_band >= 0.0:
+            distribution = CensoredNormal(
+                loc, scale, self.bounds[1], self.half_band, None if two_sided is None else two_sided[mask]
             )
-            action = distribution.advice(torch.addcmul(loc, scale, noise[mask].unsqueeze(-1)))
+            action = distribution.censor(torch.addcmul(loc, scale, noise[mask].unsqueeze(-1)))
             parts = (loc.squeeze(-1), scale.squeeze(-1), action.squeeze(-1), distribution.log_prob(action))
             sample = torch.stack(parts)
         else:
@@ -153,24 +155,24 @@ class CompiledPolicy(SamplingPolicy):
     """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
 
     def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, rest: Rest | None = None, size: int = 1
+        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
     ) -> None:
-        super().__init__(actor, low, high, rest, size)
+        super().__init__(actor, low, high, point_mass, size)
         self.arrays = compiled_mlp.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping
         self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
 
-    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, guided: Tensor | None = None) -> Tensor:
+    def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
         if not compiled_mlp.compilable(observation):
-            return super().sample(observation, mask, noise, guided)
-        flags = np.zeros(mask.numel(), np.uint8) if guided is None else guided.reshape(-1).numpy().view(np.uint8)
+            return super().sample(observation, mask, noise, two_sided)
+        flags = np.zeros(mask.numel(), np.uint8) if two_sided is None else two_sided.reshape(-1).numpy().view(np.uint8)
         out, own = np.empty((4, mask.numel()), np.float32), self.arrays
         rows = observation.reshape(-1, observation.shape[-1]).numpy()
         slots, draws = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8), noise.reshape(-1).numpy()
         network = *own.layers(), own.activation
-        how = self.spread, self.bounds, self.dead
+        how = self.spread, self.bounds, self.half_band
         compiled_mlp.for_all(
             len(slots),
             lambda envs: compiled_mlp.act(rows, slots, envs.start, envs.stop, *network, *how, flags, draws, out),

@@ -16,7 +16,7 @@ from izoo.errors import IzooError
 
 
 class OnRows(TensorDictModuleBase):
-    """A module that reads whole frames and their mask, applied to flat rows beside which stands who is together.
+    """A module that reads whole frames and their mask, applied to flat rows with the frames that they belong to.
 
     Args:
         module: reads leaves ``[K, W, ...]`` and the mask ``[K, W]``; writes ``[K, W, ...]``, or ``[K, 1]``, one value
@@ -96,7 +96,7 @@ def is_set_module(module: TensorDictModuleBase) -> bool:
 
 
 AROUND = "around"
-"""Key of the frames ``[n, A]`` that rows ``[n]`` bring along: ``there`` and ``own`` beside the leaves."""
+"""Key of the frames ``[n, A]`` that rows ``[n]`` bring along: ``there`` and ``own``, and the leaves."""
 
 
 def rows_around(batch: TensorDictBase, there: Tensor, wanted: Tensor, keys: Iterable[NestedKey]) -> TensorDict:
@@ -118,7 +118,7 @@ def rows_around(batch: TensorDictBase, there: Tensor, wanted: Tensor, keys: Iter
 
 
 def rows_of(batch: TensorDictBase, mask: Tensor, keys: Iterable[NestedKey], origin: Tensor | None = None) -> TensorDict:
-    """Return the valid entries of leaves ``[*B, A, ...]`` as rows ``[n]``, and beside each its frame and column.
+    """Return the valid entries of leaves ``[*B, A, ...]`` as rows ``[n]``, with the frame and column of each.
 
     Keys that the batch does not hold are left out.
 
@@ -129,7 +129,7 @@ def rows_of(batch: TensorDictBase, mask: Tensor, keys: Iterable[NestedKey], orig
         origin: ``[B, d]`` where frames ``[B]`` came from, for messages.
 
     Raises:
-        IzooError: a valid entry is not finite; it says which.
+        IzooError: a valid entry is not finite; the message says which.
     """
     frame, column = places(mask)
     rows = TensorDict(batch_size=[len(frame)], device=mask.device)

@@ -1,10 +1,10 @@
-"""Learning with networks in which agents interact: whole frames go through them, flat agent-steps come out.
+"""Networks in which agents interact: whole frames go in, flat agent-steps come out.
 
 A *frame* is one environment at one time; its agents are a set. A set network maps ``(observation [M, A, F],
-mask [M, A])`` to something per agent, whatever the order of the slots and whatever stands in the empty ones. Losses
+mask [M, A])`` to something per agent, for any order of the slots and any content of the empty ones. Losses
 still see flat rows, one per valid agent-step, so TorchRL's own statistics, normalisation and logs see no padding. The
-networks themselves work on such rows, beside which stands who is together (:class:`SetNetwork`); they lay them out in
-sets only where agents meet, so empty slots cost nothing elsewhere.
+networks themselves work on such rows and the frames that they belong to (:class:`SetNetwork`); they lay them out in
+sets only where agents interact, so empty slots cost nothing elsewhere.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def places(mask: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class SetNetwork(nn.Module):
-    """A network on sets of agents, which works on the rows of the agents alone and knows which of them are together."""
+    """A network on sets of agents that works on their rows alone and knows which rows belong to one frame."""
 
     def rows(self, observation: Tensor, frame: Tensor, column: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Return one row ``[n, ...]`` per agent.

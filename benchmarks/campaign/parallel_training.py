@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pickle
 import signal
-import socket
 import sys
 import tempfile
-import threading
 from collections.abc import Hashable
 from pathlib import Path
 from types import TracebackType
@@ -17,13 +14,13 @@ from types import TracebackType
 from izoo.conf.train_options import TrainConfig
 from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
 from izoo.errors import IzooError, UnfinishedError
-from izoo.processes import start_process
+from izoo.processes import ChildProcess, end_with_parent
 
 _COMMAND = "train"
 
 
-class SideRuns:
-    """Training runs beside this process. Those that still learn when the block ends are closed in good order.
+class ParallelRuns:
+    """Training runs beside this process. Those that still learn when the block ends are saved.
 
     Args:
         at_once: how many may learn at the same time.
@@ -33,7 +30,7 @@ class SideRuns:
         self._free = shares(at_once)
         self._runs: dict[Hashable, _Run] = {}
 
-    def __enter__(self) -> SideRuns:
+    def __enter__(self) -> ParallelRuns:
         return self
 
     def __exit__(
@@ -42,15 +39,15 @@ class SideRuns:
         going = self.going
         try:
             if going:
-                text = f"Closing {counted(len(going), 'training run')} in good order. Ctrl-C stops at once."
+                text = f"Saving {counted(len(going), 'training run')}. Ctrl-C stops at once."
                 print(f"\n{text}", file=sys.stderr, flush=True)
             for run in going:
-                run.ask_to_stop()
+                run.dismiss()
             for run in going:
                 run.process.wait()
         finally:
             for run in self._runs.values():
-                run.close()
+                run.kill()
 
     @property
     def going(self) -> list[_Run]:
@@ -84,8 +81,8 @@ class SideRuns:
         return self._runs[name].ended
 
 
-class _Run:
-    """A process that trains; it ends in good order when this process is gone.
+class _Run(ChildProcess):
+    """A process that trains; it saves its run and ends when this process is gone.
 
     Attributes:
         cores: which it runs on.
@@ -94,14 +91,13 @@ class _Run:
 
     def __init__(self, config: TrainConfig, given: frozenset[str], log: Path, cores: frozenset[int]) -> None:
         self.cores, self.ended, self._log = cores, False, log
-        self._parent, child = socket.socketpair()
         log.parent.mkdir(parents=True, exist_ok=True)
         self._said_before = log.stat().st_size if log.exists() else 0
-        with child, tempfile.TemporaryFile() as setup, log.open("ab") as output:
+        with tempfile.TemporaryFile() as setup, log.open("ab") as output:
             pickle.dump((config, given, cores), setup)
             setup.flush()
-            call = f"from {__name__} import worker_main; worker_main({child.fileno()}, {setup.fileno()})"
-            self.process = start_process(call, child.fileno(), setup.fileno(), output=output)
+            place, file = f"{__name__}:worker_main", setup.fileno()
+            super().__init__(place, file, inherited=(file,), output=output)
 
     def require_success(self) -> None:
         """Raise what the process said last, unless it came to its end."""
@@ -109,23 +105,9 @@ class _Run:
         if code == 0:
             return
         said = self._log.read_bytes()[self._said_before :].decode(errors="replace").splitlines()
-        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if said else f"it said nothing, and ended with code {code}"
-        if code < 0:
-            last = f"it was ended by signal {-code}"
+        last = said[-1].removeprefix(f"izoo {_COMMAND}: ") if said and code > 0 else self.end_text()
         kind = IzooError if code == EXIT_BAD_INPUT else UnfinishedError
         raise kind(f"a training run failed: {last} (all that it said: {self._log})")
-
-    def ask_to_stop(self) -> None:
-        """Let the process close its run in good order: it does so when this end of the socket is gone, for whichever
-        reason, and once, since it takes a second request for one to stop at once.
-        """
-        self._parent.close()
-
-    def close(self) -> None:
-        """End the process, if it has not ended by itself."""
-        self.process.kill()
-        self.process.wait()
-        self._parent.close()
 
 
 def shares(count: int) -> list[frozenset[int]]:
@@ -146,24 +128,16 @@ def worker_main(parent: int, setup: int) -> None:
         parent: descriptor of a socket, which closes when the parent is gone.
         setup: descriptor of a file with the options and the cores.
     """
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which may be ignored in the parent
     config, given, cores = pickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
     if cores:
         os.sched_setaffinity(0, cores)
-    threading.Thread(target=_stop_with, args=(parent,), daemon=True).start()
 
     @unheard()
     def work() -> int:
+        end_with_parent(parent, lambda: os.kill(os.getpid(), signal.SIGTERM))  # which saves the run
         from izoo.training.loop import train  # once the cores are known, which PyTorch counts when it is loaded
 
         train(config, given)
         return 0
 
     sys.exit(exit_code(_COMMAND, work))
-
-
-def _stop_with(parent: int) -> None:
-    """Wait until the parent is gone, then ask this process to stop, as Ctrl-C would."""
-    with contextlib.suppress(OSError):
-        os.read(parent, 1)
-    os.kill(os.getpid(), signal.SIGINT)

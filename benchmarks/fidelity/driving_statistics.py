@@ -1,4 +1,4 @@
-"""What drivers do in an episode, counted: changes of lane, who passes on which signal, how queues leave."""
+"""What drivers do in an episode, counted: changes of lane, vehicles that pass on each signal, how queues leave."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ COUNTS = (
 
 @dataclass
 class _Queue:
-    """Those who stood in a lane when its front got green, from the stop line on, and who of them has left when."""
+    """The vehicles that stood in a lane when its front got green, from the stop line on, and when each left."""
 
     green_s: float
     waiting: list[int]
     left_s: list[float] = field(default_factory=list)
 
 
-class Conduct:
+class DrivingStatistics:
     """Counts :data:`COUNTS` of one episode from its scenes, which come in order, a step apart."""
 
     def __init__(self) -> None:

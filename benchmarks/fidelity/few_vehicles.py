@@ -6,12 +6,10 @@ import itertools
 import sys
 from collections.abc import Sequence
 
-import pandas as pd
-
-from izoo.benchmarks.fidelity.journal import Journal
 from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin, waves
 from izoo.console import Progress
 from izoo.contexts.context import Context
+from izoo.results.rows_file import Row, RowsFile
 from izoo.results.selection import EpisodeSeeds
 
 HORIZON_S = 300.0
@@ -19,31 +17,31 @@ TOLERANCE = 1e-6
 """Positions and speeds (m, m/s) that differ by no more are the same."""
 PLAYS = ((1, False), (2, False), (2, True))
 """How many vehicles, and whether their speeds are commanded, in waves."""
+KEY = ("context_hash", "seed", "step_s", "vehicles", "commanded")
+TEXT, NUMBERS = ("context_hash", "where"), ("seed", "step_s", "vehicles", "commanded", "parted")
 
 
-def compare_few(contexts: Sequence[Context], seeds: EpisodeSeeds, step_s: float, kept: Journal) -> pd.DataFrame:
-    """Play the first vehicles of each context alone, unless the journal has them.
+def compare_few(contexts: Sequence[Context], seeds: EpisodeSeeds, step_s: float, kept: RowsFile) -> list[Row]:
+    """Play the first vehicles of each context alone, unless the file has them; return a row for each play.
 
-    A context with fewer vehicles has fewer rows.
-
-    Returns:
-        ``vehicles``, ``commanded``, ``parted`` (the first step that differs by more than :data:`TOLERANCE`; missing
-        where none does), ``where`` (the vehicle that differs there).
+    A context with fewer vehicles has fewer rows. ``parted`` is the first step that differs by more than
+    :data:`TOLERANCE`, missing where none does; ``where`` is the vehicle that differs there.
     """
     plays = {
-        ("few", context.content_hash, seeds.of(context)[0], step_s, *kind): context
+        (context.content_hash, seeds.of(context)[0], step_s, *kind): context
         for context, kind in itertools.product(contexts, PLAYS)
     }
-    todo = [key for key in plays if key not in kept.rows]
+    there = {tuple(row[name] for name in KEY) for row in kept.rows}
+    todo = [key for key in plays if key not in there]
     with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
         for number, key in enumerate(todo, 1):
-            context, (*_, seed, _, count, commanded) = plays[key], key
+            context, (_, seed, _, count, commanded) = plays[key], key
             case = Case.of(context, seed, HORIZON_S, round(1000.0 * step_s)).first(count)
             if len(case.traffic) == count:
                 steps = round(HORIZON_S / step_s)
                 sumo, twin = (play(case, steps, waves if commanded else None) for play in (play_sumo, play_twin))
                 found = first_departure(case, sumo, twin, TOLERANCE)
-                parted, where = (None, "") if found is None else (found.step, str(found))
-                kept.add(key, {"vehicles": count, "commanded": commanded, "parted": parted, "where": where})
+                parted, where = (None, None) if found is None else (found.step, str(found))
+                kept.add([{**dict(zip(KEY, key, strict=True)), "parted": parted, "where": where}])
             bar.update(number, context.name)
-    return kept.table(plays)
+    return [row for row in kept.rows if tuple(row[name] for name in KEY) in plays]

@@ -1,4 +1,4 @@
-"""Driving alone, in SUMO and on the twin: who is where after every step, on the whole net, and where the two part.
+"""Driving alone, in SUMO and on the twin: where every vehicle is after every step on the net, and where they part.
 
 Nothing of the MDP is played; :mod:`izoo.benchmarks.fidelity.trajectory_diff` compares whole environments.
 """
@@ -89,7 +89,7 @@ def play_sumo(case: Case, steps: int, commands: Commands | None = None) -> Trace
         vehicle = libsumo.vehicle
         for t in range(steps):
             if commands is not None and t > 0:
-                order(vehicle, t, trace, commands)
+                command(vehicle, t, trace, commands)
             session.advance()
             for name in vehicle.getIDList():
                 v = int(name)
@@ -101,7 +101,7 @@ def play_sumo(case: Case, steps: int, commands: Commands | None = None) -> Trace
     return trace
 
 
-def order(vehicle: object, t: int, trace: Trace, commands: Commands) -> None:
+def command(vehicle: object, t: int, trace: Trace, commands: Commands) -> None:
     """Pass the commands of step ``t`` on to SUMO."""
     there = np.flatnonzero(trace.lane[t - 1] >= 0)
     for v, speed in zip(there.tolist(), commands(t, there, trace.speed_mps[t - 1, there]).tolist(), strict=True):

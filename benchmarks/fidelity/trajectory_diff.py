@@ -1,120 +1,153 @@
-"""One episode in SUMO and on the twin, step by step: where they part, and how vehicles move on either."""
+"""An episode in SUMO and on the twin, decision by decision: where they part, and how vehicles move on either."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from typing import Any, NamedTuple
+import sys
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from izoo.benchmarks.fidelity.driving_statistics import Conduct
+from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics
 from izoo.benchmarks.fidelity.single_vehicle import Departure
+from izoo.console import Progress
 from izoo.contexts.context import Context
-from izoo.envs import EcoDrivingEnv
+from izoo.envs import SIMULATORS, EcoDrivingEnv
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.snapshot import Scene
-from izoo.results.playing import Policy
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
+from izoo.results.playing import Policy, run_episode
+from izoo.results.policies import NamedPolicy
+from izoo.results.rows_file import Row, RowsFile
+from izoo.results.selection import EpisodeSeeds
 
 TOLERANCE = 1e-3
 """Positions and speeds (m, m/s) that differ by no more are the same."""
 SPEED_EDGES_MPS, ACCEL_EDGES_MPS2 = np.arange(0.0, 40.1, 0.25), np.arange(-10.0, 5.05, 0.1)
+HISTOGRAMS = {"ks_speed": ("speed_mps", SPEED_EDGES_MPS), "ks_accel": ("accel_mps2", ACCEL_EDGES_MPS2)}
+COUNTED = tuple(f"{name}_{side}" for side in SIMULATORS for name in COUNTS)
+"""What is counted of drivers in an episode, on each side."""
+KEY = ("policy", "weights", "context_hash", "seed")
+TEXT = ("policy", "weights", "context_hash", "context", "demand", "where")
+NUMBERS = ("seed", "adoption", "lanes", "decisions", "parted", *HISTOGRAMS, *COUNTED)
+Places = dict[int, tuple[str, float, float]]
+"""Lane, position (m) and speed (m/s) by vehicle."""
 
 
-class Motion:
-    """Counts of speeds and of accelerations of all vehicles and steps."""
+class Watched:
+    """An episode on one simulator: where every vehicle is before each decision, and what drivers do.
 
-    def __init__(self) -> None:
-        self.speed = np.zeros(len(SPEED_EDGES_MPS) - 1)
-        self.accel = np.zeros(len(ACCEL_EDGES_MPS2) - 1)
+    Attributes:
+        places: before each decision.
+        histograms: counts of speeds and of accelerations of all vehicles and decisions.
+        driving: what drivers did; it is right where a decision lasts a step, since otherwise nobody sees when.
+    """
 
-    def add(self, scene: Scene) -> None:
-        """Count the vehicles of a step."""
-        for counts, edges, name in (
-            (self.speed, SPEED_EDGES_MPS, "speed_mps"),
-            (self.accel, ACCEL_EDGES_MPS2, "accel_mps2"),
-        ):
-            counts += np.histogram(np.clip(scene.vehicles[name], edges[0], edges[-1]), edges)[0]
+    def __init__(self, env: EcoDrivingEnv, policy: Policy, context: Context, seed: int) -> None:
+        self.places: list[Places] = []
+        self.histograms = {name: np.zeros(len(edges) - 1) for name, (_, edges) in HISTOGRAMS.items()}
+        self.driving = DrivingStatistics()
 
+        def act(state: TensorDictBase) -> TensorDictBase:
+            self._add(env.scene())
+            return policy(state)
 
-def parting(step: int, sumo: Scene, twin: Scene) -> Departure | None:
-    """Return the vehicle that differs most between two scenes, or ``None`` where none differs."""
-    places = [_places(scene) for scene in (sumo, twin)]
-    nowhere = ("", np.nan, np.nan)
-    worst, found = TOLERANCE, None
-    for vehicle in sorted(places[0].keys() | places[1].keys()):
-        here, there = (place.get(vehicle, nowhere) for place in places)
-        apart = np.inf if here[0] != there[0] else max(abs(here[1] - there[1]), abs(here[2] - there[2]))
-        if apart > worst:
-            worst, found = apart, Departure(step, vehicle, here, there)
-    return found
+        run_episode(env, act, context, seed)
+
+    def _add(self, scene: Scene) -> None:
+        self.places.append(places(scene))
+        for name, (column, edges) in HISTOGRAMS.items():
+            self.histograms[name] += np.histogram(np.clip(scene.vehicles[column], edges[0], edges[-1]), edges)[0]
+        self.driving.add(scene)
 
 
-def _places(scene: Scene) -> dict[int, tuple[str, float, float]]:
+def places(scene: Scene) -> Places:
+    """Return where the vehicles of a scene are."""
     columns = scene.vehicles
     lanes = [scene.road.lane_ids[lane] for lane in columns["region_lane"].tolist()]
     positions, speeds = columns["lane_position_m"].tolist(), columns["speed_mps"].tolist()
     return dict(zip(columns["vehicle_number"].tolist(), zip(lanes, positions, speeds, strict=True), strict=True))
 
 
-class Played(NamedTuple):
-    """An episode that was played on both.
+def parting(step: int, sumo: Places, twin: Places) -> Departure | None:
+    """Return the vehicle that differs most at a moment, or ``None`` where none differs."""
+    nowhere = ("", np.nan, np.nan)
+    worst, found = TOLERANCE, None
+    for vehicle in sorted(sumo.keys() | twin.keys()):
+        here, there = sumo.get(vehicle, nowhere), twin.get(vehicle, nowhere)
+        apart = np.inf if here[0] != there[0] else max(abs(here[1] - there[1]), abs(here[2] - there[2]))
+        if apart > worst:
+            worst, found = apart, Departure(step, vehicle, here, there)
+    return found
 
-    Attributes:
-        parting: where the two part, ``None`` where they never do.
-        steps: how many it has; the two are compared after each decision.
-        motions: how vehicles moved, in SUMO and on the twin.
-        conducts: what drivers did; ``None`` where a decision lasts longer than a step, since then nobody sees when.
+
+def compared(sumo: Watched, twin: Watched, hold_steps: int = 1) -> Row:
+    """Compare an episode on both.
+
+    Returns:
+        ``decisions``, ``parted`` (the first step that differs; missing where none does), ``where`` (the vehicle that
+        differs there), ``ks_speed``, ``ks_accel``, and :data:`COUNTED`, missing where decisions last longer than a
+        step.
     """
+    both = enumerate(zip(sumo.places, twin.places, strict=False))
+    found = next((apart for k, pair in both if (apart := parting(k * hold_steps, *pair)) is not None), None)
+    row: Row = {
+        "decisions": min(len(sumo.places), len(twin.places)),
+        "parted": None if found is None else found.step,
+        "where": None if found is None else str(found),
+        **{name: ks_distance(sumo.histograms[name], twin.histograms[name]) for name in HISTOGRAMS},
+        **dict.fromkeys(COUNTED),
+    }
+    if hold_steps == 1:
+        for side, watched in (("sumo", sumo), ("twin", twin)):
+            row |= {f"{name}_{side}": count for name, count in watched.driving.counts().items()}
+    return row
 
-    parting: Departure | None
-    steps: int
-    motions: tuple[Motion, Motion]
-    conducts: tuple[Conduct, Conduct] | None
 
+def compare_steps(
+    contexts: Sequence[Context], seeds: EpisodeSeeds, env: EnvConfig, policies: Sequence[NamedPolicy], kept: RowsFile
+) -> list[Row]:
+    """Compare each context's first episode up to its horizon, unless the file has it; return a row for each.
 
-class SideBySide:
-    """SUMO and the twin, for episodes that are played on both at once, in this process.
-
-    Args:
-        config: of both environments.
+    Contexts without demand have none. Rows have the columns :data:`TEXT` and :data:`NUMBERS`.
     """
-
-    def __init__(self, config: EnvConfig) -> None:
-        if config.decide != STEP:  # the same episode, and every step of it is compared
-            config = dataclasses.replace(config, hold_s=config.step_s)
-        self._sumo, self._twin = (EcoDrivingEnv(config=config, worker=0, simulator=name) for name in ("sumo", "twin"))
-
-    def close(self) -> None:
-        """End both."""
-        self._sumo.close()
-        self._twin.close()
-
-    def play(self, policy: Policy, context: Context, seed: int) -> Played:
-        """Play an episode to its end."""
-        found: Departure | None = None
-        motions, conducts = (Motion(), Motion()), (Conduct(), Conduct())
-        environments: list[Any] = [self._sumo, self._twin]
-        config = self._sumo.config
-        counted = config.hold_steps == 1
-        with torch.random.fork_rng(devices=[]), set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-            states = [env.reset(context=context, seed=seed) for env in environments]
-            for decision in range(1, config.decisions + 1):
-                step = min(decision * config.hold_steps, config.control_steps)
-                # Policies that draw draw the same for both.
-                for k, env in enumerate(environments):
-                    torch.manual_seed(seed + decision)
-                    states[k] = _advance(env, policy, states[k])
-                scenes = [env.scene() for env in environments]
-                for motion, conduct, scene in zip(motions, conducts, scenes, strict=True):
-                    motion.add(scene)
-                    if counted:
-                        conduct.add(scene)
-                found = found or parting(step, *scenes)
-        return Played(found, step, motions, conducts if counted else None)
+    env = dataclasses.replace(env, drain_s=0.0, emit=())
+    if env.decide != STEP:  # the same episode, and every step of it is compared
+        env = dataclasses.replace(env, hold_s=env.step_s)
+    plays = {
+        (each.name, each.record.weights, context.content_hash, seeds.of(context)[0]): (each, context)
+        for context in contexts
+        if context.demand_approaches
+        for each in policies
+    }
+    there = {tuple(row[name] for name in KEY) for row in kept.rows}
+    todo = [key for key in plays if key not in there]
+    with contextlib.ExitStack() as stack:
+        bar = stack.enter_context(Progress(len(todo), unit="episodes", file=sys.stderr))
+        environments = [EcoDrivingEnv(config=env, simulator=name) for name in (SIMULATORS if todo else ())]
+        for each in environments:
+            stack.callback(each.close)
+        for number, key in enumerate(todo, 1):
+            named, context = plays[key]
+            sumo, twin = (Watched(each, named.policy, context, key[-1]) for each in environments)
+            kept.add([{**dict(zip(KEY, key, strict=True)), **_about(context), **compared(sumo, twin, env.hold_steps)}])
+            bar.update(number, context.name)
+    return [row for row in kept.rows if tuple(row[name] for name in KEY) in plays]
 
 
-def _advance(env: Any, policy: Policy, state: TensorDictBase) -> TensorDictBase:
-    return step_mdp(env.step(policy(state)), exclude_action=True)
+def _about(context: Context) -> dict[str, Any]:
+    road = read_road(build_net(context.intersection))
+    lanes = [int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches]
+    demand = "all" if context.approach is None else "one"
+    return {"context": context.name, "adoption": context.adoption, "demand": demand, "lanes": max(lanes)}
+
+
+def ks_distance(one: np.ndarray, other: np.ndarray) -> float | None:
+    """Return the Kolmogorov-Smirnov distance of two histograms over the same bins; ``None`` where one is empty."""
+    if not one.sum() or not other.sum():
+        return None
+    return float(np.abs(np.cumsum(one) / one.sum() - np.cumsum(other) / other.sum()).max())

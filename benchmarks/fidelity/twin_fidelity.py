@@ -2,49 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from izoo.benchmarks.fidelity.driving_statistics import COUNTS, rates
+from izoo.benchmarks.fidelity.trajectory_diff import COUNTED
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
 from izoo.metrics.summary import summarise
 from izoo.report.tables import Table
+from izoo.results.rows_file import Row
 
-RELATIVE, ABSOLUTE = ("co2_g", "throughput", "stopped_time_s_per_vehicle"), ("delay_s",)
+RELATIVE, ABSOLUTE = ("co2_g", "throughput"), ("delay_s",)
 """Figures that are compared per approach: by their relative difference, or by their difference."""
 KEY = ["policy", "adoption", "demand", "lane_count", "context", "context_hash", "approach"]
 GROUP = ["policy", "adoption", "demand", "lanes"]
 """What approaches are summed up by."""
-COUNTED = tuple(f"{name}_{side}" for side in ("sumo", "twin") for name in COUNTS)
-"""What is counted of drivers in an episode, on each side."""
 WIDE = 0.05
 """Differences of CO2 above this, beyond SUMO's own spread, are counted."""
 
 
-def approaches(sumo: pd.DataFrame, other: pd.DataFrame, side: str = "twin") -> pd.DataFrame:
+def approaches(sumo: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     """Compare two plays of the same episodes, a row per policy and approach; sums are added over episode seeds.
 
     Human driving is compared once for each intersection and demand, as no CVs, whatever the context's share of them.
 
     Args:
         sumo, other: rows of the table (:mod:`izoo.results.schema`).
-        side: what the other one is called.
 
     Returns:
-        :data:`KEY`, and per figure of :data:`RELATIVE` and :data:`ABSOLUTE` ``*_sumo``, ``*_twin`` and
+        :data:`KEY`, and per figure of :data:`RELATIVE` and :data:`ABSOLUTE` ``*_sumo``, ``*_other`` and
         ``*_difference`` (NaN where there is nothing to compare).
     """
-    found = _levels(sumo).join(_levels(other), how="inner", lsuffix="_sumo", rsuffix=f"_{side}")
+    found = _levels(sumo).join(_levels(other), how="inner", lsuffix="_sumo", rsuffix="_other")
     for name in (*RELATIVE, *ABSOLUTE):
-        apart, theirs = found[f"{name}_{side}"] - found[f"{name}_sumo"], found[f"{name}_sumo"]
+        apart, theirs = found[f"{name}_other"] - found[f"{name}_sumo"], found[f"{name}_sumo"]
         found[f"{name}_difference"] = apart if name in ABSOLUTE else apart / theirs.where(theirs > 0.0)
     table = found.reset_index()
     human = table["policy"] == HUMAN
@@ -62,7 +61,7 @@ def _levels(table: pd.DataFrame) -> pd.DataFrame:
 
 def own_spread(sumo: pd.DataFrame, late: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Compare SUMO with itself: :func:`approaches` for each evaluation with late vehicles, one below the other."""
-    tables = [approaches(sumo, table, "late").assign(late=number) for number, table in enumerate(late, 1)]
+    tables = [approaches(sumo, table).assign(late=number) for number, table in enumerate(late, 1)]
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
@@ -74,7 +73,7 @@ def with_spread(compared: pd.DataFrame, own: pd.DataFrame) -> pd.DataFrame:
     return compared.join(sizes.rename("co2_g_own"), on=KEY)
 
 
-def rungs(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
+def by_group(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
     """Sum :func:`approaches` up by policy, share of CVs, demand and kind of approach (one lane, several).
 
     ``co2_wide`` counts approaches whose CO2 differs by more than :data:`WIDE`, and ``co2_beyond`` those that do so
@@ -86,8 +85,7 @@ def rungs(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
     lanes = np.where(table["lane_count"] <= 1, "1", "2+")
     for key, group in table.assign(lanes=lanes).groupby(list(by), sort=False):
         co2, own, delay = group["co2_g_difference"], group["co2_g_own"], group["delay_s_difference"]
-        totals = {name: [group[f"{name}_{end}"].sum() for end in _sides(group)] for name in RELATIVE}
-        change = {name: other / sumo - 1.0 if sumo else np.nan for name, (sumo, other) in totals.items()}
+        crossed, theirs = group["throughput_other"].sum(), group["throughput_sumo"].sum()
         rows.append(
             dict(zip(by, key, strict=True))
             | {
@@ -100,16 +98,10 @@ def rungs(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
                 "co2_beyond": int((co2.abs() - own.fillna(0.0) > WIDE).sum()),
                 "co2_own": float(own.mean()),
                 "delay_s": float(delay.mean()),
-                "delay_mean_abs_s": float(delay.abs().mean()),
-                "crossed": change["throughput"],
-                "stopped": change["stopped_time_s_per_vehicle"],
+                "crossed": crossed / theirs - 1.0 if theirs else np.nan,
             }
         )
     return pd.DataFrame(rows)
-
-
-def _sides(table: pd.DataFrame) -> tuple[str, str]:
-    return "sumo", "late" if "co2_g_late" in table else "twin"
 
 
 def gains(sumo: pd.DataFrame, twin: pd.DataFrame, late: Sequence[pd.DataFrame] = ()) -> pd.DataFrame:
@@ -151,34 +143,31 @@ def same_order(gained: pd.DataFrame) -> bool:
     return all(bool((group["sumo"].rank() == group["twin"].rank()).all()) for _, group in groups)
 
 
-def few(table: pd.DataFrame) -> pd.DataFrame:
+def few(rows: Sequence[Row]) -> pd.DataFrame:
     """Sum up episodes of one and two vehicles, a row per number of vehicles, and commanded or not.
 
     Args:
-        table: a row per episode, as :func:`izoo.benchmarks.fidelity.few_vehicles.compare_few` returns them.
+        rows: of :func:`izoo.benchmarks.fidelity.few_vehicles.compare_few`.
     """
-    if table.empty:
+    if not rows:
         return pd.DataFrame()
-    groups = table.groupby(["vehicles", "commanded"], sort=True)
-    summed = groups["parted"].agg(episodes="size", same=lambda parted: int(parted.isna().sum()))
-    return summed.reset_index()
+    groups = pd.DataFrame(rows).groupby(["vehicles", "commanded"], sort=True)
+    return groups["parted"].agg(episodes="size", same=lambda parted: int(parted.isna().sum())).reset_index()
 
 
-def conduct(exact: pd.DataFrame) -> pd.DataFrame:
+def driving(exact: pd.DataFrame) -> pd.DataFrame:
     """Sum up what drivers did, a row per policy, demand and measure, with its value in SUMO and on the twin.
 
     Measures are those of :func:`izoo.benchmarks.fidelity.driving_statistics.rates`, then
     :data:`izoo.benchmarks.fidelity.driving_statistics.COUNTS`.
 
     Args:
-        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them; episodes without counts
-            are left out.
+        exact: rows of :func:`izoo.benchmarks.fidelity.trajectory_diff.compare_steps`; those without counts are left
+            out.
     """
     exact = exact.dropna(subset=list(COUNTED)) if len(exact) else exact
-    if exact.empty:
-        return pd.DataFrame()
     rows = []
-    for key, group in exact.groupby(["policy", "demand"], sort=False):
+    for key, group in exact.groupby(["policy", "demand"], sort=False) if len(exact) else ():
         about = dict(zip(("policy", "demand"), key, strict=True))
         counts = {side: {name: float(group[f"{name}_{side}"].sum()) for name in COUNTS} for side in ("sumo", "twin")}
         found = {side: rates(of) | of for side, of in counts.items()}
@@ -190,13 +179,13 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     """Sum up episodes that were compared step by step, a row per policy, demand and kind of approach.
 
     Args:
-        exact: a row per episode, as :func:`izoo.benchmarks.twin.compare_steps` returns them.
+        exact: rows of :func:`izoo.benchmarks.fidelity.trajectory_diff.compare_steps`.
     """
     if exact.empty:
         return pd.DataFrame()
     kinds = np.where(exact["lanes"] == 1, "1", "2+")
-    groups = exact.assign(lanes=kinds).groupby(["policy", "demand", "lanes"], sort=False)
-    summed = groups.agg(
+    numbers = exact.astype({"parted": float, "ks_speed": float, "ks_accel": float}).assign(lanes=kinds)
+    summed = numbers.groupby(["policy", "demand", "lanes"], sort=False).agg(
         episodes=("seed", "size"),
         parted=("parted", "count"),
         median_parted=("parted", "median"),
@@ -204,24 +193,6 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
         ks_accel=("ks_accel", "mean"),
     )
     return summed.assign(same=summed["episodes"] - summed["parted"]).reset_index()
-
-
-def ks_distance(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the Kolmogorov-Smirnov distance of two histograms over the same bins; NaN where one is empty."""
-    if not one.sum() or not other.sum():
-        return float("nan")
-    return float(np.abs(np.cumsum(one) / one.sum() - np.cumsum(other) / other.sum()).max())
-
-
-class Ladder(NamedTuple):
-    """What was found; ``own`` are the rungs of SUMO with late vehicles. Tables that were not measured are empty."""
-
-    few: pd.DataFrame
-    exact: pd.DataFrame
-    conduct: pd.DataFrame
-    rungs: pd.DataFrame
-    own: pd.DataFrame
-    gains: pd.DataFrame
 
 
 MEASURE_TITLES = {
@@ -234,14 +205,14 @@ MEASURE_TITLES = {
     "saturation_flow_vph": "saturation flow, veh/h",
     "start_up_lag_s": "start-up lag, s",
 }
-"""Measures of :func:`conduct` that are printed."""
+"""Measures of :func:`driving` that are printed."""
 
 
 def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
     """Return a row per policy: how far CO2 and delay of its approaches are apart, and what it saves on either side."""
     saved = gained.groupby("policy")[["sumo", "twin"]].mean()
     rows = []
-    for r in rungs(compared, ["policy"]).itertuples():
+    for r in by_group(compared, ["policy"]).itertuples():
         both = saved.loc[r.policy] if r.policy in saved.index else (None, None)
         apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
         rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
@@ -251,23 +222,25 @@ def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
 
 def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
     """Say in one sentence how far the twin is from SUMO."""
-    (row,) = rungs(compared.assign(every=0), ["every"]).itertuples()
+    (row,) = by_group(compared.assign(every=0), ["every"]).itertuples()
     own = "" if np.isnan(row.co2_own) else f" (SUMO is {row.co2_own:.1%} from itself where one vehicle comes late)"
     order = "rank the same on both" if same_order(gained) else "do not rank the same on both"
     far = f"CO2 per vehicle on the twin is {row.co2_mean_abs:.1%} from SUMO's on average over approaches"
     return f"{far}{own}; policies {order}."
 
 
-def tables(found: Ladder) -> list[Table]:
-    """Return what was found as tables, from the lowest rung to the highest, those that hold anything."""
-    few_ = [(f"{r.vehicles}", "yes" if r.commanded else "no", r.episodes, r.same) for r in found.few.itertuples()]
+def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
+    """Return what was found (``few``, ``exact``, ``driving``, ``groups``, ``own``, ``gains``) as tables, from the
+    closest look to the widest, those that hold anything.
+    """
+    few_ = [(f"{r.vehicles}", "yes" if r.commanded else "no", r.episodes, r.same) for r in found["few"].itertuples()]
     steps = [
         (r.policy, r.demand, r.lanes, r.episodes, r.same, _number(r.median_parted, ".0f"), *_distances(r))
-        for r in found.exact.itertuples()
+        for r in found["exact"].itertuples()
     ]
     done = [
         (r.policy, r.demand, MEASURE_TITLES[r.measure], *(_number(x, f",.{_digits(x)}f") for x in (r.sumo, r.twin)))
-        for r in found.conduct.itertuples()
+        for r in found["driving"].itertuples()
         if r.measure in MEASURE_TITLES
     ]
     shown = [
@@ -278,14 +251,14 @@ def tables(found: Ladder) -> list[Table]:
             steps,
         ),
         Table.of("3. What drivers did, summed over episodes", ("policy", "demand", "measure", "SUMO", "twin"), done),
-        *_aggregates("twin against SUMO", found.rungs),
-        *_aggregates("SUMO with a late vehicle against SUMO", found.own),
+        *_aggregates("twin against SUMO", found["groups"]),
+        *_aggregates("SUMO with a late vehicle against SUMO", found["own"]),
         Table.of(
             "5. CO2 saved over human driving, %",
             ("policy", "CVs", "demand", "SUMO", "twin", "points", "SUMO's own"),
             [
                 (*_about(r)[:3], *(_number(x, "+.2f") for x in (r.sumo, r.twin, r.difference)), _number(r.own, ".2f"))
-                for r in found.gains.itertuples()
+                for r in found["gains"].itertuples()
             ],
         ),
     ]
@@ -298,12 +271,11 @@ def _aggregates(title: str, summed: pd.DataFrame) -> list[Table]:
         wide = f"{r.co2_wide}" + (f" ({r.co2_beyond})" if r.co2_beyond < r.co2_wide else "")
         shares = _share(r.co2_mean_abs), _share(r.co2_median_abs), _share(r.co2_bias, "+"), _share(r.co2_worst)
         co2.append((*_about(r), r.approaches, *shares, wide))
-        delay = _number(r.delay_s, "+.2f"), _number(r.delay_mean_abs_s, ".2f")
-        others.append((*_about(r), *delay, _share(r.crossed, "+"), _share(r.stopped, "+")))
+        others.append((*_about(r), _number(r.delay_s, "+.2f"), _share(r.crossed, "+")))
     about = ("policy", "CVs", "demand", "lanes")
     return [
         Table.of(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),
-        Table.of(f"4. Delay and vehicles, {title}", (*about, "delay, s", "mean|d|", "crossed", "stopped"), others),
+        Table.of(f"4. Delay and vehicles, {title}", (*about, "delay, s", "crossed"), others),
     ]
 
 
@@ -333,11 +305,11 @@ def plot(table: pd.DataFrame, path: Path, title: str) -> None:
     figure = Figure(figsize=(3.6 * len(policies), 4.2), layout="constrained")
     for axes, policy in zip(figure.subplots(1, len(policies), squeeze=False)[0], policies, strict=True):
         group = table[table["policy"] == policy]
-        largest = 1.05 * float(np.nanmax(group[["co2_g_sumo", "co2_g_twin"]].to_numpy(float), initial=1.0))
+        largest = 1.05 * float(np.nanmax(group[["co2_g_sumo", "co2_g_other"]].to_numpy(float), initial=1.0))
         axes.fill_between([0, largest], [0, 0.95 * largest], [0, 1.05 * largest], color="#e2e8f0", label="within 5 %")
         for one_lane, colour, label in ((True, "#2b6cb0", "one lane"), (False, "#c05621", "several lanes")):
             chosen = group[(group["lane_count"] == 1) == one_lane]
-            axes.scatter(chosen["co2_g_sumo"], chosen["co2_g_twin"], s=12, color=colour, alpha=0.7, label=label)
+            axes.scatter(chosen["co2_g_sumo"], chosen["co2_g_other"], s=12, color=colour, alpha=0.7, label=label)
         axes.set(xlim=(0, largest), ylim=(0, largest), title=policy, xlabel="SUMO: CO2 per vehicle (g)")
         axes.set_aspect("equal")
         axes.spines[["top", "right"]].set_visible(False)

@@ -261,7 +261,7 @@ def _collected(name: str, config: TrainConfig, context: Context, envs: int, leng
             agents.append(float(last["agents", "mask"].sum()))
 
         batch()
-        found = timed(batch, seconds, None if source.twin is None else source.twin.backend)
+        found = timed(batch, seconds, source.batched.env.backend if source.batched else None)
         driven = last["next", TOTALS][..., VEHICLE_STEPS]
         vehicles = float((driven[:, -1] - driven[:, 0]).mean()) / (length - 1)
     of_step = Timed(found.calls * length, found.wall_s / length, found.serial_s / length, found.shared_s / length)

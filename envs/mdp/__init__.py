@@ -1,10 +1,10 @@
-"""The MDP, written once: compiled functions over one environment's tables, which know no simulator.
+"""The MDP, written once: compiled functions over one environment's tables, independent of the simulator.
 
-A simulator says who is where; from that, the functions here make what a CV observes, what a vehicle emits, what an
-agent is paid and what is counted.
+A simulator reports the vehicles' positions and speeds; the functions here compute observations, emissions, rewards and
+metrics from them.
 
 - :mod:`~izoo.envs.mdp.columns`: the columns of the tables.
-- :mod:`~izoo.envs.mdp.observation`, :mod:`~izoo.envs.mdp.reward`: what is observed and paid, each column and term
+- :mod:`~izoo.envs.mdp.observation`, :mod:`~izoo.envs.mdp.reward`: observation and reward, each column and term
   declared once.
 - :mod:`~izoo.envs.mdp.frame`: what an environment emits in a step, as arrays.
 - :mod:`~izoo.envs.mdp.slots`, :mod:`~izoo.envs.mdp.displacement`, :mod:`~izoo.envs.mdp.neighbours`,

@@ -39,7 +39,7 @@ class Columns:
 FLOATS, INTS, FLAGS = Columns(), Columns(), Columns()
 
 SPEED = FLOATS.emit("speed_mps")
-ACCEL = FLOATS.emit("accel_mps2")  # realised over the last step: for a commanded CV this is the applied acceleration
+ACCEL = FLOATS.emit("accel_mps2")  # over the last step: for a commanded CV the acceleration actually executed
 LENGTH = FLOATS.emit("length_m")
 PATH_POSITION = FLOATS.emit("path_position_m")  # front bumper along the route: negative before the stop line
 STOP_LINE = FLOATS.emit("stop_line_distance_m")  # negative before the line, 0 in the junction, position on the exit
@@ -60,7 +60,7 @@ ENTRY_M = FLOATS.keep("entry_m")  # path position where it entered
 TTC = FLOATS.keep("ttc_s")
 DELAY = FLOATS.keep("delay_s")  # time lost in the last step, against driving at the limit
 TARGET = FLOATS.keep("target_mps")  # speed that was commanded last
-CAP = FLOATS.keep("cap_mps")  # maximum speed that the simulator was told last, 0 before the first
+CAP = FLOATS.keep("cap_mps")  # maximum speed set last, 0 before the first
 
 LOCATION = INTS.emit("location")  # 0 approaching, 1 inside the junction, 2 leaving
 APPROACH = INTS.emit("approach")  # index of the approach that it came from
@@ -72,7 +72,7 @@ NUMBER = INTS.emit("vehicle_number")  # the vehicle's number in the episode's de
 REGION_LANE = INTS.emit("region_lane")  # row of the lane in the road net
 AGENT = INTS.keep("agent")  # its agent slot, or -1
 LEADER = INTS.keep("leader")  # row of its leader, or -1
-PLACE = INTS.keep("place")  # where it stands in the order of its lane
+PLACE = INTS.keep("place")  # its index in the order of lanes and positions
 
 PRESENT = FLAGS.emit("present")
 IS_CV = FLAGS.emit("is_cv")
@@ -85,7 +85,7 @@ COUNTED = FLAGS.keep("counted")  # it entered after the warm-up
 COHORT = FLAGS.keep("cohort")  # it was scheduled to depart between warm-up and horizon
 CROSSED = FLAGS.keep("crossed")
 WRONG_LANE = FLAGS.keep("wrong_lane")  # its lane does not lead to its exit
-FRESH = FLAGS.keep("fresh")  # it has just been given its row
+FRESH = FLAGS.keep("fresh")  # it was given its row in this step
 COMMANDED = FLAGS.keep("commanded")
 STEADY = FLAGS.keep("steady")  # speed, acceleration and grade are those of the step before
 YIELDING = FLAGS.keep("yielding")  # the simulator slows it for a lane change

@@ -1,8 +1,9 @@
-"""The reward as a sum (``RewardConfig.sums``), in compiled code: which vehicles' terms an agent is paid for.
+"""The reward as a sum (``RewardConfig.sums``), in compiled code: which vehicles' terms an agent is credited with.
 
-A vehicle counts over its whole way in the region. The fleet's sum is over all of them; an agent's own is over itself
-and those behind it up to the next CV, so that these shares do not overlap. Vehicles that could have come to the region
-and have not are *blocked*. They count in full, as if they stood there, or an agent could gain by blocking others.
+A vehicle counts over its whole way through the region. The fleet's sum is over all vehicles; an agent's own sum is over
+itself and the vehicles behind it up to the next CV, so that the agents' shares do not overlap. A vehicle is *blocked*
+if at free-flow speed it would have reached the region, and it has not. Blocked vehicles count in full, as if they stood
+on the approach, or an agent could gain by blocking others.
 """
 
 from __future__ import annotations
@@ -24,29 +25,29 @@ from izoo.envs.mdp.reward_kernel import NUM_TERMS, evaluate
 from izoo.envs.mdp.state import DUE, IDLE_GPS, VEHICLES
 from izoo.networks.road import LEAVING
 
-AWAITED, HERE, BLOCKED = 0, 1, 2
-"""What has become of a vehicle of the demand: it could not have come yet; it came; it could have come, and has not."""
+NOT_DUE, ENTERED, BLOCKED = 0, 1, 2
+"""Status of a vehicle of the demand: could not have reached the region yet; has entered it; is blocked outside."""
 
 
 @compiled(borrows=True)
 def count_blocked(world, time_s):  # type: ignore[no-untyped-def]
     """Write to the working memory which vehicles were blocked in the step that ended at ``time_s``.
 
-    One that could have come within the step counts from then on.
+    A vehicle whose earliest arrival falls within the step counts from then on.
     """
     demand, tables, blocked = world.demand, world.tables, world.work.blocked
     for p in range(demand.blocked.shape[0]):
         blocked[p, VEHICLES] = demand.blocked[p, VEHICLES]
         blocked[p, IDLE_GPS] = demand.blocked[p, IDLE_GPS]
-    while tables.cursor[DUE] < demand.next_number.shape[0]:
-        number = demand.next_number[tables.cursor[DUE]]
-        if demand.reach_s[number] > time_s:
+    while tables.cursor[DUE] < demand.by_earliest.shape[0]:
+        number = demand.by_earliest[tables.cursor[DUE]]
+        if demand.earliest_s[number] > time_s:
             break
         tables.cursor[DUE] += 1
-        if demand.fate[number] == AWAITED:
-            demand.fate[number] = BLOCKED
+        if demand.status[number] == NOT_DUE:
+            demand.status[number] = BLOCKED
             p, idle_gps = demand.approach[number], demand.idle_gps[number]
-            share = (time_s - demand.reach_s[number]) / world.rules.step_s
+            share = (time_s - demand.earliest_s[number]) / world.rules.step_s
             blocked[p, VEHICLES] += share
             blocked[p, IDLE_GPS] += share * idle_gps
             demand.blocked[p, VEHICLES] += 1.0
@@ -54,11 +55,11 @@ def count_blocked(world, time_s):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
-    """Write what each agent is paid for, and the fleet's sum, both in units of human driving.
+def assign_credit(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
+    """Write each agent's own sum and the fleet's sum, both in units of human driving.
 
     Args:
-        world: the :class:`~izoo.envs.mdp.state.World`, with everyone's terms.
+        world: the :class:`~izoo.envs.mdp.state.World`, with all terms evaluated.
         rows: ``[n]`` the members.
         terms: ``[C, T]`` their terms.
         own: ``[A, T]`` output, by slot.
@@ -68,7 +69,7 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
     floats, ints = tables.floats, tables.ints
     own[:, :] = 0.0
     fleet[:] = 0.0
-    rearmost, standing, blocked = work.rearmost, work.standing, work.blocked
+    rearmost, idling, blocked = work.rearmost, work.idling, work.blocked
     approaches = world.demand.blocked.shape[0]
     for p in range(approaches):
         rearmost[p] = -1
@@ -77,7 +78,7 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
         is_last = rearmost[p] < 0 or floats[r, PATH_POSITION] < floats[rearmost[p], PATH_POSITION]
         if is_last and ints[r, LOCATION] != LEAVING:
             rearmost[p] = r
-        slot = owner(r, ints, rows.shape[0])
+        slot = credited_slot(r, ints, rows.shape[0])
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
             if slot >= 0:
@@ -86,21 +87,21 @@ def share_out(world, rows, terms, own, fleet):  # type: ignore[no-untyped-def]
         count = blocked[p, VEHICLES]
         if count <= 0.0:
             continue
-        _stand(blocked[p, IDLE_GPS] / count, rules, work.standing_row, standing)
-        slot = owner(rearmost[p], ints, rows.shape[0])
+        _idling_terms(blocked[p, IDLE_GPS] / count, rules, work.idling_row, idling)
+        slot = credited_slot(rearmost[p], ints, rows.shape[0])
         for c in range(NUM_TERMS):
-            fleet[c] += count * standing[c]
+            fleet[c] += count * idling[c]
             if slot >= 0:
-                own[slot, c] += count * standing[c] / rules.unit_g[p]
+                own[slot, c] += count * idling[c] / rules.unit_g[p]
     for c in range(NUM_TERMS):
         fleet[c] /= rules.fleet_g_per_step
 
 
 @compiled(borrows=True)
-def owner(r, ints, most):  # type: ignore[no-untyped-def]
+def credited_slot(r, ints, most):  # type: ignore[no-untyped-def]
     """Return the slot of the nearest CV at or ahead of row ``r``, -1 if there is none.
 
-    Of a vehicle that is leaving it is one that is leaving, and of all others none of those.
+    Vehicles behind the stop line are credited only to CVs behind it, and the others only to CVs before it.
     """
     if r < 0:
         return -1
@@ -115,8 +116,8 @@ def owner(r, ints, most):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def _stand(idle_gps, rules, floats, out):  # type: ignore[no-untyped-def]
-    """Write the terms of a vehicle that stands for one step; ``floats [1, *]``: its row."""
+def _idling_terms(idle_gps, rules, floats, out):  # type: ignore[no-untyped-def]
+    """Write the terms of a vehicle that idles for one step; ``floats [1, *]``: its row."""
     floats[0, EMISSION] = idle_gps * rules.step_s
     floats[0, DELAY] = rules.step_s
     floats[0, TTC] = np.inf

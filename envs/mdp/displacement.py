@@ -1,4 +1,4 @@
-"""Where vehicles are: what a simulator reports, as columns of the tables."""
+"""Where vehicles are: a simulator's report as columns of the tables."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from izoo.envs.mdp.columns import (
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 
 ROUTE_LIMIT = 12
-"""Lanes that a search along a route may visit; routes through the region are shorter."""
+"""Most lanes that a search along a route visits; routes through the region are shorter."""
 
 
 class RoadArrays(NamedTuple):
@@ -63,13 +63,15 @@ def road_arrays(road: RoadNet) -> RoadArrays:
 
 
 @compiled(borrows=True)
-def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_s):  # type: ignore[no-untyped-def]
-    """Write what the simulator reported for ``rows`` into the tables.
+def update_motion(rows, reading, vehicles, road, step_s):  # type: ignore[no-untyped-def]
+    """Write the simulator's report of ``rows`` into the tables ``vehicles`` (``floats``, ``ints``, ``flags``).
 
-    ``lane``, ``position``, ``speed`` and ``signals`` are ``[n]``: region lane, lane position of the front bumper in m,
-    m/s, and signal bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration. Rows are
-    marked steady whose speed, acceleration and grade are exactly those of the last step, and so is what they emit.
+    ``reading`` holds four arrays ``[n]``: region lane, lane position of the front bumper (m), speed (m/s), and signal
+    bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration. Rows whose speed, acceleration
+    and grade are exactly those of the last step are marked steady: so is their emission.
     """
+    lane, position, speed, signals = reading
+    floats, ints, flags = vehicles.floats, vehicles.ints, vehicles.flags
     for j in range(rows.shape[0]):
         r, new_lane, s = rows[j], lane[j], position[j]
         fresh, old_speed, old_grade = flags[r, FRESH], floats[r, SPEED], floats[r, GRADE]
@@ -94,7 +96,7 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
         else:
             floats[r, STOP_LINE] = path
         floats[r, PATH_POSITION] = path
-        floats[r, GRADE] = grade_under(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
+        floats[r, GRADE] = mean_grade_pct(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
         same_motion = speed[j] == old_speed and floats[r, ACCEL] == floats[r, PREV_ACCEL]
         flags[r, STEADY] = not fresh and same_motion and floats[r, GRADE] == old_grade
         ints[r, LOCATION] = location
@@ -107,10 +109,10 @@ def place(rows, lane, position, speed, signals, floats, ints, flags, road, step_
 
 
 @compiled(borrows=True, forceinline=True)
-def grade_under(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
-    """Grade in percent under a vehicle, positive uphill: the mean over its length, as SUMO takes it from back to front.
+def mean_grade_pct(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
+    """Return the mean grade in percent under a vehicle, positive uphill, which is SUMO's slope from back to front.
 
-    The junction before the controlled region, where the back of a newcomer still is, counts as level.
+    The junction before the controlled region, where the rear of a vehicle that enters still is, counts as level.
     """
     left, rise = length, 0.0
     for _ in range(ROUTE_LIMIT):

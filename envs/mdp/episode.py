@@ -1,4 +1,4 @@
-"""One episode of one environment: its tables, and the few things that happen to them outside compiled code."""
+"""One episode of one environment: its tables, and the few operations on them outside compiled code."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from izoo.envs.mdp.columns import (
     VEHICLE_INTS,
     YIELDING,
 )
-from izoo.envs.mdp.credit import HERE
+from izoo.envs.mdp.credit import ENTERED
 from izoo.envs.mdp.displacement import road_arrays
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, book_unfinished
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT, record_unfinished
 from izoo.envs.mdp.signals import clock_arrays, read_clock
-from izoo.envs.mdp.slots import enter, leave
+from izoo.envs.mdp.slots import admit_vehicle, release_vehicle
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.state import (
-    HELD,
+    DECISION_STEPS,
     MEMBERS,
-    SUSPECTS,
+    WRONG_LANE_AGENTS,
     Frame,
     demand_arrays,
     empty_tables,
-    grown,
-    hold,
+    make_world,
     rules_of,
-    work_space,
+    with_double_rows,
+    working_memory,
 )
-from izoo.envs.mdp.step import give_orders, make_frame
+from izoo.envs.mdp.step import make_frame, translate_frame_actions
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
@@ -49,14 +49,13 @@ Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""
 
 
-class Orders(NamedTuple):
-    """What a simulator is told for the coming step.
+class StepCommands(NamedTuple):
+    """Commands to the simulator for the coming step.
 
     Attributes:
-        command: rows whose speed is commanded anew; a command holds until the next one.
-        target_mps: the speeds.
+        command, target_mps: rows with a new speed command, which holds until the next one, and the speeds.
         release: rows that are no longer commanded.
-        capped, cap_mps: rows with a new maximum speed, which stays, and the speeds.
+        capped, cap_mps: rows with a new maximum speed, which holds until the next one, and the speeds.
     """
 
     command: np.ndarray
@@ -66,15 +65,15 @@ class Orders(NamedTuple):
     cap_mps: np.ndarray
 
 
-class Ending(NamedTuple):
-    """Vehicles that had not entered the region at the horizon, by their numbers in the demand.
+class DemandAtHorizon(NamedTuple):
+    """The demand at the horizon, as numbers of vehicles.
 
     Attributes:
-        due: all whose departure was due.
+        due: all vehicles whose departure was due.
         dropped: dropped by the simulator before they entered the network.
         waiting: still waiting to enter the network.
-        outside: under way to the region.
-        early: had been in the region when the warm-up ended.
+        outside: in the network, but not yet in the region.
+        early: in the region, or past it, when the warm-up ended.
     """
 
     due: Sequence[int]
@@ -93,7 +92,7 @@ class Episode:
         weights: the emission surrogates.
         context, seed, number: what is played.
         road, traffic: the context's net, and the vehicles of the episode.
-        capacity: rows that the tables have at least; they grow where a simulator enters vehicles by :meth:`enter`.
+        capacity: minimum number of rows of the tables, which grow where vehicles are admitted by :meth:`admit`.
 
     Raises:
         IzooError: the intersection has more approaches or exits than the frame has rows.
@@ -126,13 +125,13 @@ class Episode:
         self._lanes = road_arrays(road)
         self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
         self.tables = empty_tables(config, len(road.lane_ids), capacity)
-        self._work = work_space(config, len(road.lane_ids))
+        self._work = working_memory(config, len(road.lane_ids))
         self._bind()
         read_clock(0.0, self.clock)
 
     def _bind(self) -> None:
-        """Hand the present tables to compiled code."""
-        self.world = hold(
+        """Make the world of the present tables for compiled code."""
+        self.world = make_world(
             self.tables, self._work, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views
         )
 
@@ -153,30 +152,30 @@ class Episode:
 
     @property
     def between_decisions(self) -> bool:
-        """Whether the last decision was played whole."""
-        return not self.tables.cursor[HELD]
+        """Whether the last decision is complete."""
+        return not self.tables.cursor[DECISION_STEPS]
 
     @property
     def members(self) -> np.ndarray:
-        """Rows of the vehicles in the region, ``[n]``, in the order in which they came."""
+        """Rows of the vehicles in the region, ``[n]``, in order of arrival."""
         return self.tables.members[: self.tables.cursor[MEMBERS]]
 
     @property
-    def awaited(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What has become of each vehicle of the demand, how many are blocked, and when each came, as of now."""
-        return self._demand.fate, self._demand.blocked, self._demand.came
+    def demand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Status of each vehicle of the demand, blocked vehicles by approach, and arrival steps; they change."""
+        return self._demand.status, self._demand.blocked, self._demand.arrival_step
 
     # The methods below change the tables; they come in the order of a step.
 
-    def enter(self, number: int, accel_mps2: float, counted: bool = True) -> int:
-        """Give a vehicle that has come a row, and a CV a slot; return the row (:func:`izoo.envs.mdp.slots.enter`)."""
-        row = int(enter(self.world, number, accel_mps2, counted))
+    def admit(self, number: int, accel_mps2: float, counted: bool = True) -> int:
+        """Admit a vehicle that has entered the region; return its row (:func:`izoo.envs.mdp.slots.admit`)."""
+        row = int(admit_vehicle(self.world, number, accel_mps2, counted))
         if row < 0:
-            self.tables = grown(self.tables)
+            self.tables = with_double_rows(self.tables)
             self._bind()
-            return self.enter(number, accel_mps2, counted)
+            return self.admit(number, accel_mps2, counted)
         if not counted:
-            # It may be in the junction already, or behind it: the way that it has come is known from its exit.
+            # It may be in the junction already, or behind it: the length of its way there follows from its exit.
             approach, leaving = self.tables.ints[row, APPROACH], self.tables.ints[row, EXIT]
             way = (self.road.lane_approach == approach) & (self.road.lane_exit == leaving)
             self.tables.floats[row, JUNCTION_M] = self.road.inside_length_m[way].max(initial=0.0)
@@ -187,25 +186,25 @@ class Episode:
         return bool(self.tables.ints[row, AGENT] >= 0)
 
     def begin(self, reading: Reading, started_s: float, early: Sequence[int]) -> None:
-        """Write the first frame, from the positions of those who entered during the warm-up.
+        """Write the first frame, from the positions of the vehicles that entered during the warm-up.
 
         Args:
-            early: numbers of all who came to the region by now, also of those who have left it again.
+            early: numbers of all vehicles that have entered the region, including those that have left it again.
         """
         self.started_s = started_s
-        self._demand.fate[early], self._demand.came[early] = HERE, 0
+        self._demand.status[early], self._demand.arrival_step[early] = ENTERED, 0
         make_frame(self.world, reading, started_s, False, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
 
-    def go_on(self, started_s: float) -> None:
-        """Go on from tables and a frame that were filled from outside, of an episode that began at ``started_s``."""
+    def resume(self, started_s: float) -> None:
+        """Resume an episode that began at ``started_s``, whose tables and frame were restored from outside."""
         self.started_s = started_s
-        self._work.shown[:] = 1
+        self._work.written[:] = 1
 
-    def orders(self) -> Orders:
-        """Return what the frame's actions order for the coming step.
+    def commands(self) -> StepCommands:
+        """Return the commands for the coming step, from the frame's actions.
 
         Raises:
             IzooError: the episode has ended.
@@ -213,24 +212,24 @@ class Episode:
         if self.over:
             raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
         tables = self.tables
-        commands, releases, caps = give_orders(self.world)
-        return Orders(
+        commands, releases, caps = translate_frame_actions(self.world)
+        return StepCommands(
             *(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases]),
             *(tables.capped[:caps], tables.cap_mps[:caps]),
         )
 
-    def leave(self, row: int) -> None:
+    def release(self, row: int) -> None:
         """Remove a vehicle that has left the region from the members."""
-        leave(self.world, row)
+        release_vehicle(self.world, row)
 
-    def collide(self, row: int) -> None:
-        """Count a collision whose rear vehicle is that of a row."""
+    def count_collision(self, row: int) -> None:
+        """Count a collision; ``row`` is that of the rear vehicle."""
         column = METRIC["collisions_cv" if self.tables.flags[row, IS_CV] else "collisions_hdv"]
         if self.steps < self.config.control_steps:
             self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
-    def observe(self, reading: Reading, everybody_left: Callable[[], bool]) -> np.ndarray:
+    def write_frame(self, reading: Reading, everybody_left: Callable[[], bool]) -> np.ndarray:
         """Write the frame after a step, from the members' present positions.
 
         Args:
@@ -238,15 +237,15 @@ class Episode:
             everybody_left: as for :meth:`end_step`.
 
         Returns:
-            Rows of agents on a lane that does not lead to their exit: :meth:`give_way` says which of them are slowed.
+            Rows of agents on a lane that does not lead to their exit, for :meth:`mark_yielding`.
         """
         playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
         time_s = self.started_s + (self.steps + 1) * self.config.step_s
         make_frame(self.world, reading, time_s, True, playing_out and everybody_left())
-        return self.tables.suspects[: self.tables.cursor[SUSPECTS]]
+        return self.tables.wrong_lane_agents[: self.tables.cursor[WRONG_LANE_AGENTS]]
 
-    def give_way(self, rows: Sequence[int]) -> None:
-        """Say which agents the simulator slows for a lane change; they are left to it in the next step."""
+    def mark_yielding(self, rows: Sequence[int]) -> None:
+        """Set which agents the simulator slows for a lane change; they are left to it in the next step."""
         if not self._yielding and not rows:
             return
         if self._yielding:
@@ -254,46 +253,50 @@ class Episode:
         self.tables.flags[rows, YIELDING] = 1
         self._yielding = len(rows)
 
-    def end_step(self, ending: Callable[[], Ending], everybody_left: Callable[[], bool]) -> None:
-        """Complete the sums where the horizon is reached, and the episode where it has been played out.
+    def end_step(self, ending: Callable[[], DemandAtHorizon], everybody_left: Callable[[], bool]) -> None:
+        """Complete the sums at the horizon, and the episode when it has been played out.
 
         Args:
-            ending: returns what became of the demand; called at the horizon.
+            ending: returns the demand at the horizon; called there.
             everybody_left: returns whether no vehicle is in the network or will be; called after each decision from
                 the horizon on.
         """
         config = self.config
         if self.steps == config.control_steps:
-            self._end_measured_time(ending())
+            self._complete_horizon_sums(ending())
         if self.steps < config.control_steps or not self.between_decisions:
             return
         if self.steps == config.total_steps or everybody_left():
             self._finish()
 
-    def _end_measured_time(self, ending: Ending) -> None:
-        """Complete the sums that go to the horizon."""
+    def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:
+        """Complete the sums that stop at the horizon."""
         tables = self.tables
-        book_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
+        record_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
         for name, numbers in ending._asdict().items():
-            self._book(name, np.asarray(numbers, np.int64), 1.0)
+            self._add_to_sums(name, np.asarray(numbers, np.int64), 1.0)
         self.frame["approach_metrics"][:] = tables.sums
 
     def _finish(self) -> None:
-        """Truncate every vehicle that is still there, and complete the sums of the cohort."""
+        """Truncate the agents that are still there, and complete the sums of the cohort."""
         demand, frame = self._demand, self.frame
-        blocked = blocked_s(demand.came, demand.reach_s, self.started_s, self.steps, self.config.step_s)
+        blocked = blocked_s(demand.arrival_step, demand.earliest_s, self.started_s, self.steps, self.config.step_s)
         cohort = np.flatnonzero(demand.cohort)
-        self._book("cohort", cohort, 1.0)
-        self._book("cohort_blocked_s", cohort, blocked[cohort])
-        self._book("cohort_blocked_co2_g", cohort, (blocked * demand.idle_gps)[cohort])
+        self._add_to_sums("cohort", cohort, 1.0)
+        self._add_to_sums("cohort_blocked_s", cohort, blocked[cohort])
+        self._add_to_sums("cohort_blocked_co2_g", cohort, (blocked * demand.idle_gps)[cohort])
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
         frame["approach_metrics"][:] = self.tables.sums
 
-    def _book(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
-        """Add values of some vehicles of the demand to a sum of their approaches."""
-        np.add.at(self.tables.sums[:, METRIC[name]], self.traffic.approach[numbers], values)
+    def _add_to_sums(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
+        """Add values of vehicles of the demand to a sum of their approaches, and of their movements."""
+        approach = self.traffic.approach[numbers]
+        np.add.at(self.tables.sums[:, METRIC[name]], approach, values)
+        if name in OF_COHORT:
+            turn = self.road.movement_turn[approach, self.traffic.exit[numbers]]
+            np.add.at(self.tables.sums, (approach, METRIC[f"{MOVEMENTS[0]}_{name}"] + turn), values)
 
     def scene(self) -> Scene:
         """Return copies of the present state."""

@@ -1,7 +1,7 @@
-"""Where every number of a frame lies: one block of memory for any number of environments.
+"""The memory layout of frames: one block for any number of environments.
 
 A *frame* is what one environment emits in one step. All arrays of a frame share one buffer, which a worker process
-and its parent both map; the worker writes its row in place and the parent copies what it needs.
+and its parent both map; the worker writes its row in place and the parent copies from it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from izoo.envs.mdp.observation import observation_columns
 from izoo.envs.mdp.reward import REWARD_VECTOR
 
 TEAM_REWARD = "team_reward"
-"""Array ``[1]``: what the reward's fleet part was in the step or decision; emitted at the root on demand."""
+"""Array ``[1]``: the fleet part of the reward in the step or decision; emitted at the root on demand."""
 TOTALS = "totals"
 """Array ``[E + P * M]``: the episode's metrics, then those of each approach; also mapped as two arrays."""
 CONTEXT_VALUES = ("adoption", "temperature_c", "humidity_pct", "engine")

@@ -1,9 +1,9 @@
-"""The sums and counts that an environment reports for an episode, and what a step adds to them, in compiled code.
+"""The sums and counts that an environment reports for an episode, and their update in a step, in compiled code.
 
 An environment emits *sums and counts* (``("metrics", "approach", name)`` of shape ``[*B, P]``, one entry per incoming
 approach), never means, so that they can be added over approaches and episodes without weights going wrong. Figures are
-made of them in one place, :mod:`izoo.metrics.figures`. Where an episode is played out after its horizon, they are those
-of the horizon, but for the ``cohort`` ones, which go on to the end.
+computed from them in one place, :mod:`izoo.metrics.figures`. Where an episode is played out after its horizon, sums
+stop at the horizon, except those of the ``cohort``, which go on to the end.
 
 A vehicle is *counted* unless it was in the controlled region during warm-up. It belongs to the approach it came from.
 """
@@ -28,6 +28,7 @@ from izoo.envs.mdp.columns import (
     JUNCTION_M,
     LOCATION,
     MIN_TTC,
+    MOVEMENT,
     PATH_POSITION,
     PREV_ACCEL,
     SPEED,
@@ -42,10 +43,25 @@ from izoo.envs.mdp.reward import TTC_CAP_S
 from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING
 
+MOVEMENTS = ("right", "straight", "left")
+"""The movements of an approach, by the value of ``("vehicles", "movement")``."""
+OF_COHORT = ("cohort", "cohort_region_delay_s", "cohort_blocked_s")
+"""Sums over the cohort that are also kept by movement."""
+MOVEMENT_METRICS: tuple[str, ...] = tuple(
+    f"{movement}_{name}"
+    for name in (
+        *OF_COHORT,
+        "queue",  # vehicles that stand on the approach, at the end: the residual queue
+        "queue_max",  # the most that have stood there at once, which is not to be added over approaches
+    )
+    for movement in MOVEMENTS
+)
+"""Names of the sums and counts by movement, ``MOVEMENT_NAME``."""
+
 APPROACH_METRICS: tuple[str, ...] = (
     "entered",  # counted vehicles that entered the controlled region
     "crossed",  # counted vehicles that crossed the stop line: the throughput
-    "crossed_hdv",  # those of them that were human-driven
+    "crossed_hdv",  # human-driven vehicles among them
     "emission_g",  # CO2 from entering to crossing, over counted vehicles that crossed
     "emission_hdv_g",  # the same over human-driven vehicles alone
     "region_emission_g",  # CO2 of all counted vehicles over the whole region, crossed or not
@@ -59,36 +75,31 @@ APPROACH_METRICS: tuple[str, ...] = (
     "abs_accel_sum",  # sum of |a| in m/s^2 over steps from entering to crossing (comfort)
     "abs_jerk_sum",  # sum of |a_t - a_{t-1}| / dt in m/s^3 over the same steps
     "min_ttc_sum_s",  # minimum time to collision, at most 10 s, summed over crossed vehicles that ever closed in
-    "min_ttc_vehicles",  # how many those are
+    "min_ttc_vehicles",  # number of these vehicles
     "waiting",  # vehicles of this approach that still wait to enter the network at the end (spill-back)
     "collisions_cv",  # collisions whose rear vehicle is a CV
     "collisions_hdv",  # collisions whose rear vehicle is human-driven
     "agent_steps",  # steps of CVs that held an agent slot
-    "deferred_steps",  # those of them left to SUMO: asked for, NaN action, slowed for a lane change, or inside
-    "nan_actions",  # those of them whose action was NaN
-    "lane_change_deferred",  # those of them left to SUMO because it slowed the CV for a lane change
-    "junction_deferred",  # those of them left to SUMO because the CV was inside the junction
+    "deferred_steps",  # those left to the driver: on request, NaN action, slowed for a lane change, or inside
+    "nan_actions",  # those with a NaN action
+    "lane_change_deferred",  # those left to the driver because it slowed for a lane change
+    "junction_deferred",  # those left to the driver because the CV was inside the junction
     "unslotted_steps",  # steps of CVs that found no free agent slot and were driven by IDM
     "red_crossings_cv",  # CVs that crossed the stop line on red where turning right on red is not legal
     "red_crossings_hdv",  # human-driven vehicles that did
     "due",  # vehicles whose departure was due by the end: dropped + waiting + outside + early + entered
-    "dropped",  # those that the simulator dropped because they could not enter the network safely
-    "outside",  # those under way to the region at the end
+    "dropped",  # those dropped by the simulator because they could not enter the network safely
+    "outside",  # those in the network, but not yet in the region at the end
     "early",  # those that were in the region, or had left it, when the warm-up ended
-    "cohort",  # vehicles that are scheduled to depart between warm-up and horizon: the same ones under every policy
-    "cohort_left",  # those of them that had left the region when the episode ended
-    "cohort_region_co2_g",  # what the cohort burned in the region: approach, junction and exit
-    "cohort_blocked_co2_g",  # what it would have burned standing outside, while blocked
-    "cohort_region_delay_s",  # time that it lost in the region against driving at the limit
-    "cohort_blocked_s",  # time for which it was blocked outside: it could have come, at the limit, and had not
+    "cohort",  # vehicles scheduled to depart between warm-up and horizon: the same under every policy
+    "cohort_left",  # those that had left the region when the episode ended
+    "cohort_region_co2_g",  # CO2 of the cohort in the region: approach, junction and exit
+    "cohort_blocked_co2_g",  # CO2 of idling outside for the time for which it was blocked
+    "cohort_region_delay_s",  # delay in the region against driving at the limit
+    "cohort_blocked_s",  # time blocked outside: could have arrived at the limit, and had not
+    *MOVEMENT_METRICS,
 )
 """Names of the per-approach sums and counts, in the order in which the simulator core stores them."""
-
-DEMAND: tuple[str, ...] = ("dropped", "waiting", "outside", "entered")
-"""The parts of the demand of the measured time, by approach: every vehicle that was due, but for the early ones."""
-
-KEPT_OUT: tuple[str, ...] = ("waiting", "outside")
-"""Those of them that have not come to the region yet: what they burn is not counted."""
 
 EPISODE_METRICS: tuple[str, ...] = (
     "steps",  # control steps since warm-up
@@ -134,6 +145,9 @@ _RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
 _UNSLOTTED_STEPS = METRIC["unslotted_steps"]
 _COHORT_CO2_G = METRIC["cohort_region_co2_g"]
 _COHORT_DELAY_S = METRIC["cohort_region_delay_s"]
+_MOVEMENT_DELAY_S = METRIC["right_cohort_region_delay_s"]
+_QUEUE, _QUEUE_MAX = METRIC["right_queue"], METRIC["right_queue_max"]
+_NUM_MOVEMENTS = len(MOVEMENTS)
 _STEPS = EPISODE_METRIC["steps"]
 _RETURN = EPISODE_METRIC["return"]
 _REWARD_SUM = EPISODE_METRIC["reward_sum"]
@@ -144,10 +158,10 @@ _GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
 @compiled(borrows=True)
-def account(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
-    """Add the step to every vehicle's sums; book a vehicle's sums to its approach when it crosses the stop line.
+def accumulate_step(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
+    """Add the step to every vehicle's sums, and a vehicle's sums to its approach's when it crosses the stop line.
 
-    ``colour`` and ``legal`` ``[P, Q]`` are the signal that vehicles drove by in the step.
+    ``colour`` and ``legal`` ``[P, Q]`` are the signal in force during the step.
     """
     for j in range(rows.shape[0]):
         r = rows[j]
@@ -169,21 +183,37 @@ def account(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ig
         flags[r, CROSSED] = 1
         on_red = colour[p, ints[r, EXIT]] == RED and not legal[p, ints[r, EXIT]]
         if counted:
-            _book_crossing(r, p, floats, flags, step_s, on_red, sums)
+            _record_crossing(r, p, floats, flags, step_s, on_red, sums)
 
 
 @compiled(borrows=True)
-def account_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Add what the cohort burned and lost in the step, which is counted until an episode's end."""
+def accumulate_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Add the cohort's CO2 and delay of the step, which are counted until the episode ends."""
     for j in range(rows.shape[0]):
         r = rows[j]
         if flags[r, COHORT]:
             sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
             sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
+            sums[ints[r, APPROACH], _MOVEMENT_DELAY_S + ints[r, MOVEMENT]] += floats[r, DELAY]
 
 
 @compiled(borrows=True)
-def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
+def count_queues(rows, floats, ints, sums):  # type: ignore[no-untyped-def]
+    """Count the vehicles that stand before the stop line, by movement."""
+    for p in range(sums.shape[0]):
+        for m in range(_NUM_MOVEMENTS):
+            sums[p, _QUEUE + m] = 0.0
+    for j in range(rows.shape[0]):
+        r = rows[j]
+        if ints[r, LOCATION] == APPROACHING and floats[r, SPEED] < STOPPED_MPS:
+            sums[ints[r, APPROACH], _QUEUE + ints[r, MOVEMENT]] += 1
+    for p in range(sums.shape[0]):
+        for m in range(_NUM_MOVEMENTS):
+            sums[p, _QUEUE_MAX + m] = max(sums[p, _QUEUE_MAX + m], sums[p, _QUEUE + m])
+
+
+@compiled(borrows=True)
+def _record_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
     sums[p, _CROSSED] += 1
     sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
     sums[p, _VEHICLE_STEPS] += floats[r, SUM_STEPS]
@@ -204,8 +234,8 @@ def _book_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[n
 
 
 @compiled(borrows=True)
-def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Start the sums of a vehicle that has just been given row ``r``."""
+def record_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Reset the sums of a vehicle that has just been given row ``r``, and count its entry."""
     floats[r, SUM_EMISSION] = 0.0
     floats[r, SUM_STEPS] = 0.0
     floats[r, SUM_STOPPED] = 0.0
@@ -218,8 +248,8 @@ def book_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Report, at the horizon, the counted vehicles that have not crossed."""
+def record_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+    """Add the counted vehicles that have not crossed by the horizon."""
     for j in range(rows.shape[0]):
         r = rows[j]
         if flags[r, COUNTED] and not flags[r, CROSSED]:
@@ -228,17 +258,18 @@ def book_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped
 
 
 @compiled(borrows=True)
-def sum_episode(rows, acting_row, floats, ints, flags, reward, step_s, sums, episode):  # type: ignore[no-untyped-def]
-    """Add the step to the episode's numbers ``episode [E]``, and CVs without a slot to their approach."""
+def accumulate_episode(rows, tables, reward, step_s, sums):  # type: ignore[no-untyped-def]
+    """Add the step to the episode's sums ``tables.episode``, and CVs without a slot to those of their approach."""
+    floats, ints, episode = tables.floats, tables.ints, tables.episode
     agents, total, fastest = 0, 0.0, 0.0
-    for a in range(acting_row.shape[0]):
-        if acting_row[a] >= 0:
+    for a in range(tables.acting.shape[0]):
+        if tables.acting[a] >= 0:
             agents += 1
             total += reward[a]
     for j in range(rows.shape[0]):
         r = rows[j]
         fastest = max(fastest, floats[r, SPEED])
-        if flags[r, IS_CV] and ints[r, AGENT] < 0:
+        if tables.flags[r, IS_CV] and ints[r, AGENT] < 0:
             sums[ints[r, APPROACH], _UNSLOTTED_STEPS] += 1
     episode[_STEPS] += 1
     episode[_REWARD_SUM] += total

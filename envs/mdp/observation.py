@@ -1,6 +1,6 @@
-"""What a CV observes: every column declared once, with its name, unit, scale and where it comes from.
+"""A CV's observation: every column declared once, with its name, unit, scale and source.
 
-An observation is the ego columns, then the neighbour columns of each neighbour that is seen, then the observed context
+An observation is the ego columns, then the neighbour columns of each chosen neighbour, then the observed context
 features of the ego's movement. Names, specs and the layout page follow from the declarations here, and so does the
 compiled code (:mod:`izoo.envs.mdp.observation_kernel`), which holds each value divided by its scale.
 """
@@ -31,10 +31,10 @@ from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 FAR_M = 1000.0
-"""Distance of a neighbour that is not there; its speed, blinkers and flag ``present`` are 0."""
+"""Distance of an absent neighbour, whose speed, blinkers and flag ``present`` are 0."""
 SPEED_SCALE_MPS, DISTANCE_SCALE_M, TIME_SCALE_S = 15.0, 250.0, 100.0
 NEIGHBOURS = ("leader", "follower", "left_leader", "left_follower", "right_leader", "right_follower")
-"""Whom a CV can see: ahead of it and behind it, on its own lane, the one to the left and the one to the right."""
+"""Neighbours that a CV can observe: leader and follower on its own lane, the one to the left and to the right."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Column:
             in row ``r`` of the tables ``vehicles`` (``floats``, ``ints``, ``flags``:
             :mod:`izoo.envs.mdp.columns`), the arrays of the road and the state of the signals. A neighbour column's is
             ``value(other, gap_m, lane_exists, vehicles)``, where row ``other`` is -1 and the gap :data:`FAR_M` if
-            nobody is there.
-        meaning: what a reader needs to know beside that.
+            the neighbour is absent.
+        meaning: further explanation.
     """
 
     name: str
@@ -152,7 +152,7 @@ def _lane_exists(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> 
 
 NEIGHBOUR_COLUMNS = (
     Column("speed", "m/s", SPEED_SCALE_MPS, _other_speed),
-    Column("distance", "m", DISTANCE_SCALE_M, _other_distance, f"bumper to bumper; {FAR_M:g} m if nobody is there"),
+    Column("distance", "m", DISTANCE_SCALE_M, _other_distance, f"bumper to bumper; {FAR_M:g} m if absent"),
     Column("blinker_left", "", 1.0, _other_blinker_left),
     Column("blinker_right", "", 1.0, _other_blinker_right),
     Column("present", "", 1.0, _other_present),
@@ -173,7 +173,7 @@ FEATURE_VALUES: dict[str, Callable[[Context, RoadNet], Any]] = {
     "lane_length_m": lambda context, road: road.lane_length_m[:, None],
     "speed_limit_mps": lambda context, road: road.speed_limit_mps[:, None],
 }
-"""Where each observed context feature comes from: what broadcasts to ``[P, Q]``."""
+"""Source of each observed context feature, which broadcasts to ``[P, Q]``."""
 
 
 def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.ndarray:
@@ -195,8 +195,8 @@ def observation_columns(neighbours: Sequence[str], observed: Sequence[str]) -> l
     """Return the ``F`` columns of ``("agents", "observation")`` under their full names, in order.
 
     Args:
-        neighbours: whom a CV sees, of :data:`NEIGHBOURS`.
-        observed: the context features that it observes.
+        neighbours: observed neighbours, of :data:`NEIGHBOURS`.
+        observed: observed context features.
     """
     seen = [
         Column(f"{neighbour}_{column.name}", column.unit, column.scale, column.value, column.meaning)

@@ -7,7 +7,7 @@ from typing import Any
 
 from izoo.compiling import compiled, line_writer
 from izoo.envs.mdp.columns import APPROACH, EXIT, LANE_POSITION, LENGTH, PLACE, REGION_LANE
-from izoo.envs.mdp.neighbours import find_ahead, find_behind, first_from
+from izoo.envs.mdp.neighbours import find_follower, find_leader, first_at_or_beyond
 from izoo.envs.mdp.observation import EGO_COLUMNS, FAR_M, NEIGHBOUR_COLUMNS, Column
 
 NUM_SEEN = len(NEIGHBOUR_COLUMNS)
@@ -22,60 +22,62 @@ _write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicl
 
 
 @compiled(borrows=True)
-def observe(agent_row, shown, vehicles, road, clock, features, columns, sensor_range_m, out):  # type: ignore[no-untyped-def]
+def write_observations(agent_row, written, vehicles, road, clock, sensors, out):  # type: ignore[no-untyped-def]
     """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
 
     Args:
         agent_row: ``[A]`` rows of the tables ``vehicles`` (``floats``, ``ints``, ``flags``, ``order``, ``lane_start``).
-        shown: ``[A]`` whether a slot's line may hold something; lines that hold nothing are not cleared again.
+        written: ``[A]`` whether a slot's line may be non-zero; lines that are zero are not cleared again.
         road, clock: arrays of the road, and the state of the signals.
-        features: ``[P, Q, O]`` observed context features of a movement, scaled.
-        columns: ``[6]`` from :func:`~izoo.envs.mdp.observation.neighbour_columns`.
-        sensor_range_m: who is farther counts as absent.
+        sensors: ``features [P, Q, O]``, observed context features of each movement, scaled; ``columns [6]`` from
+            :func:`~izoo.envs.mdp.observation.neighbour_columns`; ``sensor_range_m``, beyond which vehicles count as
+            absent.
     """
+    features, columns = sensors.features, sensors.columns
     first_feature = out.shape[1] - features.shape[2]
     for a in range(agent_row.shape[0]):
         r = agent_row[a]
-        if r < 0 and not shown[a]:
+        if r < 0 and not written[a]:
             continue
         line = out[a]
         line[:] = 0.0
-        shown[a] = r >= 0
+        written[a] = r >= 0
         if r < 0:
             continue
         _write_ego(r, vehicles, road, clock, line)
         p, q = vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]
         for side in range(3):
             if columns[2 * side] >= 0 or columns[2 * side + 1] >= 0:
-                _look(side, r, p, q, columns, vehicles, road, sensor_range_m, line)
+                _write_neighbours(side, r, vehicles, road, sensors, line)
         for j in range(features.shape[2]):
             line[first_feature + j] = features[p, q, j]
 
 
 @compiled(borrows=True, forceinline=True)
-def _look(side, r, p, q, columns, vehicles, road, sensor_range_m, line):  # type: ignore[no-untyped-def]
-    """Write what vehicle ``r`` sees ahead and behind on a side (0 its own lane, 1 left, 2 right)."""
-    floats, order, start = vehicles.floats, vehicles.order, vehicles.lane_start
-    lane, position, ahead = _beside(side, r, vehicles, road)
+def _write_neighbours(side, r, vehicles, road, sensors, line):  # type: ignore[no-untyped-def]
+    """Write leader and follower of vehicle ``r`` on a side (0 its own lane, 1 left, 2 right)."""
+    floats, ints, columns = vehicles.floats, vehicles.ints, sensors.columns
+    lane, position, ahead = _neighbour_lane(side, r, vehicles, road)
     for back in range(2):
         column = columns[2 * side + back]
         if column < 0:
             continue
         other, gap = -1, FAR_M
         if lane >= 0 and back == 0:
-            other, gap = find_ahead(lane, position, ahead, q, r, floats, order, start, road)
+            other, gap = find_leader(lane, position, ahead, ints[r, EXIT], r, vehicles, road)
         elif lane >= 0:
             last = ahead - 2 if side == 0 else ahead - 1
-            other, gap = find_behind(lane, position, last, floats[r, LENGTH], p, r, floats, order, start, road)
-        if other < 0 or gap > sensor_range_m:
+            approach = ints[r, APPROACH]
+            other, gap = find_follower(lane, position, last, floats[r, LENGTH], approach, r, vehicles, road)
+        if other < 0 or gap > sensors.sensor_range_m:
             other, gap = -1, FAR_M
         _write_neighbour(other, gap, lane >= 0, vehicles, line[column : column + NUM_SEEN])
 
 
 @compiled(borrows=True, forceinline=True)
-def _beside(side, r, vehicles, road):  # type: ignore[no-untyped-def]
-    """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), where ``r`` would be on it, and the
-    place in ``order`` of the first vehicle ahead."""
+def _neighbour_lane(side, r, vehicles, road):  # type: ignore[no-untyped-def]
+    """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), the position of ``r`` on it, and the
+    index in ``order`` of the first vehicle ahead."""
     lane, position = vehicles.ints[r, REGION_LANE], vehicles.floats[r, LANE_POSITION]
     if side == 0:
         return lane, position, vehicles.ints[r, PLACE] + 1
@@ -84,4 +86,8 @@ def _beside(side, r, vehicles, road):  # type: ignore[no-untyped-def]
         return seen_lane, position, 0
     # Lanes of one edge end together, so positions on them compare from the end.
     position += road.lane_length[seen_lane] - road.lane_length[lane]
-    return seen_lane, position, first_from(seen_lane, position, vehicles.floats, vehicles.order, vehicles.lane_start)
+    return (
+        seen_lane,
+        position,
+        first_at_or_beyond(seen_lane, position, vehicles),
+    )

@@ -28,28 +28,28 @@ class RewardTerm:
         name: of its column in the reward vector, with its unit.
         unit: its unit.
         value: ``value(r, floats, config) -> float`` for the vehicle in row ``r`` of the tables after the step, where
-            ``config`` holds the numbers of :class:`RewardConfig` that are no weights. It is compiled.
-        most: ``None``: an individual term, with the fleet's mean beside it. A number: a term that all agents share,
+            ``config`` holds the fields of :class:`RewardConfig` other than weights. It is compiled.
+        upper: ``None``: an individual term, whose fleet mean is used too. A number: a term shared by all agents,
             the smallest value over all vehicles, at most this.
     """
 
     name: str
     unit: str
     value: Callable[[int, Any, Any], float]
-    most: float | None = None
+    upper: float | None = None
 
 
 def term(
-    weight: float, name: str, unit: str, value: Callable[[int, Any, Any], float], help: str, most: float | None = None
+    weight: float, name: str, unit: str, value: Callable[[int, Any, Any], float], help: str, upper: float | None = None
 ) -> Any:
     """Return a field of :class:`RewardConfig` that holds a term's weight.
 
     Args:
         weight: its default.
-        name, unit, value, most: see :class:`RewardTerm`.
-        help: what ``--help`` says of the weight.
+        name, unit, value, upper: see :class:`RewardTerm`.
+        help: description of the weight in ``--help``.
     """
-    return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, most), "help": help})
+    return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, upper), "help": help})
 
 
 def _speed_mps(r: int, floats: Any, config: Any) -> float:
@@ -91,17 +91,17 @@ class RewardConfig:
     in g, comfort ``-|a_t|`` and kinematic realism ``-|a_t - a_{t-1}|`` in m/s^2. The mean is over all vehicles in the
     region, human-driven ones too. ``y_s`` are terms that all share: the smallest time to collision.
 
-    With ``sums``, ``x_ik`` is a sum over the vehicle and those behind it up to the next CV, and in the place of the
-    mean stands the sum over all: the team's. Vehicles count over their whole way in the region, and those that are
-    blocked outside count as if they stood on the approach. Of the vehicles behind the stop line only those that are
-    leaving count for a CV that is leaving. Both sums are in units of what human driving burns: that of a vehicle on
-    its way, or of all vehicles that come during a step. So contexts weigh alike, and no CV gains by blocking others.
+    With ``sums``, ``x_ik`` is a sum over the vehicle and those behind it up to the next CV, and the mean is replaced by
+    the sum over all vehicles, the team's. Vehicles count over their whole way through the region, and vehicles blocked
+    outside count as if they stood on the approach. Vehicles behind the stop line are credited only to CVs behind it.
+    The sums are in units of human driving: the CO2 of a vehicle on its whole way, or of all vehicles that arrive during
+    a step. So contexts weigh alike, and no CV gains by blocking others.
 
     Attributes:
-        eta: share of the fleet; 1 pays every CV the same.
+        eta: share of the fleet; with 1 all CVs have the same reward.
         tau_mps: below this speed a vehicle counts as stopped.
         scale: the sum is divided by it.
-        sums: pay sums in units of human driving instead of means.
+        sums: reward sums in units of human driving instead of means.
         soft_stop: the released code's softened stop term ``(tau - v) / tau`` instead of the paper's indicator.
     """
 
@@ -124,7 +124,7 @@ class RewardConfig:
         "s",
         _ttc_s,
         "weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.",
-        most=TTC_CAP_S,
+        upper=TTC_CAP_S,
     )
 
     @classmethod
@@ -134,16 +134,16 @@ class RewardConfig:
 
     @classmethod
     def fuel(cls) -> RewardConfig:
-        """Return minus CO2 and delay, of oneself and those behind: what an evaluation measures, shared out.
+        """Return minus CO2 and delay of the CV and the vehicles behind it: the measure of an evaluation, per CV.
 
-        A second of delay counts as half a gram, about what a standing vehicle burns. What vehicles burn while they
-        are blocked outside counts, and so does the time.
+        A second of delay counts as half a gram, about the rate of an idling vehicle. CO2 and delay of vehicles blocked
+        outside count too.
         """
         return cls(eta=0.0, speed=0.0, alpha=0.0, beta=-1.0, delay=-0.5, scale=1.0, sums=True)
 
     @classmethod
     def fuel_team(cls) -> RewardConfig:
-        """Return the same for all vehicles together: every CV is paid for the whole team."""
+        """Return the same for all vehicles together: every CV gets the team's reward."""
         return dataclasses.replace(cls.fuel(), eta=1.0)
 
     def __post_init__(self) -> None:
@@ -153,8 +153,8 @@ class RewardConfig:
         check_range("reward.scale", self.scale, 1e-6, 1e9)
         if self.sums and not (self.beta or self.delay):
             raise IzooError(
-                "reward.sums=true pays in units of what human driving burns, but reward.beta and reward.delay are both "
-                "0: nothing would be said about fuel or time. Choose env.reward=fuel, or set one of them below 0."
+                "reward.sums=true is in units of human driving's CO2, but reward.beta and reward.delay are both 0: the "
+                "reward has no CO2 and no delay. Choose env.reward=fuel, or set one of them below 0."
             )
         for option in TERMS:
             if not math.isfinite(getattr(self, option)):
@@ -167,8 +167,8 @@ TERMS: dict[str, RewardTerm] = {
     field.name: field.metadata[_TERM] for field in dataclasses.fields(RewardConfig) if _TERM in field.metadata
 }
 """All terms by the option of their weight, in the order in which they are added up."""
-INDIVIDUAL = {option: declared for option, declared in TERMS.items() if declared.most is None}
-SHARED = {option: declared for option, declared in TERMS.items() if declared.most is not None}
+INDIVIDUAL = {option: declared for option, declared in TERMS.items() if declared.upper is None}
+SHARED = {option: declared for option, declared in TERMS.items() if declared.upper is not None}
 REWARD_COLUMNS = tuple(declared.name for declared in INDIVIDUAL.values())
 """Individual columns of ``("agents", "reward_vector")``."""
 REWARD_VECTOR = (

@@ -1,4 +1,4 @@
-"""The reward in compiled code: the terms of :mod:`izoo.envs.mdp.reward`, summed for every agent that acted."""
+"""The reward in compiled code: the weighted sum of the terms of :mod:`izoo.envs.mdp.reward` for every agent."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from izoo.compiling import compiled, line_writer
 from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig, RewardTerm
 
 NUM_TERMS, NUM_SHARED = len(INDIVIDUAL), len(SHARED)
-_MOST = np.array([term.most for term in SHARED.values()], np.float64)
+_UPPER = np.array([term.upper for term in SHARED.values()], np.float64)
 _NUMBERS = tuple(field.name for field in fields(RewardConfig) if field.name not in TERMS)
 Numbers: Any = namedtuple("Numbers", _NUMBERS)  # type: ignore[misc]
-"""What terms may depend on: the numbers of :class:`~izoo.envs.mdp.reward.RewardConfig` that are no weights."""
+"""Fields of :class:`~izoo.envs.mdp.reward.RewardConfig` other than weights, on which terms may depend."""
 
 
 def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray]:
@@ -36,82 +36,83 @@ evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.
 
 
 @compiled(borrows=True)
-def reward_terms(rows, floats, numbers, terms, fleet, shared, mine):  # type: ignore[no-untyped-def]
+def evaluate_terms(rows, floats, numbers, terms, fleet, shared, own_shared):  # type: ignore[no-untyped-def]
     """Evaluate all terms for the vehicles of ``rows``.
 
-    The fleet means of an empty region are 0, and what is shared there is what it is at most.
+    In an empty region the fleet means are 0, and shared terms have their upper bounds.
 
     Args:
         terms: ``[C, NUM_TERMS]`` individual terms, written for ``rows``.
         fleet: ``[NUM_TERMS]`` output, their means over ``rows``.
         shared: ``[NUM_SHARED]`` output, the smallest value of each shared term.
-        mine: ``[NUM_SHARED]`` working memory.
+        own_shared: ``[NUM_SHARED]`` working memory.
     """
     fleet[:] = 0.0
     for s in range(NUM_SHARED):
-        shared[s] = _MOST[s]
+        shared[s] = _UPPER[s]
     n = rows.shape[0]
     for j in range(n):
         r = rows[j]
         evaluate(r, floats, numbers, terms[r])
-        _evaluate_shared(r, floats, numbers, mine)
+        _evaluate_shared(r, floats, numbers, own_shared)
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
         for s in range(NUM_SHARED):
-            shared[s] = min(shared[s], mine[s])
+            shared[s] = min(shared[s], own_shared[s])
     if n > 0:
         for c in range(NUM_TERMS):
             fleet[c] /= n
 
 
 @compiled(borrows=True)
-def pay(acting_row, own, fleet, shared, numbers, weights, shared_weights, paid, reward, vector, full, empty, begins):  # type: ignore[no-untyped-def]
-    """Write what each slot gets for the step, and add it to its decision's; slots that did not act (row -1) get 0.
+def compute_rewards(acting, work, rules, frame, empty, begins):  # type: ignore[no-untyped-def]
+    """Compute each agent's reward of the step, and add it to the reward of the decision.
 
-    In an empty region everybody's reward is 0.
+    Slots that did not act (row -1) get 0, and in an empty region all rewards are 0.
 
     Args:
-        own: ``[A, T]`` individual terms by slot; a leaver's are its last.
-        paid: ``[A]`` output: the step's reward.
-        reward, vector: ``[A]`` and ``[A, R]``, to which the step's reward and terms are added.
-        full: whether anybody reads the vector; it is left alone otherwise.
-        empty: nobody is in the region.
-        begins: it is the first step of a decision, so ``reward`` and ``vector`` start from 0.
+        acting: ``[A]`` rows of the agents that acted.
+        work: reads ``own [A, T]`` individual terms by slot (of a leaver its last ones), ``fleet`` and ``shared``;
+            writes ``step_reward [A]``.
+        rules: ``reward``, ``weights``, ``shared_weights``; ``emit_vector``: whether the vector is written.
+        frame: ``reward [A]`` and ``reward_vector [A, R]``, to which the step's reward and terms are added.
+        empty: whether the region is empty.
+        begins: whether this is the first step of a decision, so that ``reward`` and ``reward_vector`` start from 0.
     """
-    for a in range(acting_row.shape[0]):
-        r = acting_row[a]
-        paid[a] = 0.0
+    own, fleet, shared, numbers, vector = work.own, work.fleet, work.shared, rules.reward, frame.reward_vector
+    for a in range(acting.shape[0]):
+        work.step_reward[a] = 0.0
         if begins:
-            reward[a] = 0.0
-            if full:
+            frame.reward[a] = 0.0
+            if rules.emit_vector:
                 vector[a, :] = 0.0
-        if r < 0 or empty:
+        if acting[a] < 0 or empty:
             continue
         total = 0.0
         for s in range(NUM_SHARED):
-            total += shared_weights[s] * shared[s]
+            total += rules.shared_weights[s] * shared[s]
         for c in range(NUM_TERMS):
-            total += weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * own[a, c])
-        if full:
+            total += rules.weights[c] * (numbers.eta * fleet[c] + (1.0 - numbers.eta) * own[a, c])
+        if rules.emit_vector:
             for s in range(NUM_SHARED):
                 vector[a, 2 * NUM_TERMS + s] += shared[s]
             for c in range(NUM_TERMS):
                 vector[a, c] += own[a, c]
                 vector[a, NUM_TERMS + c] += fleet[c]
-        paid[a] = total / numbers.scale
-        reward[a] += paid[a]
+        work.step_reward[a] = total / numbers.scale
+        frame.reward[a] += work.step_reward[a]
 
 
 @compiled(borrows=True)
-def team_pay(fleet, shared, numbers, weights, shared_weights, empty):  # type: ignore[no-untyped-def]
-    """Return what the fleet's part of the reward was in a step, whether or not there were agents to be paid.
+def team_step_reward(work, rules, empty):  # type: ignore[no-untyped-def]
+    """Return the fleet's part of the reward in a step, whether or not there are agents.
 
-    In an empty region nothing is shared; of sums, those who are held up outside remain.
+    In an empty region shared terms count as 0; of sums, the vehicles blocked outside still count.
     """
     total = 0.0
     for s in range(NUM_SHARED):
         if not empty:
-            total += shared_weights[s] * shared[s]
+            total += rules.shared_weights[s] * work.shared[s]
     for c in range(NUM_TERMS):
-        total += weights[c] * fleet[c]
-    return total / numbers.scale
+        total += rules.weights[c] * work.fleet[c]
+    return total / rules.reward.scale

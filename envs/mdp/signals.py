@@ -31,7 +31,7 @@ class ClockArrays(NamedTuple):
 
 
 def clock_arrays(clock: SignalClock) -> ClockArrays:
-    """Return the arrays of a clock, whose state is still to be read."""
+    """Return the arrays of a clock, with the state not yet read."""
     shape = clock.colour.shape[:2]
     tables: dict[str, Any] = {name: getattr(clock, name) for name in ClockArrays._fields[:8]}
     state: dict[str, Any] = {name: np.zeros(shape) for name in ClockArrays._fields[9:]}
@@ -39,10 +39,10 @@ def clock_arrays(clock: SignalClock) -> ClockArrays:
 
 
 @compiled(borrows=True)
-def phase_driven(time_s, clock):  # type: ignore[no-untyped-def]
-    """Return the phase that vehicles drove by in the step that ended at ``time_s``.
+def phase_of_step(time_s, clock):  # type: ignore[no-untyped-def]
+    """Return the phase that was in force during the step that ended at ``time_s``.
 
-    Simulators begin a step with every switch that falls in it, so that is the one in force at its last millisecond.
+    Simulators make every switch that falls in a step at its begin, so this is the phase of its last millisecond.
     """
     return _phase_at(time_s - _TICK_S, clock)[0]
 

@@ -1,8 +1,8 @@
 """Rows for vehicles and slots for agents, in compiled code.
 
-A vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. What is freed in
-a step is handed out again from the next step on, and an agent slot from the next decision on, so that a newcomer never
-stands in a leaver's place; the lowest free number goes first.
+A vehicle keeps its row, and a CV its agent slot, from entering the controlled region until it leaves. A freed row is
+reused from the next step on, and a freed agent slot from the next decision on, so that ``next`` never shows another
+vehicle in a leaver's place; the lowest free number is used first.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from izoo.envs.mdp.columns import (
     NUMBER,
     PRESENT,
 )
-from izoo.envs.mdp.credit import BLOCKED, HERE
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, book_entry
+from izoo.envs.mdp.credit import BLOCKED, ENTERED
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, record_entry
 from izoo.envs.mdp.state import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
 
 _STEPS = EPISODE_METRIC["steps"]
@@ -35,16 +35,16 @@ _COHORT_LEFT = METRIC["cohort_left"]
 
 
 @compiled(borrows=True)
-def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
-    """Give a vehicle that has come a row, and a CV a slot among the agents; return the row, -1 if all are taken.
+def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+    """Give a vehicle that has entered the region a row, and a CV an agent slot; return the row, -1 if all are taken.
 
-    A CV that finds no slot, or whose row is not among those emitted, is left to its own driver and counted.
+    A CV for which no slot is free, or whose row is not emitted, is left to its own driver and counted.
 
     Args:
         world: the :class:`~izoo.envs.mdp.state.World`.
         number: of the vehicle in the episode's demand.
         accel_mps2: its acceleration in the last step.
-        counted: whether it came while the episode was measured.
+        counted: whether it entered after the warm-up.
     """
     tables, demand = world.tables, world.demand
     floats, ints, flags = tables.floats, tables.ints, tables.flags
@@ -65,21 +65,21 @@ def take_in(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
     ints[row, AGENT] = -1
     ints[row, LEADER] = -1
-    if demand.fate[number] == BLOCKED:
+    if demand.status[number] == BLOCKED:
         demand.blocked[approach, VEHICLES] -= 1.0
         demand.blocked[approach, IDLE_GPS] -= demand.idle_gps[number]
-    demand.fate[number] = HERE
-    demand.came[number] = int(tables.episode[_STEPS])
+    demand.status[number] = ENTERED
+    demand.arrival_step[number] = int(tables.episode[_STEPS])
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
-    book_entry(row, floats, ints, flags, sums_to_horizon(world))
+    record_entry(row, floats, ints, flags, sums_to_horizon(world))
     if is_cv:
-        _give_slot(row, tables, world.rules.num_vehicles)
+        _assign_slot(row, tables, world.rules.num_vehicles)
     return row
 
 
 @compiled(borrows=True)
-def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
+def _assign_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
             if tables.agent_row[slot] == FREE:
@@ -90,8 +90,8 @@ def _give_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def let_go(world, row):  # type: ignore[no-untyped-def]
-    """Remove the vehicle of a row from the members; its row and slot stay taken until the step is concluded."""
+def release(world, row):  # type: ignore[no-untyped-def]
+    """Remove the vehicle of a row from the members; its row and slot stay taken until the step is finished."""
     tables = world.tables
     kept = 0
     for j in range(tables.cursor[MEMBERS]):
@@ -106,20 +106,20 @@ def let_go(world, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def enter(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
-    """Do what :func:`take_in` does, for Python."""
-    return take_in(world, number, accel_mps2, counted)
+def admit_vehicle(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+    """Call :func:`admit` from Python."""
+    return admit(world, number, accel_mps2, counted)
 
 
 @compiled
-def leave(world, row):  # type: ignore[no-untyped-def]
-    """Do what :func:`let_go` does, for Python."""
-    let_go(world, row)
+def release_vehicle(world, row):  # type: ignore[no-untyped-def]
+    """Call :func:`release` from Python."""
+    release(world, row)
 
 
 @compiled(borrows=True)
-def release(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
-    """Free the rows and slots of those who left in this step, and mark the slots ``[A]`` as terminated and done.
+def free_slots(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
+    """Free the rows and slots of the vehicles that left in this step; mark the slots ``[A]`` as terminated and done.
 
     Marks of earlier steps stay unless this one ``begins`` a decision.
     """

@@ -1,4 +1,4 @@
-"""What an environment looks like at a moment, for pictures, recordings and views; only NumPy is needed here."""
+"""The state of an environment at one time, for pictures, recordings and views; only NumPy is needed here."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Scene(NamedTuple):
         context: what is being played.
         road: its road net.
         time_s: simulated time, warm-up included.
-        vehicles: the columns of ``("vehicles", name)``, ``[n]`` each: everybody in the region.
+        vehicles: the columns of ``("vehicles", name)``, ``[n]`` each: all vehicles in the region.
         colour: ``[P, Q]`` 0 green, 1 yellow, 2 red.
         approach_metrics: ``[P, M]`` sums so far, columns :data:`izoo.envs.mdp.metric_sums.APPROACH_METRICS`.
     """

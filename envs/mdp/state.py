@@ -1,4 +1,4 @@
-"""What compiled code works on: one episode's tables, road, clock, rules, surrogates and frame, as one value."""
+"""The state of compiled code: an episode's tables, road, clock, rules, surrogates and frame, as one value."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from izoo.compiling import compiled
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import SCOPES, SPEED, STEP, EnvConfig
-from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, idle_rates, reach_times
+from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, earliest_arrivals, idle_rates
 from izoo.envs.mdp.columns import FLAGS, FLOATS, INTS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.reward_kernel import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
-from izoo.envs.mdp.units import Units, units_of
+from izoo.envs.mdp.units import Units, human_units
 from izoo.networks.road import LEAVING, RoadNet
 from izoo.traffic.sampling import Traffic
 
@@ -30,14 +30,14 @@ MIN_CAPACITY = 256
 _STEPS = EPISODE_METRICS.index("steps")
 _DATA_WORD = 3
 """Word of numba's block of managed memory (``MemInfo``) that holds the address of the data."""
-(MEMBERS, LEAVERS, SUSPECTS, HELD, DUE) = range(5)
-"""Entries of :attr:`Tables.cursor`: how many members, leavers and suspects there are, how many steps of the present
-decision have been played, and how many vehicles could have come to the region so far."""
+(MEMBERS, LEAVERS, WRONG_LANE_AGENTS, DECISION_STEPS, DUE) = range(5)
+"""Entries of :attr:`Tables.cursor`: numbers of members, leavers and wrong-lane agents, steps of the present decision
+that were played, and vehicles whose earliest arrival has passed."""
 EVERY_STEP, ONCE, ONCE_AND_BEHIND = range(len(SCOPES))
 """Values of :attr:`Rules.scope`."""
 FREE, FREED = -1, -2
-"""Entries of :attr:`Tables.agent_row` without a vehicle: a slot that can be given away, and one that was freed in this
-decision and cannot until the next."""
+"""Entries of :attr:`Tables.agent_row` without a vehicle: a free slot, and one that was freed in this decision and is
+not free before the next."""
 
 
 class Tables(NamedTuple):
@@ -45,22 +45,22 @@ class Tables(NamedTuple):
 
     Attributes:
         floats, ints, flags: ``[C, *]``, a row per vehicle (:mod:`izoo.envs.mdp.columns`).
-        terms: ``[C, T]`` individual reward terms; a leaver's are needed once more.
+        terms: ``[C, T]`` individual reward terms; a leaver's are used once more.
         sums, episode: ``[P, M]`` and ``[E]`` metrics.
         agent_row: ``[A]`` row behind each agent slot, below 0 where it is empty (:data:`FREE`, :data:`FREED`).
-        acting: ``[A]`` rows of those who decided when the decision began and were still there when the step did; -1
-            for all other slots.
-        members: ``[C]`` rows of the vehicles in the region, in the order in which they came.
-        leavers: ``[C]`` rows whose vehicle left in this step; they still hold its last state.
-        suspects: ``[C]`` agents' rows on a lane that does not lead to their exit.
+        acting: ``[A]`` rows of the agents that were there when the decision began and still were when the step began;
+            -1 for all other slots.
+        members: ``[C]`` rows of the vehicles in the region, in order of arrival.
+        leavers: ``[C]`` rows whose vehicle left in this step; they hold its last state.
+        wrong_lane_agents: ``[C]`` agents' rows on a lane that does not lead to their exit.
         order, lane_start: ``[C]`` and ``[L + 1]``, the members sorted by lane and position.
-        command, target_mps, release: ``[A]`` orders for the coming step: rows with their speeds, and rows that are no
+        command, target_mps, release: ``[A]`` commands for the coming step: rows and their speeds, and rows that are no
             longer commanded.
-        capped, cap_mps: ``[A]`` the same: rows with a new maximum speed.
-        decision, left: ``[A, D]`` and ``[A]`` what the agent decided last, and whether it is left to its driver; where
-            agents decide in every step, those of the frame count.
-        stage: ``[A]`` uint8, whether it has not decided yet (0), has, and once more behind the stop line (2).
-        cursor: ``[5]`` how far the lists above are filled, and how far decision and demand are.
+        capped, cap_mps: ``[A]`` rows with a new maximum speed, and the speeds.
+        decision, deferred: ``[A, D]`` and ``[A]`` the agent's last action, and whether it is left to its driver; where
+            agents decide in every step, the frame's are used instead.
+        stage: ``[A]`` uint8: 0 has not decided yet, 1 decided before the stop line, 2 behind it.
+        cursor: ``[5]`` see :data:`MEMBERS`.
     """
 
     floats: np.ndarray
@@ -73,7 +73,7 @@ class Tables(NamedTuple):
     acting: np.ndarray
     members: np.ndarray
     leavers: np.ndarray
-    suspects: np.ndarray
+    wrong_lane_agents: np.ndarray
     order: np.ndarray
     lane_start: np.ndarray
     command: np.ndarray
@@ -82,12 +82,12 @@ class Tables(NamedTuple):
     capped: np.ndarray
     cap_mps: np.ndarray
     decision: np.ndarray
-    left: np.ndarray
+    deferred: np.ndarray
     stage: np.ndarray
     cursor: np.ndarray
 
 
-PER_ROW = ("floats", "ints", "flags", "terms", "members", "leavers", "suspects", "order")
+PER_ROW = ("floats", "ints", "flags", "terms", "members", "leavers", "wrong_lane_agents", "order")
 """Tables with an entry per row."""
 
 
@@ -105,7 +105,7 @@ def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables
         acting=np.full(a, -1),
         members=np.zeros(c, np.int64),
         leavers=np.zeros(c, np.int64),
-        suspects=np.zeros(c, np.int64),
+        wrong_lane_agents=np.zeros(c, np.int64),
         order=np.zeros(c, np.int64),
         lane_start=np.zeros(num_lanes + 1, np.int64),
         command=np.zeros(a, np.int64),
@@ -114,58 +114,58 @@ def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables
         capped=np.zeros(a, np.int64),
         cap_mps=np.zeros(a),
         decision=np.zeros((a, config.action_columns), np.float32),
-        left=np.zeros(a, np.uint8),
+        deferred=np.zeros(a, np.uint8),
         stage=np.zeros(a, np.uint8),
         cursor=np.zeros(5, np.int64),
     )
 
 
-def grown(tables: Tables) -> Tables:
-    """Return tables with twice the rows, and all that was in them."""
+def with_double_rows(tables: Tables) -> Tables:
+    """Return copies of the tables with twice the rows."""
     longer = {name: np.concatenate([old := getattr(tables, name), np.zeros_like(old)]) for name in PER_ROW}
     return tables._replace(**longer)
 
 
 class Work(NamedTuple):
-    """Working memory of a step; nothing in it lasts, but for what ``shown`` says of the frame.
+    """Working memory of a step; only ``written`` carries over to the next.
 
     Attributes:
-        lane_fill: ``[L]``. own: ``[A, T]``. fleet, standing: ``[T]``. shared, least: ``[S]``. paid: ``[A]``.
-        rearmost: ``[P]``. blocked: ``[P, 2]``. standing_row: ``[1, *]``, a row like those of ``floats``.
-        past_horizon: ``[P, M]``, takes the sums of the steps after the horizon, which count for nothing.
-        shown: ``[A]`` uint8, whether the slot's row of the frame's observation may hold something.
+        lane_fill: ``[L]``. own: ``[A, T]``. fleet, idling: ``[T]``. shared, own_shared: ``[S]``. step_reward: ``[A]``.
+        rearmost: ``[P]``. blocked: ``[P, 2]``. idling_row: ``[1, *]``, a row like those of ``floats``.
+        past_horizon: ``[P, M]``, receives the sums of the steps after the horizon, which are discarded.
+        written: ``[A]`` uint8, whether the slot's row of the frame's observation may be non-zero.
     """
 
     lane_fill: np.ndarray
     own: np.ndarray
     fleet: np.ndarray
-    standing: np.ndarray
+    idling: np.ndarray
     shared: np.ndarray
-    least: np.ndarray
-    paid: np.ndarray
+    own_shared: np.ndarray
+    step_reward: np.ndarray
     rearmost: np.ndarray
     blocked: np.ndarray
     past_horizon: np.ndarray
-    standing_row: np.ndarray
-    shown: np.ndarray
+    idling_row: np.ndarray
+    written: np.ndarray
 
 
-def work_space(config: EnvConfig, num_lanes: int) -> Work:
+def working_memory(config: EnvConfig, num_lanes: int) -> Work:
     """Return the working memory of an episode."""
     a = config.num_agents
     return Work(
         lane_fill=np.zeros(num_lanes, np.int64),
         own=np.zeros((a, NUM_TERMS)),
         fleet=np.zeros(NUM_TERMS),
-        standing=np.zeros(NUM_TERMS),
+        idling=np.zeros(NUM_TERMS),
         shared=np.zeros(NUM_SHARED),
-        least=np.zeros(NUM_SHARED),
-        paid=np.zeros(a),
+        own_shared=np.zeros(NUM_SHARED),
+        step_reward=np.zeros(a),
         rearmost=np.zeros(config.num_approaches, np.int64),
         blocked=np.zeros((config.num_approaches, 2)),
         past_horizon=np.zeros((config.num_approaches, len(APPROACH_METRICS))),
-        standing_row=np.zeros((1, len(FLOATS))),
-        shown=np.ones(a, np.uint8),
+        idling_row=np.zeros((1, len(FLOATS))),
+        written=np.ones(a, np.uint8),
     )
 
 
@@ -174,17 +174,17 @@ VEHICLES, IDLE_GPS = range(2)
 
 
 class Demand(NamedTuple):
-    """What is known of every vehicle of the episode beforehand, ``[N]`` each, and which are blocked outside.
+    """All vehicles of the episode, ``[N]`` each, and which are blocked outside the region.
 
     Attributes:
         is_cv, approach, exit, length_m, moves_class: of the vehicle.
         cohort: whether the vehicle is scheduled to depart between warm-up and horizon.
-        reach_s: when it could have come to the region.
-        idle_gps: what it burns standing on its approach, g/s.
-        next_number: the vehicles in the order of ``reach_s``.
-        fate: changes: what has become of the vehicle (:mod:`izoo.envs.mdp.credit`).
-        blocked: ``[P, 2]``, changes: how many vehicles are blocked, and what they burn standing, g/s.
-        came: changes: how many steps had been played when the vehicle came, :data:`NEVER` until then.
+        earliest_s: time at which it would reach the region at the speed limit.
+        idle_gps: CO2 rate when idling on its approach, g/s.
+        by_earliest: the vehicles in the order of ``earliest_s``.
+        status: changes: status of the vehicle (:mod:`izoo.envs.mdp.credit`).
+        blocked: ``[P, 2]``, changes: number of blocked vehicles, and their CO2 rate when idling, g/s.
+        arrival_step: changes: steps played when the vehicle entered the region, :data:`NEVER` until then.
     """
 
     is_cv: np.ndarray
@@ -193,19 +193,19 @@ class Demand(NamedTuple):
     length_m: np.ndarray
     moves_class: np.ndarray
     cohort: np.ndarray
-    reach_s: np.ndarray
+    earliest_s: np.ndarray
     idle_gps: np.ndarray
-    next_number: np.ndarray
-    fate: np.ndarray
+    by_earliest: np.ndarray
+    status: np.ndarray
     blocked: np.ndarray
-    came: np.ndarray
+    arrival_step: np.ndarray
 
 
 def demand_arrays(
     config: EnvConfig, context: Context, road: RoadNet, traffic: Traffic, surrogates: KernelWeights
 ) -> Demand:
-    """Pick the arrays out of an episode's traffic."""
-    reach_s = reach_times(road, traffic)
+    """Return the arrays of an episode's traffic."""
+    earliest_s = earliest_arrivals(road, traffic)
     return Demand(
         is_cv=np.ascontiguousarray(traffic.is_cv),
         approach=np.ascontiguousarray(traffic.approach),
@@ -213,17 +213,17 @@ def demand_arrays(
         length_m=np.ascontiguousarray(traffic.length_m),
         moves_class=np.ascontiguousarray(traffic.moves_class),
         cohort=cohort_of(config, traffic),
-        reach_s=reach_s,
+        earliest_s=earliest_s,
         idle_gps=idle_rates(context, road, traffic, surrogates),
-        next_number=np.argsort(reach_s, kind="stable"),
-        fate=np.zeros(len(traffic), np.int64),
+        by_earliest=np.argsort(earliest_s, kind="stable"),
+        status=np.zeros(len(traffic), np.int64),
         blocked=np.zeros((len(road.approaches), 2)),
-        came=np.full(len(traffic), NEVER, np.int64),
+        arrival_step=np.full(len(traffic), NEVER, np.int64),
     )
 
 
 class Rules(NamedTuple):
-    """What stays fixed for an episode: decisions, weather, engine, reward and units, sensors, and what is emitted."""
+    """Constants of an episode: decisions, weather, engine, reward and units, sensors, emitted groups."""
 
     step_s: float
     scope: int
@@ -256,7 +256,7 @@ def rules_of(config: EnvConfig, context: Context, road: RoadNet, traffic: Traffi
     reward, weights, shared_weights = reward_arrays(config.reward)
     units = Units(np.ones(1), 1.0)
     if config.reward.sums:
-        units = units_of(context, road, traffic, surrogates, config.horizon_s, config.step_s)
+        units = human_units(context, road, traffic, surrogates, config.horizon_s, config.step_s)
     return Rules(
         step_s=config.step_s,
         scope=SCOPES.index(config.decide),
@@ -334,7 +334,7 @@ class _WorldAttribute(AttributeTemplate):  # type: ignore[misc]
 
 
 def parts_of(context: Any, builder: Any, world: Any, value: Any) -> Any:
-    """Return what a world consists of; numba's own way is closed to functions that do not count references."""
+    """Return the parts of a world; numba's own accessor does not work in functions that do not count references."""
     box = cgutils.create_struct_proxy(world)(context, builder, value=value)
     words = builder.bitcast(box.meminfo, ir.IntType(8).as_pointer().as_pointer())
     data = builder.load(builder.gep(words, [ir.Constant(ir.IntType(64), _DATA_WORD)]))
@@ -360,7 +360,7 @@ def _set_part(context: Any, builder: Any, signature: Any, args: Any, name: str) 
 class World(structref.StructRefProxy):  # type: ignore[misc]
     """Everything about an episode, as views for compiled code; nothing is copied.
 
-    Handing this over instead of some ninety arrays saves a fraction of a microsecond for each of them, in every step.
+    Passing this instead of some ninety arrays saves a fraction of a microsecond for each of them, in every step.
     """
 
 
@@ -369,13 +369,13 @@ structref.define_proxy(World, WorldType, ["tables", "work", "demand", "road", "c
 
 @compiled(borrows=True, inline="always")
 def sums_to_horizon(world):  # type: ignore[no-untyped-def]
-    """Return the table that takes the coming step's sums: after the horizon, one that nobody reads."""
+    """Return the table for the coming step's sums: after the horizon, one that is discarded."""
     if world.tables.episode[_STEPS] < world.rules.control_steps:
         return world.tables.sums
     return world.work.past_horizon
 
 
 @compiled
-def hold(tables, work, demand, road, clock, rules, surrogate, frame):  # type: ignore[no-untyped-def]
+def make_world(tables, work, demand, road, clock, rules, surrogate, frame):  # type: ignore[no-untyped-def]
     """Return a :class:`World`."""
     return World(tables, work, demand, road, clock, rules, surrogate, frame)

@@ -1,7 +1,8 @@
-"""One step of the MDP in compiled code: orders before the simulator moves, and the next frame after it has.
+"""One step of the MDP in compiled code: commands before the simulator moves, and the next frame after it has.
 
-:func:`make_frame` joins the three parts for a simulator of one environment, which saves two calls per step; one of many
-environments calls :func:`settle` and :func:`conclude` for each of them, and computes CO2 for all of them in between.
+:func:`make_frame` joins the three parts for a simulator of one environment, which saves two calls per step. A simulator
+of many environments calls :func:`update_vehicles` and :func:`finish_step` for each of them, and computes the CO2 of all
+of them in between.
 """
 
 from __future__ import annotations
@@ -23,21 +24,27 @@ from izoo.envs.mdp.columns import (
     WRONG_LANE,
 )
 from izoo.envs.mdp.commands import plan_caps, plan_commands
-from izoo.envs.mdp.credit import count_blocked, share_out
-from izoo.envs.mdp.displacement import place
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, account, account_cohort, sum_episode
+from izoo.envs.mdp.credit import assign_credit, count_blocked
+from izoo.envs.mdp.displacement import update_motion
+from izoo.envs.mdp.metric_sums import (
+    EPISODE_METRIC,
+    accumulate_cohort,
+    accumulate_episode,
+    accumulate_step,
+    count_queues,
+)
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
-from izoo.envs.mdp.observation_kernel import observe
-from izoo.envs.mdp.reward_kernel import NUM_TERMS, pay, reward_terms, team_pay
-from izoo.envs.mdp.signals import phase_driven, read_clock
-from izoo.envs.mdp.slots import release
+from izoo.envs.mdp.observation_kernel import write_observations
+from izoo.envs.mdp.reward_kernel import NUM_TERMS, compute_rewards, evaluate_terms, team_step_reward
+from izoo.envs.mdp.signals import phase_of_step, read_clock
+from izoo.envs.mdp.slots import free_slots
 from izoo.envs.mdp.state import (
+    DECISION_STEPS,
     EVERY_STEP,
     FREE,
-    HELD,
     MEMBERS,
     ONCE_AND_BEHIND,
-    SUSPECTS,
+    WRONG_LANE_AGENTS,
     sums_to_horizon,
 )
 from izoo.networks.road import APPROACHING
@@ -46,14 +53,14 @@ _STEPS = EPISODE_METRIC["steps"]
 
 
 @compiled(borrows=True)
-def take_orders(world):  # type: ignore[no-untyped-def]
-    """Turn the frame's actions into orders for the coming step; return how many commands, releases and caps there are.
+def translate_actions(world):  # type: ignore[no-untyped-def]
+    """Turn the frame's actions into commands for the coming step; return the numbers of commands, releases and caps.
 
-    The actions are those of the present decision: they are for those who were there when it began, and of them, where
-    not everybody decides in every step, for those who were to; what the others decided last stays in force.
+    The actions are those of the present decision and apply to the agents that were there when it began. Where agents do
+    not decide in every step, they apply to the agents that had to decide; for the others the last decision holds.
     """
     tables, frame = world.tables, world.frame
-    begins = tables.cursor[HELD] == 0
+    begins = tables.cursor[DECISION_STEPS] == 0
     for a in range(tables.agent_row.shape[0]):
         if begins:
             tables.agent_row[a] = max(tables.agent_row[a], FREE)
@@ -63,59 +70,30 @@ def take_orders(world):  # type: ignore[no-untyped-def]
     action, defer = frame.action, frame.defer
     if world.rules.scope != EVERY_STEP:
         if begins:
-            _keep_decisions(tables, frame)
-        action, defer = tables.decision, tables.left
+            _store_decisions(tables, frame)
+        action, defer = tables.decision, tables.deferred
+    sums = sums_to_horizon(world)
     if world.rules.speeds:
-        return plan_caps(
-            tables.agent_row,
-            tables.acting,
-            action,
-            defer,
-            world.rules.step_s,
-            world.road,
-            world.rules.exit_limit_mps,
-            tables.floats,
-            tables.ints,
-            tables.flags,
-            sums_to_horizon(world),
-            tables.command,
-            tables.release,
-            tables.target_mps,
-            tables.capped,
-            tables.cap_mps,
-        )
-    commands, releases = plan_commands(
-        tables.agent_row,
-        tables.acting,
-        action,
-        defer,
-        world.rules.step_s,
-        tables.floats,
-        tables.ints,
-        tables.flags,
-        sums_to_horizon(world),
-        tables.command,
-        tables.release,
-        tables.target_mps,
-    )
+        return plan_caps(tables, world.rules, world.road, action, defer, sums)
+    commands, releases = plan_commands(tables, world.rules, action, defer, sums)
     return commands, releases, 0
 
 
 @compiled(borrows=True)
-def _keep_decisions(tables, frame):  # type: ignore[no-untyped-def]
-    """Keep what those have decided who were to."""
+def _store_decisions(tables, frame):  # type: ignore[no-untyped-def]
+    """Store the decisions of the agents that had to decide."""
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r >= 0 and frame.decides[a]:
             for d in range(frame.action.shape[1]):
                 tables.decision[a, d] = frame.action[a, d]
-            tables.left[a] = frame.defer[a]
+            tables.deferred[a] = frame.defer[a]
             tables.stage[a] = 1 if tables.ints[r, LOCATION] == APPROACHING else 2
 
 
 @compiled(borrows=True)
-def _is_due(tables, rules, a):  # type: ignore[no-untyped-def]
-    """Whether the agent in a slot is to decide before the coming step, where not everybody does."""
+def _must_decide(tables, rules, a):  # type: ignore[no-untyped-def]
+    """Whether the agent in a slot must decide before the coming step, where agents do not decide in every step."""
     r = tables.agent_row[a]
     if r < 0 or tables.stage[a] == 0:
         return r >= 0
@@ -123,167 +101,143 @@ def _is_due(tables, rules, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def _anybody_due(tables, rules):  # type: ignore[no-untyped-def]
+def _any_due(tables, rules):  # type: ignore[no-untyped-def]
     due = False
     for a in range(tables.agent_row.shape[0]):
-        due = due or _is_due(tables, rules, a)
+        due = due or _must_decide(tables, rules, a)
     return due
 
 
 @compiled
-def give_orders(world):  # type: ignore[no-untyped-def]
-    """Do what :func:`take_orders` does, for Python."""
-    return take_orders(world)
+def translate_frame_actions(world):  # type: ignore[no-untyped-def]
+    """Call :func:`translate_actions` from Python."""
+    return translate_actions(world)
 
 
 @compiled(borrows=True)
-def settle(world, reading):  # type: ignore[no-untyped-def]
-    """Write where the members are into the tables, sort them, and find their leaders.
+def update_vehicles(world, reading):  # type: ignore[no-untyped-def]
+    """Write the vehicles' positions into the tables, sort them by lane, and find their leaders.
 
     Args:
         world: the :class:`~izoo.envs.mdp.state.World`.
-        reading: tuple of ``[n]`` arrays, in the order of the members: region lane, lane position in m, speed in m/s,
-            signal bits.
+        reading: ``[n]`` arrays in the order of the members: region lane, lane position (m), speed (m/s), signal bits.
     """
     tables, road = world.tables, world.road
     rows = tables.members[: tables.cursor[MEMBERS]]
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
-    lane, position, speed, signals = reading
-    place(rows, lane, position, speed, signals, floats, ints, flags, road, world.rules.step_s)
-    sort_lanes(rows, floats, ints, world.work.lane_fill, tables.order, tables.lane_start)
-    find_leaders(rows, floats, ints, flags, tables.order, tables.lane_start, road)
+    update_motion(rows, reading, tables, road, world.rules.step_s)
+    sort_lanes(rows, tables.floats, tables.ints, world.work.lane_fill, tables.order, tables.lane_start)
+    find_leaders(rows, tables, road)
 
 
 @compiled(borrows=True)
-def emit_co2(world):  # type: ignore[no-untyped-def]
-    """Write each member's CO2 of the step in g; electric CVs emit nothing."""
-    for j in range(world.tables.cursor[MEMBERS]):
-        emit_one(world, world.tables.members[j])
-
-
-@compiled(borrows=True, forceinline=True)
-def emit_one(world, r):  # type: ignore[no-untyped-def]
-    """Write the CO2 of the vehicle in row ``r``, unless it is that of the step before."""
+def compute_emissions(world):  # type: ignore[no-untyped-def]
+    """Write each vehicle's CO2 of the step in g, unless it is that of the step before; electric CVs emit nothing."""
     tables, rules = world.tables, world.rules
     floats = tables.floats
-    if tables.flags[r, STEADY]:
-        return
-    floats[r, EMISSION] = 0.0
-    if not tables.flags[r, ELECTRIC]:
-        rate = emission_rate(
-            floats[r, SPEED],
-            floats[r, ACCEL],
-            floats[r, GRADE],
-            tables.ints[r, MOVES_CLASS],
-            rules.temperature_c,
-            rules.humidity_pct,
-            world.surrogate,
-        )
-        floats[r, EMISSION] = rate * rules.step_s
+    for j in range(tables.cursor[MEMBERS]):
+        r = tables.members[j]
+        if tables.flags[r, STEADY]:
+            continue
+        floats[r, EMISSION] = 0.0
+        if not tables.flags[r, ELECTRIC]:
+            rate = emission_rate(
+                floats[r, SPEED],
+                floats[r, ACCEL],
+                floats[r, GRADE],
+                tables.ints[r, MOVES_CLASS],
+                rules.temperature_c,
+                rules.humidity_pct,
+                world.surrogate,
+            )
+            floats[r, EMISSION] = rate * rules.step_s
 
 
 @compiled(borrows=True)
-def conclude(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
-    """Count the step, pay the agents, and write the next frame.
+def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
+    """Update metrics, compute rewards, and write the next frame.
 
-    Within a decision, rewards add up, and who has left stays marked as terminated; what the next decision is made from
-    is written at its end.
+    Within a decision, rewards add up, and agents that left stay marked as terminated. The observation for the next
+    decision is written when the present one ends.
 
     Args:
-        world: the :class:`~izoo.envs.mdp.state.World`, settled, with the members' CO2.
+        world: the :class:`~izoo.envs.mdp.state.World`, with the vehicles updated and their CO2 computed.
         time_s: simulated time after the step.
         measured: whether the step counts (the first frame of an episode does not).
-        empty: whether no vehicle is in the network or will be; then a decision that lasts until somebody is to decide
-            ends.
+        empty: whether no vehicle is in the network or will be; this ends a decision that lasts until an agent must
+            decide.
     """
     tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
     rows = tables.members[: tables.cursor[MEMBERS]]
     floats, ints, flags = tables.floats, tables.ints, tables.flags
     sums = sums_to_horizon(world)
     if measured:
-        phase = phase_driven(time_s, clock)
+        phase = phase_of_step(time_s, clock)
         colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
-        account(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
-        account_cohort(rows, floats, ints, flags, tables.sums)
+        accumulate_step(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
+        accumulate_cohort(rows, floats, ints, flags, tables.sums)
+        count_queues(rows, floats, ints, sums)
     read_clock(time_s, clock)
-    begins = tables.cursor[HELD] == 0
-    fleet, shared, paid, own = work.fleet, work.shared, work.paid, work.own
-    reward_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.least)
+    begins = tables.cursor[DECISION_STEPS] == 0
+    fleet, shared, own = work.fleet, work.shared, work.own
+    evaluate_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.own_shared)
     if rules.reward.sums:
         count_blocked(world, time_s)
-        share_out(world, rows, tables.terms, own, fleet)
+        assign_credit(world, rows, tables.terms, own, fleet)
     else:
         for a in range(tables.acting.shape[0]):
             if tables.acting[a] >= 0:
                 for c in range(NUM_TERMS):
                     own[a, c] = tables.terms[tables.acting[a], c]
-    pay(
-        tables.acting,
-        own,
-        fleet,
-        shared,
-        rules.reward,
-        rules.weights,
-        rules.shared_weights,
-        paid,
-        out.reward,
-        out.reward_vector,
-        rules.emit_vector,
-        rows.shape[0] == 0,
-        begins,
-    )
+    compute_rewards(tables.acting, work, rules, out, rows.shape[0] == 0, begins)
     if begins:
         out.team_reward[0] = 0.0
     if measured:
-        nobody = rows.shape[0] == 0
-        out.team_reward[0] += team_pay(fleet, shared, rules.reward, rules.weights, rules.shared_weights, nobody)
-    release(tables, out.agent_terminated, out.agent_done, begins)
+        out.team_reward[0] += team_step_reward(work, rules, rows.shape[0] == 0)
+    free_slots(tables, out.agent_terminated, out.agent_done, begins)
     if measured:
-        sum_episode(rows, tables.acting, floats, ints, flags, paid, rules.step_s, sums, tables.episode)
-        tables.cursor[HELD] = (tables.cursor[HELD] + 1) % rules.hold_steps
-        if rules.scope != EVERY_STEP and (empty or _anybody_due(tables, rules)):
-            tables.cursor[HELD] = 0
+        accumulate_episode(rows, tables, work.step_reward, rules.step_s, sums)
+        tables.cursor[DECISION_STEPS] = (tables.cursor[DECISION_STEPS] + 1) % rules.hold_steps
+        if rules.scope != EVERY_STEP and (empty or _any_due(tables, rules)):
+            tables.cursor[DECISION_STEPS] = 0
         # The horizon and the end of an episode end a decision, however short.
         if tables.episode[_STEPS] == rules.control_steps or tables.episode[_STEPS] == rules.total_steps:
-            tables.cursor[HELD] = 0
-    if tables.cursor[HELD] == 0:
-        observe(
+            tables.cursor[DECISION_STEPS] = 0
+    if tables.cursor[DECISION_STEPS] == 0:
+        write_observations(
             tables.agent_row,
-            work.shown,
+            work.written,
             tables,
             world.road,
             clock,
-            rules.features,
-            rules.columns,
-            rules.sensor_range_m,
+            rules,
             out.observation,
         )
         _emit(world)
-    _find_suspects(rows, tables)
+    _list_wrong_lane_agents(rows, tables)
 
 
 @compiled
 def make_frame(world, reading, time_s, measured, empty):  # type: ignore[no-untyped-def]
-    """Turn what a simulator reported into the next frame: :func:`settle`, :func:`emit_co2`, :func:`conclude`."""
-    settle(world, reading)
-    emit_co2(world)
-    conclude(world, time_s, measured, empty)
+    """Turn a simulator's report into the next frame."""
+    update_vehicles(world, reading)
+    compute_emissions(world)
+    finish_step(world, time_s, measured, empty)
 
 
 @compiled(borrows=True)
-def _find_suspects(rows, tables):  # type: ignore[no-untyped-def]
+def _list_wrong_lane_agents(rows, tables):  # type: ignore[no-untyped-def]
     """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
     count = 0
     for r in rows:
         if tables.flags[r, WRONG_LANE] and tables.ints[r, AGENT] >= 0:
-            tables.suspects[count] = r
+            tables.wrong_lane_agents[count] = r
             count += 1
-    tables.cursor[SUSPECTS] = count
+    tables.cursor[WRONG_LANE_AGENTS] = count
 
 
 @compiled(borrows=True)
 def _emit(world):  # type: ignore[no-untyped-def]
-    """Copy to the frame what its groups hold."""
+    """Copy the emitted groups to the frame."""
     tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame
     for a in range(tables.agent_row.shape[0]):
         out.mask[a] = tables.agent_row[a] >= 0
@@ -294,7 +248,7 @@ def _emit(world):  # type: ignore[no-untyped-def]
             out.number[a] = tables.ints[row, NUMBER] if row >= 0 else -1
     if rules.scope != EVERY_STEP:
         for a in range(tables.agent_row.shape[0]):
-            out.decides[a] = _is_due(tables, rules, a)
+            out.decides[a] = _must_decide(tables, rules, a)
     if rules.emit_vehicles:
         emit_vehicles(tables.floats, tables.ints, tables.flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
     if rules.emit_signal:
@@ -327,7 +281,7 @@ def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type
 def _copy_into(target, source):  # type: ignore[no-untyped-def]
     """Copy a table to the upper left corner of one that is no smaller.
 
-    A slice assignment would compile the text of an error message that never comes: 2 s each.
+    A slice assignment would compile the text of an error message that cannot occur: 2 s each.
     """
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):

@@ -1,7 +1,7 @@
-"""What a human-driven vehicle burns in the region, roughly: the unit of a reward that is a sum.
+"""Roughly the CO2 of a human-driven vehicle in the region: the unit of a reward that is a sum.
 
-An estimate from the context and the episode's demand alone, so that rewards need no simulation of human driving. It
-only has to weigh contexts alike: one and the same number divides everything that is paid for an approach's vehicles.
+It is estimated from the context and the episode's demand alone, so that rewards need no simulation of human driving.
+It only has to weigh contexts alike: the same number divides all rewards of an approach's vehicles.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from izoo.traffic.sampling import Traffic
 
 SATURATION_VPS_PER_LANE = 0.5
 ACCEL_MPS2 = 1.5
-MOST_SAMPLED = 64
+MAX_SAMPLED = 64
 
 
 class Units(NamedTuple):
-    """What human-driven vehicles burn in the region, from its beginning to its end.
+    """CO2 of human-driven vehicles over their way through the region.
 
     Attributes:
-        unit_g: ``[P]`` a vehicle of each approach, g.
-        fleet_g_per_step: all vehicles that come during a step, g.
+        unit_g: ``[P]`` of a vehicle of each approach, g.
+        fleet_g_per_step: of all vehicles that arrive during a step, g.
     """
 
     unit_g: np.ndarray
     fleet_g_per_step: float
 
 
-def units_of(
+def human_units(
     context: Context, road: RoadNet, traffic: Traffic, weights: KernelWeights, horizon_s: float, step_s: float
 ) -> Units:
     """Return the units of an episode.
@@ -45,7 +45,7 @@ def units_of(
     arrivals = np.bincount(traffic.approach, minlength=approaches)
     for p in np.flatnonzero(arrivals):
         own = np.flatnonzero(traffic.approach == p)
-        classes = traffic.moves_class[own[:: max(len(own) // MOST_SAMPLED, 1)]]
+        classes = traffic.moves_class[own[:: max(len(own) // MAX_SAMPLED, 1)]]
         limit, length = float(road.speed_limit_mps[p]), float(road.lane_length_m[p])
         ways = road.movement_turn[p] >= 0
         cycle, green = road.clock.cycle_s, float(road.clock.green_s[p][ways].max(initial=1.0))
@@ -55,9 +55,9 @@ def units_of(
         stop_share = min(red_share / (1.0 - load), 1.0)
         wait_s = 0.5 * cycle * red_share**2 / (1.0 - load)
         grade = 100.0 * float(road.grade[p])
-        cruise, idle = (_rate(classes, v, 0.0, grade, context, weights) for v in (limit, 0.0))
-        level = _rate(classes, limit, 0.0, 0.0, context, weights)
-        launch_g = limit / ACCEL_MPS2 * _rate(classes, 0.5 * limit, ACCEL_MPS2, grade, context, weights)
+        cruise, idle = (_mean_rate_gps(classes, v, 0.0, grade, context, weights) for v in (limit, 0.0))
+        level = _mean_rate_gps(classes, limit, 0.0, 0.0, context, weights)
+        launch_g = limit / ACCEL_MPS2 * _mean_rate_gps(classes, 0.5 * limit, ACCEL_MPS2, grade, context, weights)
         way_g = (cruise * length + level * _beyond_line_m(road, p)) / limit
         unit_g[p] = way_g + idle * wait_s + stop_share * launch_g
     per_step = float(unit_g @ arrivals) / horizon_s * step_s
@@ -65,7 +65,7 @@ def units_of(
 
 
 def _beyond_line_m(road: RoadNet, p: int) -> float:
-    """Return how long the way behind the stop line of an approach is, on average over where it leads."""
+    """Return the mean length of the ways behind the stop line of an approach, over its exits."""
     lengths = []
     for q in np.flatnonzero(road.movement_turn[p] >= 0):
         inside = (road.lane_location == INSIDE) & (road.lane_approach == p) & (road.lane_exit == q)
@@ -74,10 +74,10 @@ def _beyond_line_m(road: RoadNet, p: int) -> float:
     return float(np.mean(lengths)) if lengths else 0.0
 
 
-def _rate(
+def _mean_rate_gps(
     classes: np.ndarray, speed: float, accel: float, grade: float, context: Context, weights: KernelWeights
 ) -> float:
-    """Return the mean CO2 rate of vehicles of these classes that burn fuel, g/s."""
+    """Return the mean CO2 rate of vehicles of these classes, g/s."""
     same = np.ones(len(classes), np.float32)
     out = np.empty(len(classes), np.float32)
     motion = (np.float32(speed) * same, np.float32(accel) * same, np.float32(grade) * same)

@@ -1,6 +1,6 @@
-"""The one door to SUMO: starts, loads, steps and reads one libsumo simulation in this process.
+"""The only module that imports libsumo: starts, loads, steps and reads one simulation in this process.
 
-Names of vehicles go no further than this room (:mod:`izoo.envs.sumo.names`).
+Vehicle ids are used in this package only (:mod:`izoo.envs.sumo.vehicle_ids`).
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.sumo.stderr_filter import Overheard
+from izoo.envs.sumo.stderr_filter import StderrFilter
 from izoo.errors import IzooError
 
 SUMO_VERSION = "1.28.0"
 _CHECK_ALL = 31  # speed mode: safe speed, own acceleration and deceleration limits, right of way, red lights
 _INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
 
-# libsumo runs one simulation per process; this says which session has it.
+# libsumo runs one simulation per process; this session owns it.
 _owner: SumoSession | None = None
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _SPLIT = re.compile(r",|\$\{.*\}")
 
 
 def import_libsumo() -> Any:
-    """Import libsumo after checking that it and ``eclipse-sumo`` are there in one version.
+    """Import libsumo after checking that it and ``eclipse-sumo`` are installed in the same version.
 
     Raises:
         IzooError: one of them is missing, or their versions differ.
@@ -56,12 +56,12 @@ def import_libsumo() -> Any:
 
 
 def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float) -> list[str]:
-    """Options of an episode; ``sumo`` itself run with them does exactly what an uncommanded environment does."""
+    """Return the options of an episode; ``sumo`` run with them equals an uncommanded environment."""
     return [
         *("--net-file", str(net), "--route-files", str(routes)),
         *("--step-length", f"{step_s:g}", "--seed", str(seed % 2**31)),
         *("--time-to-teleport", "-1", "--default.speeddev", "0"),
-        # Contact of the bodies counts as a collision, not a gap below minGap.
+        # A collision is contact of the bodies, not a gap below minGap.
         *("--collision.action", "warn", "--collision.check-junctions", "true", "--collision.mingap-factor", "0"),
         *("--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true"),
         *("--xml-validation", "never", "--xml-validation.net", "never", "--xml-validation.routes", "never"),
@@ -69,8 +69,8 @@ def sumo_arguments(net: Path | str, routes: Path | str, seed: int, step_s: float
 
 
 @contextlib.contextmanager
-def readable(*paths: Path) -> Iterator[list[Path]]:
-    """Give paths by which SUMO finds these files: it splits paths at commas, and takes ``${NAME}`` for a variable."""
+def readable_paths(*paths: Path) -> Iterator[list[Path]]:
+    """Give paths that SUMO can read: it splits paths at commas, and takes ``${NAME}`` for a variable."""
     if not any(_SPLIT.search(str(path)) for path in paths):
         yield list(paths)
         return
@@ -88,7 +88,7 @@ def has_screen() -> bool:
 
 
 def import_traci() -> Any:
-    """Import TraCI, which steers sumo-gui as another program.
+    """Import TraCI, which controls sumo-gui in its own process.
 
     Raises:
         IzooError: there is no screen to open a window on.
@@ -105,23 +105,23 @@ class SumoSession:
     """A simulation; the first :meth:`load` starts SUMO, later ones re-use it.
 
     Args:
-        gui: show it in a sumo-gui window, steered through TraCI; without, it runs inside this process as libsumo.
+        gui: show it in a sumo-gui window, controlled through TraCI; otherwise libsumo runs inside this process.
     """
 
     def __init__(self, gui: bool = False) -> None:
         self._gui = gui
         self._running = False
-        self._overheard = Overheard()
+        self._stderr = StderrFilter()
 
     def load(self, arguments: Sequence[str]) -> None:
         """Begin an episode.
 
         Raises:
-            IzooError: SUMO cannot load the files or be told their paths, or another environment of this process holds
+            IzooError: SUMO cannot load the files or read their paths, or another environment of this process uses
                 libsumo.
         """
         global _owner
-        _check_spelling(arguments)
+        _check_encoding(arguments)
         api = import_traci() if self._gui else import_libsumo()
         if _owner is not None and _owner is not self:
             raise IzooError(
@@ -131,7 +131,7 @@ class SumoSession:
             )
         if locale.localeconv()["decimal_point"] != "." and not self._gui:
             raise IzooError(
-                "numbers have a decimal comma in this process, and SUMO, which runs inside it, reads a point; call "
+                "numbers have a decimal comma in this process, and SUMO, which runs inside it, needs a point; call "
                 "locale.setlocale(locale.LC_NUMERIC, 'C')."
             )
         try:
@@ -142,9 +142,9 @@ class SumoSession:
         except Exception as error:
             self._running = False
             _owner = None
-            raise IzooError(f"SUMO could not load the simulation: {_explain(arguments) or error}") from error
+            raise IzooError(f"SUMO could not load the simulation: {_error_messages(arguments) or error}") from error
         _owner, self._running, self._api = self, True, api
-        self._overheard.dropped = 0
+        self._stderr.dropped = 0
         self._bind(api)
 
     def _program(self) -> list[str]:
@@ -153,7 +153,7 @@ class SumoSession:
         return [str(Path(os.environ["SUMO_HOME"]) / "bin" / "sumo-gui"), "--start", "true", "--quit-on-end", "true"]
 
     def _bind(self, api: Any) -> None:
-        """Look the functions of the inner loop up once; the flat ones save a Python call per value."""
+        """Look up the functions of the inner loop once; the flat ones save a Python call per value."""
         flat, vehicle = getattr(api, "_libsumo", None), api.vehicle
         self._lane = getattr(flat, "vehicle_getLaneID", vehicle.getLaneID)
         self._position = getattr(flat, "vehicle_getLanePosition", vehicle.getLanePosition)
@@ -175,13 +175,13 @@ class SumoSession:
         self._advance()
 
     def advance_departing(self) -> None:
-        """Simulate a step in which vehicles may depart: SUMO prints a line for each that it drops instead."""
-        self._overheard.call(self._advance)
+        """Simulate a step in which vehicles are due to depart, and count those that SUMO drops."""
+        self._stderr.call(self._advance)
 
     @property
     def dropped(self) -> int:
-        """How many vehicles SUMO has dropped in this episode because they could not enter the network safely."""
-        return self._overheard.dropped
+        """Number of vehicles dropped in this episode because they could not enter the network safely."""
+        return self._stderr.dropped
 
     @property
     def time_s(self) -> float:
@@ -229,34 +229,34 @@ class SumoSession:
         return float(self._acceleration(name))
 
     def free_speed(self, name: str) -> float:
-        """Speed in m/s that SUMO itself would have chosen in the last step."""
+        """Speed in m/s that SUMO would have chosen in the last step without a command."""
         return float(self._free_speed(name))
 
     def command_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
-        """Command a speed for the next step; SUMO's safety checks stay on. A negative speed gives control back."""
+        """Command speeds from the next step on; SUMO's safety checks stay on. A negative speed ends the command."""
         set_speed = self._set_speed
         for name, speed in zip(names, speeds_mps, strict=True):
             set_speed(name, speed)
 
     def limit_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
-        """Set the maximum speed of vehicles for good: their own car-following keeps to it."""
+        """Set the maximum speed of vehicles permanently: their own car-following keeps to it."""
         for name, speed in zip(names, speeds_mps, strict=True):
             self._vehicle.setMaxSpeed(name, speed)
 
-    def take_lane_changes(self, name: str) -> None:
-        """Let SUMO change this vehicle's lane only where its route needs it; commands obey safety gaps."""
+    def restrict_lane_changes(self, name: str) -> None:
+        """Allow SUMO to change this vehicle's lane only where its route needs it; commands obey safety gaps."""
         self._vehicle.setLaneChangeMode(name, 0b001000000001)
 
-    def give_lane_changes(self, name: str) -> None:
-        """Let SUMO change this vehicle's lane as it does everybody's."""
+    def restore_lane_changes(self, name: str) -> None:
+        """Restore SUMO's default lane changing for this vehicle."""
         self._vehicle.setLaneChangeMode(name, 0b011001010101)
 
     def change_lane(self, name: str, steps_left: int, duration_s: float) -> None:
-        """Ask for a change by one lane (positive: to the left)."""
+        """Request a change by one lane (positive: to the left)."""
         self._change_lane(name, steps_left, duration_s)
 
     def check_all_speeds(self, name: str) -> None:
-        """Keep every speed check on for a vehicle that will be commanded."""
+        """Keep all speed checks on for a vehicle that will be commanded."""
         self._vehicle.setSpeedMode(name, _CHECK_ALL)
 
     def collisions(self) -> list[tuple[str, str]]:
@@ -268,7 +268,7 @@ class SumoSession:
         return self._simulation.getPendingVehicles()
 
     def close(self) -> None:
-        """End the simulation and give libsumo back to the process."""
+        """End the simulation and release libsumo."""
         global _owner
         if self._running:
             self._api.close()
@@ -277,20 +277,20 @@ class SumoSession:
             _owner = None
 
 
-def _check_spelling(arguments: Sequence[str]) -> None:
-    """Refuse paths with bytes that this process's locale cannot spell: SUMO takes text."""
+def _check_encoding(arguments: Sequence[str]) -> None:
+    """Refuse paths that the locale of this process cannot encode: SUMO takes text."""
     for argument in arguments:
         try:
             argument.encode()
         except UnicodeEncodeError:
             raise IzooError(
-                f"the locale of this process cannot spell the path {argument!a}; set IZOO_CACHE_DIR and TMPDIR to "
+                f"the locale of this process cannot encode the path {argument!a}; set IZOO_CACHE_DIR and TMPDIR to "
                 "folders with plain names, or use a locale of UTF-8 (LC_ALL=C.UTF-8)."
             ) from None
 
 
-def _explain(arguments: Sequence[str]) -> str:
-    """Return SUMO's complaints about ``arguments``; Python cannot catch what libsumo prints, so ``sumo`` is run."""
+def _error_messages(arguments: Sequence[str]) -> str:
+    """Return SUMO's errors for ``arguments`` by running ``sumo``, since those of libsumo cannot be caught."""
     program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
     try:
         run = subprocess.run([str(program), *arguments, "--end", "0"], capture_output=True, text=True, timeout=60)

@@ -1,7 +1,7 @@
-"""Keeps what SUMO prints about vehicles that it drops off the terminal.
+"""Removes SUMO's messages about dropped vehicles from standard error.
 
-libsumo writes its errors to file descriptor 2, past Python and whatever its options for logs say. While it simulates,
-that descriptor leads to a scratch file instead; whatever else has been written meanwhile is passed on.
+libsumo writes its errors to file descriptor 2, whatever its options for logs say. While it simulates, that descriptor
+is redirected to a scratch file; all other text is passed on.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from collections.abc import Callable
 _DROPPED = re.compile(rb"^Error: Vehicle '[^'\n]*' will not be able to depart .*\n?", re.MULTILINE)
 
 
-class Overheard:
-    """Calls functions that may print.
+class StderrFilter:
+    """Calls functions with standard error filtered.
 
     Attributes:
-        dropped: how many vehicles SUMO has said that it drops.
+        dropped: number of dropped vehicles that SUMO reported.
     """
 
     def __init__(self) -> None:
@@ -27,9 +27,9 @@ class Overheard:
         self._scratch = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (it lives as long as this object)
 
     def call(self, function: Callable[[], object]) -> None:
-        """Call a function; what it prints about dropped vehicles is counted, and all else passed on."""
+        """Call a function; count its messages about dropped vehicles, and pass all other text on."""
         try:
-            terminal = os.dup(2)  # anew each time: descriptor 2 may lead elsewhere by now
+            terminal = os.dup(2)  # each time: descriptor 2 may have been redirected since
         except OSError:  # there is no standard error
             function()
             return
@@ -41,10 +41,10 @@ class Overheard:
             os.dup2(terminal, 2)
             os.close(terminal)
             if size := os.lseek(scratch, 0, os.SEEK_CUR):
-                self._sort(size)
+                self._pass_on(size)
 
-    def _sort(self, size: int) -> None:
-        """Count the lines about dropped vehicles, and pass the others on."""
+    def _pass_on(self, size: int) -> None:
+        """Count the lines about dropped vehicles, and print the others."""
         self._scratch.seek(0)
         text, count = _DROPPED.subn(b"", self._scratch.read(size))
         self._scratch.seek(0)

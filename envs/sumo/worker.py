@@ -1,19 +1,16 @@
-"""A process that simulates one environment on SUMO, and the parent's handle on it.
+"""A process that simulates one environment on SUMO, and the parent's handle to it.
 
-Frames travel through memory that both map; the socket carries one byte per step, and a pickled message at the start and
-at each reset. Only izoo's own values are ever pickled. A worker ends by itself when its parent is gone, because the
-socket then closes, and nothing that it maps has a name in the file system.
+Frames are in shared memory; the socket carries one byte per step, and a pickled message at the start and at each reset.
+Only izoo's own values are pickled. A worker ends by itself when its parent is gone, because the socket then closes, and
+the memory that it maps has no name in the file system.
 """
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import os
 import pickle
 import socket
-import struct
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,19 +23,17 @@ from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import map_frames, row_of
 from izoo.errors import IzooError
-from izoo.processes import start_process
+from izoo.processes import ChildProcess, receive, send
 
-STEP, BEGIN, INIT, CLOSE = b"s", b"b", b"i", b"q"
+STEP, BEGIN, INIT = b"s", b"b", b"i"
 DONE, FAILED = b"k", b"e"
-_STARTUP_S = 300.0
-AWAKE_S = 1e-3
-"""How long a waiting process polls before it sleeps, where it has a core for that: being woken by another core takes 5
-to 90 us, up to a fifth of a step."""
-_LENGTH = struct.Struct("!Q")
+POLL_S = 1e-3
+"""How long a process polls for a message before it sleeps, where a core is free for that: waking up takes 5 to 90 us,
+up to a fifth of a step."""
 
 
 class WorkerLost(Exception):
-    """A worker process has ended, or has not answered in time."""
+    """A worker process ended, or did not answer in time."""
 
 
 def shared_memory_file(size: int) -> int:
@@ -52,20 +47,16 @@ def shared_memory_file(size: int) -> int:
     return descriptor
 
 
-class Worker:
-    """Parent's handle on one worker process, which starts at once and in the background.
+class Worker(ChildProcess):
+    """Parent's handle to one worker process, which starts in the background.
 
     Attributes:
-        episodes: how many it was asked for.
-        busy: whether it owes an answer.
+        episodes: number of episodes that it was asked to begin.
+        busy: whether an answer is outstanding.
     """
 
     def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
-        self._socket, child = socket.socketpair()
-        call = f"from izoo.envs.sumo.worker import main; main({child.fileno()}, {memory})"
-        self.process = start_process(call, child.fileno(), memory)
-        child.close()
-        self._watchdog_s = watchdog_s
+        super().__init__("izoo.envs.sumo.worker:main", memory, inherited=(memory,), watchdog_s=watchdog_s)
         self.episodes, self.busy = 0, False
         self._send(INIT, setup)
         self._ready = False
@@ -80,97 +71,59 @@ class Worker:
         """Ask for a step; :meth:`wait` for its frame."""
         self.busy = True
         try:
-            self._socket.send(STEP)
+            self.socket.send(STEP)
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
+            raise WorkerLost(self.end_text()) from error
 
-    def wait(self, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
-        """Wait for the answer, awake for ``awake_s`` seconds, then asleep.
+    def wait(self, poll_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
+        """Wait for the answer: poll for ``poll_s`` seconds, then sleep.
 
         Args:
-            awake_s: how long to poll before it sleeps.
-            meanwhile: called once if there is time: where it stays awake and no answer is there yet.
+            poll_s: how long to poll.
+            meanwhile: called once while polling, unless the answer is there already.
 
         Raises:
             WorkerLost: the process ended or did not answer in time.
-            IzooError: the worker refused, for a reason that the caller can mend.
+            IzooError: the worker refused for a reason that the user can fix.
         """
-        patience_s = self._watchdog_s
         if not self._ready:
-            # The first episode also loads the compiled code, or compiles it.
-            patience_s = max(patience_s, _STARTUP_S)
-            self._answer(patience_s)
+            self._answer()
             self._ready = True
-        self._answer(patience_s, awake_s, meanwhile)
+        self._answer(poll_s, meanwhile)
+        self.answered()  # the first episode also loads the compiled code, or compiles it
 
-    def _answer(self, timeout_s: float, awake_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
+    def _answer(self, poll_s: float = 0.0, meanwhile: Callable[[], None] | None = None) -> None:
         try:
-            answer = _receive_awake(self._socket, awake_s, meanwhile)
+            answer = _receive_polling(self.socket, poll_s, meanwhile)
             if answer is None:
-                self._socket.settimeout(timeout_s)
-                answer = self._socket.recv(1)
+                self.socket.settimeout(self.patience_s)
+                answer = self.socket.recv(1)
             if answer == DONE:
                 self.busy = not self._ready
                 return
             if answer == FAILED:
-                self._socket.settimeout(timeout_s)
-                is_users, text = pickle.loads(_receive(self._socket))
+                self.socket.settimeout(self.patience_s)
+                is_user_error, text = pickle.loads(receive(self.socket))
                 self.busy = not self._ready
-                raise IzooError(text) if is_users else RuntimeError(f"a simulation worker failed:\n{text}")
+                raise IzooError(text) if is_user_error else RuntimeError(f"a simulation worker failed:\n{text}")
         except TimeoutError as error:
-            raise WorkerLost(f"no answer for {timeout_s:g} s") from error
+            raise WorkerLost(f"no answer for {self.patience_s:g} s") from error
         except (OSError, EOFError) as error:
             raise WorkerLost(str(error) or "it ended while it answered") from error
-        raise WorkerLost(f"its process has ended ({self.process.poll()})")
+        raise WorkerLost(self.end_text())
 
     def _send(self, kind: bytes, message: Any) -> None:
-        data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            self._socket.sendall(kind + _LENGTH.pack(len(data)) + data)
+            self.socket.send(kind)
+            send(self.socket, pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
         except OSError as error:
-            raise WorkerLost(f"its process has ended ({self.process.poll()})") from error
-
-    def kill(self) -> None:
-        """End the process at once."""
-        self._socket.close()
-        self.process.kill()
-        self.process.wait()
-
-    def dismiss(self) -> None:
-        """Ask the process to end, and do not wait for that."""
-        with contextlib.suppress(OSError):
-            self._socket.send(CLOSE)
-        self._socket.close()
-
-    def close(self, patience_s: float = 5.0) -> None:
-        """Ask the process to end, wait, and end it if it does not."""
-        self.dismiss()
-        try:
-            self.process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-
-def _receive(connection: socket.socket) -> bytes:
-    (length,) = _LENGTH.unpack(_exactly(connection, _LENGTH.size))
-    return _exactly(connection, length)
-
-
-def _exactly(connection: socket.socket, length: int) -> bytes:
-    chunks = []
-    while length:
-        chunk = connection.recv(min(length, 1 << 20))
-        if not chunk:
-            raise EOFError
-        chunks.append(chunk)
-        length -= len(chunk)
-    return b"".join(chunks)
+            raise WorkerLost(self.end_text()) from error
 
 
 def main(descriptor: int, memory: int) -> None:
-    """Serve one parent until it says goodbye or is gone; then end the process.
+    """Serve the parent until it closes the socket or is gone; then end the process.
 
-    It ends at once, because the interpreter would spend 0.4 s on tidying up libraries whose memory goes anyway.
+    It ends without the interpreter's clean-up, which would take 0.4 s.
     """
     _serve(descriptor, memory)
     sys.stdout.flush()
@@ -181,28 +134,29 @@ def main(descriptor: int, memory: int) -> None:
 def _serve(descriptor: int, memory: int) -> None:
     connection = socket.socket(fileno=descriptor)
     simulator: Any = None
-    awake_s = 0.0
+    poll_s = 0.0
     try:
         while True:
-            kind = _receive_awake(connection, awake_s)
+            kind = _receive_polling(connection, poll_s)
             if kind is None:
                 kind = connection.recv(1)
-            if kind in (b"", CLOSE):
+            if kind == b"":
                 return
             try:
                 if kind == STEP:
                     simulator.step()
                 elif kind == BEGIN:
-                    simulator.begin({0: pickle.loads(_receive(connection))})
+                    simulator.begin({0: pickle.loads(receive(connection))})
                 elif kind == INIT:
-                    config, index, num_workers, weights = pickle.loads(_receive(connection))
+                    config, index, num_workers, weights = pickle.loads(receive(connection))
                     simulator = _make_simulator(memory, config, index, num_workers, weights)
-                    awake_s = AWAKE_S if stays_awake(index, num_workers) else 0.0
+                    poll_s = POLL_S if may_poll(index, num_workers) else 0.0
                 connection.send(DONE)
             except Exception as error:
-                is_users = isinstance(error, IzooError)
-                data = pickle.dumps((is_users, str(error) if is_users else traceback.format_exc()))
-                connection.sendall(FAILED + _LENGTH.pack(len(data)) + data)
+                is_user_error = isinstance(error, IzooError)
+                data = pickle.dumps((is_user_error, str(error) if is_user_error else traceback.format_exc()))
+                connection.send(FAILED)
+                send(connection, data)
     except (BrokenPipeError, ConnectionResetError, EOFError):
         return
     finally:
@@ -210,28 +164,27 @@ def _serve(descriptor: int, memory: int) -> None:
             simulator.close()
 
 
-def stays_awake(index: int, num_workers: int) -> bool:
-    """Whether a worker, and the parent that waits for its answer, stay awake for :data:`AWAKE_S` before they sleep.
+def may_poll(index: int, num_workers: int) -> bool:
+    """Whether a worker, and the parent that waits for its answer, may poll for :data:`POLL_S` before they sleep.
 
-    They do if there are cores enough; the parents of single views always sleep. With one core per worker and none for
-    the parent, the parent shares that of the first worker: there, going to sleep hands the core over at once, and
-    polling would only get in the way.
+    They may if there are enough cores. With one core per worker and none for the parent, the parent shares the core of
+    the first worker: there, sleeping frees the core at once, and polling would only delay the worker.
     """
     spare = usable_cores() - num_workers
     return hasattr(os, "sched_yield") and (spare > 0 or (spare == 0 and index > 0))
 
 
-def _receive_awake(
-    connection: socket.socket, awake_s: float, meanwhile: Callable[[], None] | None = None
+def _receive_polling(
+    connection: socket.socket, poll_s: float, meanwhile: Callable[[], None] | None = None
 ) -> bytes | None:
-    """Ask for one byte for ``awake_s`` seconds without sleeping; return ``None`` if none came.
+    """Poll for one byte for ``poll_s`` seconds; return ``None`` if none came.
 
-    Others who want this core have it in between. ``meanwhile`` is called once, unless a byte is there already.
+    The core is yielded to other processes in between. ``meanwhile`` is called once, unless a byte is there already.
     """
-    if awake_s <= 0.0:
+    if poll_s <= 0.0:
         return None
-    connection.settimeout(None)  # or Python itself would sleep in recv()
-    end = time.perf_counter() + awake_s
+    connection.settimeout(None)  # otherwise Python would sleep in recv()
+    end = time.perf_counter() + poll_s
     while time.perf_counter() < end:
         try:
             return connection.recv(1, socket.MSG_DONTWAIT)
@@ -248,6 +201,6 @@ def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int
     from izoo.envs.sumo.simulator import SumoSimulator
 
     for array in weights:
-        array.flags.writeable = False  # as load_weights() returns them: one compiled variant serves both
+        array.flags.writeable = False  # as load_weights() returns them, so that one compiled variant serves both
     frames = map_frames(mmap.mmap(memory, 0), config, num_workers)
     return SumoSimulator(config, row_of(frames, index), weights)

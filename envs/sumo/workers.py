@@ -1,4 +1,4 @@
-"""Several environments on SUMO at once: a process each, frames in memory that all share, one wait per step."""
+"""Several environments on SUMO: a process each, frames in shared memory, one wait per step."""
 
 from __future__ import annotations
 
@@ -12,37 +12,36 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import CLOSED, Play, rest_where_ended, scene_from_frame
+from izoo.envs.backend import CLOSED, Play, clear_ended, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
-from izoo.envs.sumo.worker import AWAKE_S, Worker, WorkerLost, shared_memory_file, stays_awake
+from izoo.envs.sumo.worker import POLL_S, Worker, WorkerLost, may_poll, shared_memory_file
 from izoo.errors import IzooError, check_whole
 from izoo.networks.net.build import build_nets
 
 _log = logging.getLogger("izoo")
 
 KEPT = ("observation", "mask", "agent_vehicle")
-"""Arrays of a frame that a lost worker's row holds as they were before the step."""
+"""Arrays of a lost worker's frame that are restored to their values before the step."""
 
 
 class SumoWorkers:
     """A :class:`~izoo.envs.backend.Backend` of ``N`` environments, each simulated by a process of its own.
 
-    The parent stays awake for its workers only where it has a core for that. A worker that dies or hangs is replaced
-    alone; the others do not notice. Workers start with their first episode.
+    A worker that dies or hangs is replaced; the others are not affected. Workers start with their first episode.
 
     Args:
         config: the environments' settings.
         num_workers: ``N``.
-        awake: stay awake for them, where there is a core for that.
+        poll: poll for their answers, where a core is free for that.
 
     Attributes:
         frames: the arrays ``[N, ...]`` that workers and parent share.
-        restarts: how many workers were replaced because they were lost.
+        restarts: number of lost workers that were replaced.
     """
 
-    def __init__(self, config: EnvConfig, num_workers: int, awake: bool = True) -> None:
+    def __init__(self, config: EnvConfig, num_workers: int, poll: bool = True) -> None:
         check_whole("num_workers", num_workers, 1, MAX_WORKERS)
         self.config, self.num_workers, self.restarts = config, num_workers, 0
         self._memory = shared_memory_file(frame_bytes(config, num_workers))
@@ -50,7 +49,7 @@ class SumoWorkers:
         self._before = {name: np.empty_like(self.frames[name]) for name in KEPT}
         self._workers: list[Worker | None] = [None] * num_workers
         self._plays: list[Play | None] = [None] * num_workers
-        self._awake_s = [AWAKE_S * (awake and stays_awake(index, num_workers)) for index in range(num_workers)]
+        self._poll_s = [POLL_S * (poll and may_poll(index, num_workers)) for index in range(num_workers)]
         self._finalizer = weakref.finalize(self, _close, self._workers, self._memory, os.getpid())
 
     @property
@@ -60,7 +59,7 @@ class SumoWorkers:
 
     @property
     def closed(self) -> bool:
-        """Whether all workers were ended for good."""
+        """Whether all workers were ended permanently."""
         return not self._finalizer.alive
 
     def _worker(self, index: int) -> Worker:
@@ -74,10 +73,10 @@ class SumoWorkers:
         return worker
 
     def begin(self, plays: Mapping[int, Play]) -> None:
-        """Begin episodes side by side; a worker that is lost meanwhile gets a second try."""
+        """Begin episodes in parallel; a worker that is lost meanwhile gets a second try."""
         if self.closed:
             raise IzooError(CLOSED)
-        with contextlib.suppress(IzooError):  # raised again by the worker that plays there
+        with contextlib.suppress(IzooError):  # raised again by the worker that needs the net
             build_nets([play.context.intersection for play in plays.values()])
         for attempt in range(2):
             lost: dict[int, WorkerLost] = {}
@@ -103,15 +102,15 @@ class SumoWorkers:
             plays = {index: plays[index] for index in lost}
 
     def step(self, meanwhile: Callable[[], None] | None = None) -> Sequence[int]:
-        """Simulate one step of every environment; return those whose worker was lost: :data:`KEPT` says what is
-        left of their frames."""
-        ended = rest_where_ended(self.config, self.frames)
+        """Simulate one step of every environment; return those whose worker was lost, of whose frames only
+        :data:`KEPT` is valid."""
+        ended = clear_ended(self.config, self.frames)
         lost: dict[int, WorkerLost] = {}
         waiting: list[int] = []
         for name, before in self._before.items():
             np.copyto(before, self.frames[name])
         try:
-            # The first is asked last: it may have to wait for this core, which is given up with the first wait.
+            # The first worker last: it may need this core, which is freed by the first wait.
             for index in np.flatnonzero(~ended)[::-1].tolist():
                 try:
                     self._workers[index].step()  # type: ignore[union-attr]
@@ -121,7 +120,7 @@ class SumoWorkers:
             self._collect(waiting, lost, meanwhile)
         except BaseException:
             self._end_busy()
-            self._plays[:] = [None] * self.num_workers  # others have moved: nobody goes on as if they had not
+            self._plays[:] = [None] * self.num_workers  # others have moved, so the step cannot be repeated
             raise
         for index, reason in lost.items():
             self._replace(index, reason)
@@ -130,7 +129,7 @@ class SumoWorkers:
         return tuple(lost)
 
     def _end_busy(self) -> None:
-        """End the workers that still owe an answer where a step or reset breaks off, as at Ctrl-C."""
+        """Kill the workers whose answer is outstanding when a step or reset is interrupted, as by Ctrl-C."""
         for index, worker in enumerate(self._workers):
             if worker is not None and worker.busy:
                 worker.kill()
@@ -139,11 +138,11 @@ class SumoWorkers:
     def _collect(
         self, waiting: list[int], lost: dict[int, WorkerLost], meanwhile: Callable[[], None] | None = None
     ) -> None:
-        """Wait for every worker, also when one of them fails; then raise the first failure."""
+        """Wait for all workers, even if one of them fails; then raise the first failure."""
         failures: list[Exception] = []
         for index in waiting:
             try:
-                self._workers[index].wait(self._awake_s[index], meanwhile)  # type: ignore[union-attr]
+                self._workers[index].wait(self._poll_s[index], meanwhile)  # type: ignore[union-attr]
             except WorkerLost as error:
                 lost[index] = error
             except (IzooError, RuntimeError) as error:
@@ -175,7 +174,7 @@ class SumoWorkers:
 
 def _close(workers: list[Worker | None], memory: int, owner: int) -> None:
     if os.getpid() != owner:
-        return  # a forked process ends: the workers are its parent's
+        return  # a forked process ends; the workers belong to its parent
     for worker in workers:
         if worker is not None:
             worker.dismiss()

@@ -17,7 +17,7 @@ import torch
 from izoo.compiling import compiling_once
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
-from izoo.envs.backend import CLOSED, Play, rest_where_ended
+from izoo.envs.backend import CLOSED, Play, clear_ended
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
@@ -88,6 +88,7 @@ class TwinBackend:
         self._desks = [Desk() for _ in self._shares]
         self._ranges = [no_ranges() for _ in self._shares]
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
+        self._expected = np.full(num_envs, -1)
         # Where several threads share the environments out, each does what torch does for its own share, alone.
         self._crew = Crew(self.threads, _use_one_torch_thread)
         # One core steps, and those that it leaves idle in between do not suffice for many.
@@ -119,11 +120,17 @@ class TwinBackend:
         if known is not None:
             known[1].cancel()
         self._ahead[index] = number, self._preparers.submit(play)
+        self._expected[index] = number
+
+    def unexpected(self, numbers: np.ndarray) -> list[int]:
+        """Return the environments whose next episode, by its number ``[N]``, is not the one that is prepared ahead."""
+        return np.flatnonzero(self._expected != numbers).tolist()
 
     def forget_ahead(self) -> None:
         """Forget the episodes that are prepared ahead or are to be: they are prepared when their turn comes."""
         waiting = [future for _, future in self._ahead.values() if not future.cancel()]
         self._ahead.clear()
+        self._expected[:] = -1
         wait(waiting)
 
     def begin(self, plays: Mapping[int, Play]) -> None:
@@ -191,6 +198,7 @@ class TwinBackend:
     def _take(self, index: int, play: Play, desk: Desk) -> Prepared:
         """Return an episode ready to be played: the one that was prepared ahead, if it is that."""
         number, future = self._ahead.pop(index, (-1, None))
+        self._expected[index] = -1
         if future is not None and not future.cancel() and number == play.number:
             prepared = future.result()
             if prepared.play == play:
@@ -204,7 +212,7 @@ class TwinBackend:
             IzooError: the environments are closed, no episode has begun, or there is none to go on with.
         """
         self._run(0)
-        ended = rest_where_ended(self.config, self.frames)
+        ended = clear_ended(self.config, self.frames)
         with self._whole():
             until_due = self.config.decide != STEP
             self._play(np.minimum(self._until_horizon_or_end(), self.config.hold_steps), meanwhile, until_due)
@@ -341,3 +349,9 @@ def _use_one_torch_thread() -> None:
 def _close(crew: Crew, preparers: Preparers) -> None:
     preparers.close()
     crew.close()
+
+
+def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], TwinBackend]:
+    """Return the frames and the backend of one environment, with the surrogate that SUMO's environments have."""
+    backend = TwinBackend(config, 1, surrogate="compiled")
+    return backend.frames, backend

@@ -1,1 +1,1 @@
-"""Other faces of the environments: Gymnasium, PettingZoo, pictures, tables of trajectories."""
+"""Other interfaces to the environments: Gymnasium, PettingZoo, tables of trajectories."""

@@ -1,4 +1,4 @@
-"""Trajectories as a table, one row per vehicle and step, for emission models and plots outside izoo."""
+"""Trajectories as a table, one row per vehicle and step, for other emission models and plots."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def write_trajectories(rollout: TensorDictBase, path: str | Path, step_s: float 
     """
     path = expanded(path)
     if not path.parent.is_dir():
-        raise IzooError(f"{path.parent} is no folder; make it first, or write to another place.")
+        raise IzooError(f"{path.parent} is not a folder; make it first, or write elsewhere.")
     with replacing(path) as partial:
         trajectory_table(rollout, step_s).to_csv(partial, index=False)
     return path

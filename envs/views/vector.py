@@ -1,4 +1,4 @@
-"""Gymnasium's vector form of a view: its simulations run side by side, one process each."""
+"""Gymnasium's vector environment of a view, whose simulations run in parallel, one process each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Step = tuple[Any, float, bool, bool, dict[str, Any]]
 
 
 class ViewVector(SyncVectorEnv):
-    """``N`` views; each is stepped by a thread that sleeps while its simulation's process works.
+    """``N`` views, each stepped by a thread that sleeps while its simulation's process works.
 
     ``AsyncVectorEnv`` does the same with a further process per environment. After the end of an episode, the next step
     of that environment begins the next one, ignoring its action (``AutoresetMode.NEXT_STEP``).
@@ -65,7 +65,7 @@ class ViewVector(SyncVectorEnv):
         return self._each(advance)
 
     def _each(self, act: Callable[[int], Step]) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Let every environment act; wait for all of them, whatever happens to one."""
+        """Call ``act`` for every environment; wait for all of them, even if one fails."""
         futures = [self._threads.submit(act, index) for index in range(self.num_envs)]
         failures = [failure for failure in [future.exception() for future in futures] if failure is not None]
         if failures:

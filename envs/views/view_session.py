@@ -1,6 +1,6 @@
-"""One simulation behind a view for a library other than TorchRL: its episodes, its frame, its process.
+"""The simulation behind a Gymnasium or PettingZoo view: its episodes, its frame, its process.
 
-Only NumPy is needed here, so that the processes which step such a view stay small.
+Only NumPy is needed here, so that processes that step such a view stay small.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ import numpy as np
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
-from izoo.emissions.weights import load_weights
+from izoo.envs import simulator_of
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import KEEP_LANE, SIMULATORS, STEP, EnvConfig, checked_config
+from izoo.envs.config import KEEP_LANE, STEP, EnvConfig, checked_config
 from izoo.envs.mdp.columns import NUMBER
-from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.frame import row_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
 from izoo.envs.render import draw
 from izoo.envs.sumo.session import has_screen
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.envs.views.actions import Commands
-from izoo.envs.views.barren import EPISODES_LOOKED_AT, first_fertile
+from izoo.envs.views.commands import Commands
+from izoo.envs.views.controlled_vehicles import EPISODES_SEARCHED, first_with_cvs
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
+from izoo.imports import imported
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts
@@ -37,7 +38,7 @@ OPTIONS = ("context", "episode_seed", "episode")
 of the schedule (with its own seed, or ``episode_seed``)."""
 
 
-class Host:
+class ViewSession:
     """Runs numbered episodes in a process of its own, or in this one, and holds the frame.
 
     Args:
@@ -45,12 +46,12 @@ class Host:
         config: settings of the environment; ``emit`` and ``gui`` are chosen here.
         seed: base seed.
         render_mode: ``None`` or one of :data:`RENDER_MODES`; ``human`` opens sumo-gui.
-        in_process: simulate in this process, which then can hold no other simulation of SUMO.
-        simulator: ``sumo``, or ``twin``, which is always in this process, beside any others.
+        in_process: simulate in this process, which can then hold no other SUMO simulation.
+        simulator: ``sumo``, or ``twin``, which always runs in this process.
 
     Attributes:
         frame: the arrays of :func:`izoo.envs.mdp.frame.frame_fields`, of one environment.
-        context: what is being played; ``None`` before the first episode.
+        context: the present context; ``None`` before the first episode.
         over: whether the episode has ended.
     """
 
@@ -63,11 +64,11 @@ class Host:
         in_process: bool,
         simulator: str = "sumo",
     ) -> None:
-        check_choice("simulator", simulator, SIMULATORS)
+        chosen = simulator_of(simulator)
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
-        if render_mode == "human" and simulator == "twin":
-            raise IzooError("render_mode='human' shows SUMO, and the twin has no window; use render_mode='rgb_array'.")
+        if render_mode == "human" and not chosen.window:
+            raise IzooError(f"render_mode='human' needs a window, and {chosen.label} has none; use 'rgb_array'.")
         if render_mode == "human" and not has_screen():
             raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
         config = checked_config(config)
@@ -86,24 +87,18 @@ class Host:
 
     def _make_backend(self) -> None:
         backend: Backend
-        if self._simulator == "twin":
-            from izoo.envs.twin.backend import TwinBackend
-
-            backend = twin = TwinBackend(self.config, 1, surrogate="compiled")
-            self.frame = row_of(twin.frames, 0)
-        elif self._in_process:
-            from izoo.envs.sumo.simulator import SumoSimulator
-
-            self.frame = row_of(map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1), 0)
-            backend = SumoSimulator(self.config, self.frame, load_weights())
+        chosen = simulator_of(self._simulator)
+        if self._in_process or chosen.batched:
+            frames, backend = imported("simulator", chosen.single)(self.config)
         else:
-            backend = workers = SumoWorkers(self.config, 1, awake=False)
-            self.frame = row_of(workers.frames, 0)
+            backend = workers = SumoWorkers(self.config, 1, poll=False)
+            frames = workers.frames
+        self.frame = row_of(frames, 0)
         self._backend = backend
         self._finalizer = weakref.finalize(self, backend.close)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What makes another host like this one, which is yet to begin: a simulation that runs goes nowhere.
+        """Return what makes an equal session; only one that has not begun can be copied.
 
         Raises:
             IzooError: an episode has begun.
@@ -118,7 +113,7 @@ class Host:
         self._make_backend()
 
     def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Begin an episode: the first one of a new base ``seed``, the one that ``options`` name, or the next one.
+        """Begin an episode: the first one of a new base ``seed``, the one given by ``options``, or the next one.
 
         Raises:
             IzooError: an unknown option or an unusable value.
@@ -148,18 +143,18 @@ class Host:
         self.context, self.episode, self.episode_seed, self.steps = context, episode, episode_seed, 0
         self.over = False
 
-    def begin_another(self) -> None:
-        """Begin the next episode in which a CV can come, after one in which, by chance or not, none came.
+    def begin_next_with_cvs(self) -> None:
+        """Begin the next episode in which a CV can enter.
 
         Raises:
-            IzooError: none can come in a thousand episodes from here.
+            IzooError: there is none within :data:`EPISODES_SEARCHED` episodes.
         """
-        numbers = range(self._next_episode, self._next_episode + EPISODES_LOOKED_AT)
-        number = first_fertile(self.config, ((number, self.schedule(number)[0]) for number in numbers))
+        numbers = range(self._next_episode, self._next_episode + EPISODES_SEARCHED)
+        number = first_with_cvs(self.config, ((number, self.schedule(number)[0]) for number in numbers))
         self.begin(options={"episode": number})
 
     def commands(self) -> Commands:
-        """Return commands that leave every CV to SUMO, to be filled in."""
+        """Return commands that leave every CV uncommanded, to be filled in."""
         count = self.config.num_agents
         action = np.zeros((count, self.config.action_size), np.float32)
         return Commands(action, np.ones(count, bool), np.full(count, KEEP_LANE, np.int64))
@@ -176,16 +171,16 @@ class Host:
             self.frame[name][:] = values
         self.over = True  # unless the step succeeds
         if self._backend.step():
-            raise RuntimeError("the simulation was lost; call reset(), it begins anew in a new process.")
+            raise RuntimeError("the simulation was lost; call reset(), which begins anew in a new process.")
         self.steps += 1
         self.over = bool(self.frame["truncated"][0])
 
     def require_running(self) -> None:
         """Raise :class:`IzooError` unless an episode is running."""
         if self.context is None:
-            raise IzooError("step() came before reset(); call reset() first, it starts the episode.")
+            raise IzooError("step() came before reset(); call reset() first, which starts the episode.")
         if self.over:
-            raise IzooError("step() came after the end of the episode; call reset(), it starts the next one.")
+            raise IzooError("step() came after the end of the episode; call reset(), which starts the next one.")
 
     def close(self) -> None:
         """End the simulation; a later :meth:`begin` starts it again."""
@@ -199,7 +194,7 @@ class Host:
 
     @property
     def decides(self) -> np.ndarray:
-        """Slots whose CV decides now, ``[A]`` bool; the actions of others are not read."""
+        """Slots whose CV must decide now, ``[A]`` bool; the actions of others are not read."""
         return self.mask if self.config.decide == STEP else self.frame["decides"].astype(bool)
 
     @property
@@ -216,7 +211,7 @@ class Host:
 
     @property
     def fps(self) -> int:
-        """Pictures per second, one per decision, that show the traffic as fast as it is; one if decisions are long."""
+        """Pictures per second for playback in real time, one per decision; at least 1."""
         return max(round(1.0 / self.config.decision_s), 1)
 
     def metrics(self) -> dict[str, dict[str, Any]]:
@@ -232,7 +227,7 @@ class Host:
         return {"episode": self.episode, "episode_seed": self.episode_seed}
 
     def plan(self) -> dict[str, Any]:
-        """Return what is being played: the context's name, and the episode's number and seed."""
+        """Return the context's name, and the episode's number and seed."""
         name = "" if self.context is None else self.context.name
         return {"context": name, **self.number()}
 
@@ -243,10 +238,10 @@ class Host:
     def render(self, span_m: float = 120.0, size_px: int = 640) -> np.ndarray:
         """Return a top view ``[size_px, size_px, 3]`` uint8; no screen is needed."""
         if self.context is None:
-            raise IzooError("render() came before reset(); call reset() first, it starts the episode.")
+            raise IzooError("render() came before reset(); call reset() first, which starts the episode.")
         return draw(self._backend.scene(), span_m=span_m, size_px=size_px)
 
 
 def render_modes() -> list[str]:
-    """The render modes that this machine has."""
+    """Return the render modes that are available on this machine."""
     return list(RENDER_MODES) if has_screen() else ["rgb_array"]

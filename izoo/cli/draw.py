@@ -12,7 +12,8 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.dataset.intersections import find_intersections, load_intersection, load_specs
-from izoo.networks.draw.intersection import draw_features, draw_intersection
+from izoo.networks.draw.intersection import draw_features, draw_intersection, save_png
+from izoo.networks.draw.town import draw_town
 from izoo.networks.net.build import build_net
 from izoo.networks.osm.store import CMDP_FILE, load_record
 from izoo.networks.road import read_road
@@ -23,8 +24,9 @@ def draw(what: str, png: Path) -> Path:
     """Draw ``what`` to ``png`` and return the path that was written.
 
     Args:
-        what: an intersection's folder or ``.json`` file, a folder of several (their features), or, where there is
-            no such path, an id of the catalogue, a city's name (its features) or ``CITY/NUMBER``.
+        what: an intersection's folder or ``.json`` file, a town built from OpenStreetMap (its map), a folder of several
+            others (their features), or, where there is no such path, an id of the catalogue, a city's name (its
+            features) or ``CITY/NUMBER``.
 
     Raises:
         IzooError: it is none of these, or the picture cannot be written.
@@ -65,7 +67,10 @@ def _draw_path(path: Path, png: Path) -> Path:
         folders = find_intersections(path)
         if len(folders) == 1:
             return _draw_one(load_intersection(folders[0]), {}, png)
-    specs = [with_plan(spec) for spec in load_specs(path)]
+    specs = load_specs(path)
+    if all(spec.lonlat for spec in specs):
+        return save_png(draw_town(specs, f"{path.resolve().name}: vehicles in the peak hour"), png)
+    specs = [with_plan(spec) for spec in specs]
     return draw_features(specs, png, title=path.resolve().name)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
-from izoo.algos.drivers.scripted import make_driver
+from izoo.algos.drivers.by_name import make_driver
 from izoo.contexts.cities import rebuilt as cities
 from izoo.contexts.context import Context
 from izoo.contexts.spec import IntersectionSpec

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
+from izoo.conf.own_traffic import check_traffic, with_own_traffic
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
@@ -37,6 +37,8 @@ class CityContexts:
             (Salt Lake City and Atlanta).
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["city"] = "city"
@@ -50,6 +52,7 @@ class CityContexts:
     weather: Literal["county", "published"] = "county"
     cv_vehicle: Literal["paper", "human"] = "paper"
     drivers: str | None = None
+    fleet: list[float] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
@@ -62,7 +65,7 @@ class CityContexts:
                 f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
                 "summer; choose contexts.season=summer or contexts.weather=county."
             )
-        resolve_drivers(self)
+        check_traffic(self)
 
     def build(self) -> ContextSource:
         """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""
@@ -77,7 +80,7 @@ class CityContexts:
             weather=self.weather,
             cv_vehicle=self.cv_vehicle,
         )
-        return with_own_drivers(scenarios, self.drivers)
+        return with_own_traffic(scenarios, self)
 
 
 @dataclass(frozen=True)
@@ -90,17 +93,20 @@ class CatalogueContexts:
             them, ``show ID`` prints one.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["catalogue"] = "catalogue"
     ids: tuple[int | str, ...] = ()
     cv_vehicle: Literal["paper", "human"] = "paper"
     drivers: str | None = None
+    fleet: list[float] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
         self._ranges()
-        resolve_drivers(self)
+        check_traffic(self)
 
     def build(self) -> ContextSource:
         """Return the scenarios, lazily."""
@@ -109,7 +115,7 @@ class CatalogueContexts:
             raise IzooError(
                 f"contexts.ids is empty; give ids from 0 to {catalogue.SIZE - 1}: contexts.ids=[17,100..199]."
             )
-        return with_own_drivers(catalogue.by_ids(ranges, self.cv_vehicle), self.drivers)
+        return with_own_traffic(catalogue.by_ids(ranges, self.cv_vehicle), self)
 
     def _ranges(self) -> list[range]:
         return [_range(item) for item in self.ids]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
+from izoo.conf.own_traffic import check_traffic, with_own_traffic
 from izoo.contexts.distributions import Box, Key, Uniform, Weighted, as_distribution
 from izoo.contexts.procedural import (
     DEFAULTS,
@@ -19,8 +19,9 @@ from izoo.contexts.procedural import (
     ProceduralSource,
     check_support,
 )
-from izoo.contexts.source import ContextSource, MixedSource
+from izoo.contexts.source import ContextList, ContextSource, MixedSource
 from izoo.errors import IzooError, check_choice, check_types
+from izoo.imports import imported
 
 PRESETS = {
     "systematicity_train": SYSTEMATICITY_TRAIN,
@@ -61,6 +62,8 @@ class PcgContexts:
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
         drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
         approach: the leg that demand enters from, A to D, or ``all``.
         exclude: boxes that no context lies in, each with one or more features, of which it holds a value, some values
             or an interval: ``[{lane_count:[2,3],green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the
@@ -84,13 +87,14 @@ class PcgContexts:
     engine: Setting = None
     cv_vehicle: Setting = None
     drivers: str | None = None
+    fleet: list[float] | None = None
     approach: Setting = None
     exclude: list[dict] | None = None
 
     def __post_init__(self) -> None:
         check_types("contexts", self)
         check_choice("contexts.preset", self.preset, PRESETS)
-        resolve_drivers(self)
+        check_traffic(self)
 
     def build(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
@@ -111,7 +115,7 @@ class PcgContexts:
         features: dict[Key, Any] = {**missing, **base.features, **changes}
         source = ProceduralSource(features, boxes)
         whole = source.interval_ends() if self.preset == "systematicity_grid" else source
-        return with_own_drivers(whole, self.drivers)
+        return with_own_traffic(whole, self)
 
 
 SingleContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts
@@ -147,7 +151,30 @@ class MixedContexts:
         return MixedSource([source.build() for source in self.sources])
 
 
-ContextsConfig: TypeAlias = SingleContextsConfig | MixedContexts
+@dataclass(frozen=True)
+class OwnContexts:
+    """A source of one's own.
+
+    Attributes:
+        name: ``module:name``: contexts, or a source, or a class or function without arguments that makes one.
+    """
+
+    name: str = ""
+
+    def build(self) -> ContextSource:
+        """Return the source; raises :class:`IzooError` where it is none."""
+        found = imported("contexts", self.name)
+        found = found() if callable(found) and not hasattr(found, "__len__") else found
+        if not isinstance(found, ContextSource):
+            if not isinstance(found, Sequence):
+                raise IzooError(
+                    f"contexts={self.name} is a {type(found).__name__}; give something with sample(generator)."
+                )
+            found = ContextList(found)
+        return found
+
+
+ContextsConfig: TypeAlias = SingleContextsConfig | MixedContexts | OwnContexts
 
 
 def _setting(name: str, value: Any) -> Any:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from izoo.conf.built_in import Engine, Hour, Season, Split
-from izoo.conf.own_drivers import resolve_drivers, with_own_drivers
+from izoo.conf.own_traffic import check_traffic, with_own_traffic
 from izoo.contexts.cities.weather import weather
-from izoo.contexts.context import Context, checked_fleet
+from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
 from izoo.errors import IzooError, check_range, check_types
@@ -53,7 +53,6 @@ class DatasetContexts:
     def __post_init__(self) -> None:
         check_types("contexts", self)
         _check_adoption(self.adoption)
-        _check_fleet(self.fleet)
         if self.weather == "published" and self.season != "summer":
             raise IzooError(
                 f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
@@ -70,7 +69,7 @@ class DatasetContexts:
         contexts = _load(self, self.path, {})
         if self.weather == "county":
             contexts = ContextList([_with_county_weather(context, self.season) for context in contexts])
-        return with_own_drivers(contexts, self.drivers)
+        return with_own_traffic(contexts, self)
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,6 @@ class OsmContexts:
     def __post_init__(self) -> None:
         check_types("contexts", self)
         _check_adoption(self.adoption)
-        _check_fleet(self.fleet)
         check_range("contexts.temperature_c", self.temperature_c, -60.0, 60.0, "degrees C")
         check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")
         _make_absolute(self)
@@ -125,7 +123,7 @@ class OsmContexts:
         """Read the folder and return its contexts; raises :class:`IzooError` where it is no such folder."""
         self.check()
         fields = {"temperature_c": self.temperature_c, "humidity_pct": self.humidity_pct, "season": None}
-        return with_own_drivers(_load(self, self.path, fields), self.drivers)
+        return with_own_traffic(_load(self, self.path, fields), self)
 
 
 def _check_adoption(adoption: float | list[float]) -> None:
@@ -133,14 +131,6 @@ def _check_adoption(adoption: float | list[float]) -> None:
         raise IzooError("contexts.adoption is an empty list; give a share from 0 to 1, or a list of shares.")
     for share in [adoption] if isinstance(adoption, float) else adoption:
         check_range("contexts.adoption", share, 0.0, 1.0)
-
-
-def _check_fleet(fleet: list[float] | None) -> None:
-    try:
-        if fleet is not None:
-            checked_fleet(fleet)
-    except IzooError as error:
-        raise IzooError(f"contexts.fleet: {error}") from None
 
 
 def _check(name: str, path: str | None, remedy: str = "give the folder of the intersections") -> Path:
@@ -164,7 +154,6 @@ def _load(config: DatasetContexts | OsmContexts, path: str | None, fields: dict[
         hour=config.hour,
         engine=config.engine,
         cv_vehicle=config.cv_vehicle,
-        fleet=config.fleet,
         **fields,
     )
     if len(shares) > 1:
@@ -195,4 +184,4 @@ def _make_absolute(config: DatasetContexts | OsmContexts) -> None:
     """Resolve the paths, so that a run can be resumed and evaluated from another folder."""
     if config.path is not None:
         object.__setattr__(config, "path", str(expanded(config.path).absolute()))
-    resolve_drivers(config)
+    check_traffic(config)

@@ -18,7 +18,7 @@ from izoo.contexts.cities.rebuilt import get as get_city
 from izoo.contexts.cities.shapes import SHAPES
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED, weather
 from izoo.contexts.context import CV_VEHICLES, ENGINES, HOURS, SEASONS, Context
-from izoo.contexts.source import ContextList
+from izoo.contexts.source import ContextList, Lazy
 from izoo.contexts.spec import LEG_NAMES
 from izoo.contexts.splits import SplitName, city_split
 from izoo.errors import IzooError, check_choice, check_range
@@ -117,7 +117,7 @@ def _county_weather(city: str, season: str) -> tuple[float, float]:
     return weather(city, season)
 
 
-class Scenarios(Sequence[Context]):
+class Scenarios(Lazy[Context]):
     """A lazy, finite CMDP of city scenarios, in catalogue order; one-approach contexts follow in letter order.
 
     Args:
@@ -166,15 +166,11 @@ class Scenarios(Sequence[Context]):
         counts = [_contexts_per_intersection(name, approaches)[places] for name, places in self._zip()]
         self._ends = np.cumsum(np.concatenate(counts)) if counts else np.zeros(0, dtype=int)
         self._city_ends = np.cumsum([len(places) for places in self._places])
+        super().__init__(int(self._ends[-1]) * self._per_place if len(self._ends) else 0, self._build)
         if len(self) == 0:
             raise IzooError("no scenario is selected: a filter is empty; leave it out to mean every value.")
 
-    def __len__(self) -> int:
-        return int(self._ends[-1]) * self._per_place if len(self._ends) else 0
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
+    def _build(self, index: int) -> Context:
         return build(*self.locate(index), self.weather, self.cv_vehicle)
 
     def sample(self, generator: np.random.Generator) -> Context:
@@ -215,27 +211,15 @@ def by_ids(ids: Sequence[range], cv_vehicle: str = "paper") -> ContextList:
     for several in ids:
         if len(several):
             describe(several[0]), describe(several[-1])
-    return ContextList(_Listed(ids, cv_vehicle))
+    return ContextList(Lazy(sum(map(len, ids)), functools.partial(_listed, list(ids), cv_vehicle)))
 
 
-class _Listed(Sequence[Context]):
-    """Scenarios by id."""
-
-    def __init__(self, ids: Sequence[range], cv_vehicle: str) -> None:
-        self._ids, self._cv_vehicle = list(ids), cv_vehicle
-        self._ends = np.cumsum([len(numbers) for numbers in ids])
-
-    def __len__(self) -> int:
-        return int(self._ends[-1]) if len(self._ends) else 0
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"entry {index} of {len(self)} scenarios does not exist.")
-        which = int(np.searchsorted(self._ends, index % len(self), side="right"))
-        numbers = self._ids[which]
-        return build(describe(numbers[index % len(self) - int(self._ends[which])]), cv_vehicle=self._cv_vehicle)
+def _listed(ids: Sequence[range], cv_vehicle: str, index: int) -> Context:
+    for numbers in ids:
+        if index < len(numbers):
+            return build(describe(numbers[index]), cv_vehicle=cv_vehicle)
+        index -= len(numbers)
+    raise AssertionError("unreachable: the index was checked")
 
 
 def _several(value: Any, every: tuple[Any, ...]) -> tuple[Any, ...]:

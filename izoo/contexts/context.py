@@ -51,7 +51,7 @@ class Context:
         season: one of :data:`SEASONS`, or ``None`` when the weather was given as numbers.
         engine: one of :data:`ENGINES`; electric CVs emit nothing, human-driven vehicles stay combustion.
         temperature_c, humidity_pct: the weather.
-        cv_vehicle: ``paper``: every CV has the published CV parameters when nobody commands it; ``human``: the
+        cv_vehicle: ``paper``: an uncommanded CV has the published CV parameters; ``human``: the
             driver and length that it would have had as a human-driven vehicle.
         drivers: the population that human drivers are drawn from; ``None``: the built-in one.
         fleet: shares of the four types of :data:`FLEET`, which sum to 1; ``None``: those of MOVES for 2019. Model years
@@ -113,7 +113,7 @@ class Context:
 
     @functools.cached_property
     def content_hash(self) -> str:
-        """SHA-256 over every field but ``context_id`` and the place of the net file.
+        """SHA-256 over every field but ``context_id``, the place of the net file and that of the intersection.
 
         The built-in drivers and fleet are left out, so that contexts keep the hash they had before these could be
         chosen.
@@ -123,5 +123,6 @@ class Context:
         for name in ("drivers", "fleet"):
             if fields[name] is None:
                 fields.pop(name)
-        fields["intersection"].pop("net_path")
+        for name in ("net_path", "lonlat"):
+            fields["intersection"].pop(name)
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from izoo.contexts.context import CV_VEHICLES, ENGINES, FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR, Context
 from izoo.contexts.distributions import Box, Choice, Key, Product, Uniform
 from izoo.contexts.features import BY_NAME
-from izoo.contexts.source import ContextList
+from izoo.contexts.source import ContextList, Lazy
 from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
 
@@ -169,26 +170,19 @@ class ProceduralSource:
 
     def contexts(self) -> ContextList:
         """Return all contexts, in a stable order; refuses when a feature is an interval."""
-        return ContextList(_Contexts(self.product))
+        return _all(self.product)
 
     def interval_ends(self) -> ContextList:
         """Return the grid in which every interval is replaced by its two ends."""
-        return ContextList(_Contexts(self.product.interval_ends()))
+        return _all(self.product.interval_ends())
 
 
-class _Contexts(Sequence[Context]):
-    """The contexts of a finite product, built when asked for."""
+def _point(product: Product, index: int) -> Context:
+    return procedural_context(**product[index])
 
-    def __init__(self, product: Product) -> None:
-        self._product = product
 
-    def __len__(self) -> int:
-        return len(self._product)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        return procedural_context(**self._product[index])
+def _all(product: Product) -> ContextList:
+    return ContextList(Lazy(len(product), functools.partial(_point, product)))
 
 
 def _green_then_yellow(movements: list[tuple[str, str]], green_s: float) -> list[SignalPhase]:

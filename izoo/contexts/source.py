@@ -7,14 +7,16 @@ number of workers (worker ``k`` of ``N`` takes episodes ``k``, ``k + N``, ...) v
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from izoo.contexts.context import Context
-from izoo.contexts.population import DriverPopulation
 from izoo.errors import IzooError
+
+T = TypeVar("T")
 
 
 @runtime_checkable
@@ -49,6 +51,28 @@ class ContextList(Sequence[Context]):
         return self[int(generator.integers(len(self)))]
 
 
+class Lazy(Sequence[T]):
+    """A sequence whose entries are made when they are asked for.
+
+    Args:
+        count: how many there are.
+        make: returns the entry number ``0 <= index < count``; it must be picklable.
+    """
+
+    def __init__(self, count: int, make: Callable[[int], T]) -> None:
+        self._count, self._make = count, make
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        if isinstance(index, slice):
+            return [self[position] for position in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"entry {index} of {len(self)} does not exist.")
+        return self._make(int(index) % len(self))
+
+
 class MixedSource:
     """Several CMDPs at once: a draw chooses one of them, each as likely, and draws from it.
 
@@ -64,42 +88,29 @@ class MixedSource:
         return self.sources[int(generator.integers(len(self.sources)))].sample(generator)
 
 
-class _WithDrivers:
-    """A source whose contexts have other drivers."""
+class _Changed:
+    """A source whose contexts have some fields changed."""
 
-    def __init__(self, source: ContextSource, drivers: DriverPopulation) -> None:
-        self.source, self.drivers = source, drivers
+    def __init__(self, source: ContextSource, changes: Mapping[str, Any]) -> None:
+        self.source, self.changes = source, changes
 
     def sample(self, generator: np.random.Generator) -> Context:
         """Draw one context."""
-        return self.source.sample(generator).replace(drivers=self.drivers)
+        return self.source.sample(generator).replace(**self.changes)
 
 
-class _ListWithDrivers(Sequence[Context]):
-    """The contexts of a sequence with other drivers, each made when it is asked for."""
-
-    def __init__(self, contexts: Sequence[Context], drivers: DriverPopulation) -> None:
-        self.contexts, self.drivers = contexts, drivers
-
-    def __len__(self) -> int:
-        return len(self.contexts)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        return self.contexts[index].replace(drivers=self.drivers)
+def _changed(contexts: Sequence[Context], changes: Mapping[str, Any], index: int) -> Context:
+    return contexts[index].replace(**changes)
 
 
-def with_drivers(source: ContextSource, drivers: DriverPopulation | None) -> ContextSource:
-    """Return the source with another population of drivers in every context; ``None`` keeps the built-in one.
+def with_changes(source: ContextSource, changes: Mapping[str, Any]) -> ContextSource:
+    """Return the source with fields of every context changed, such as its drivers.
 
     A finite source stays one, in the same order, and is gone through as lazily as before.
     """
-    if drivers is None:
-        return source
     if isinstance(source, Sequence):
-        return ContextList(_ListWithDrivers(source, drivers))
-    return _WithDrivers(source, drivers)
+        return ContextList(Lazy(len(source), functools.partial(_changed, source, changes)))
+    return _Changed(source, changes)
 
 
 class Schedule(Protocol):

@@ -8,6 +8,7 @@ specs also carry ``net_path``.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -204,6 +205,7 @@ class IntersectionSpec:
         imputed: names of the values that were guessed because the source lacks them.
         net_path: a finished SUMO net, for the published dataset.
         net_sha256: digest of that file, so that a context's hash covers its content.
+        lonlat: where it lies, in degrees; ``None`` where that is unknown.
     """
 
     name: str
@@ -216,9 +218,12 @@ class IntersectionSpec:
     imputed: tuple[str, ...] = ()
     net_path: str | None = None
     net_sha256: str | None = None
+    lonlat: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         hold_floats(self)
+        if self.lonlat is not None:
+            object.__setattr__(self, "lonlat", tuple(self.lonlat))
         check_line("the name of an intersection", self.name)
         check_choice("intersection source", self.source, SOURCES)
         names = [leg.name for leg in self.legs]
@@ -243,3 +248,19 @@ class IntersectionSpec:
     def approach_names(self) -> tuple[str, ...]:
         """Legs with an incoming side, in order."""
         return tuple(leg.name for leg in self.legs if leg.approach is not None)
+
+
+def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
+    """Rebuild a spec from ``dataclasses.asdict``, also after a way through JSON."""
+    legs = []
+    for leg in fields["legs"]:
+        approach = leg["approach"]
+        if approach is not None:
+            approach = Approach(**{**approach, "lanes": tuple(approach["lanes"])})
+        legs.append(Leg(**{**leg, "approach": approach}))
+    plan = fields["signal_plan"]
+    if plan is not None:
+        phases = tuple(SignalPhase(p["duration_s"], tuple(tuple(s) for s in p["states"])) for p in plan["phases"])
+        plan = SignalPlan(phases, plan["offset_s"])
+    changes = {"legs": tuple(legs), "signal_plan": plan, "imputed": tuple(fields["imputed"])}
+    return IntersectionSpec(**{**fields, **changes, "ghosts": GhostSpec(**fields["ghosts"])})

@@ -1,7 +1,5 @@
-"""Human drivers from data: the Bayesian calibration of IDM (``python -m izoo.drivers calibrate``).
+"""Human drivers calibrated on recorded trajectories (``izoo/docs/calibration.md``).
 
-``tables`` reads files and ``checks`` refuses what cannot be right; ``followers`` makes drivers of them. ``update`` is
-one step of IDM, ``pilot`` a first fit, ``hierarchy`` the model, ``chains`` the sampler; ``predictive`` asks whether the
-model drives as the drivers did. ``estimate`` joins them, and ``posterior_figure`` draws the result. All but the first
-three need the extra ``izoo[calibrate]``.
+:mod:`~izoo.drivers.recorded_pairs` reads files, :mod:`~izoo.drivers.checks` refuses what cannot be right, and
+:mod:`~izoo.drivers.trajectories` makes drivers of them; all else needs the extra ``izoo[calibrate]``.
 """

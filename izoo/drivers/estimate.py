@@ -12,7 +12,7 @@ import numpy as np
 from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 
 from izoo.contexts.population import IDM_PARAMETERS
-from izoo.drivers.laplace_fit import fit_pilot
+from izoo.drivers.laplace_fit import fit_laplace
 from izoo.drivers.mcmc import Draws, SamplerConfig, sample
 from izoo.drivers.model import total_noise
 from izoo.drivers.predictive import Predictions, predict
@@ -92,7 +92,7 @@ def estimate(data: Following, config: SamplerConfig, report: Callable[[float], N
     # For the whole process: a setting of one thread would not reach those of the chains. Noise-free data fix a driver's
     # parameters to parts in a thousand of the population's spread, which single precision does not resolve.
     jax.config.update("jax_enable_x64", True)
-    draws = sample(data, fit_pilot(data), config, report)
+    draws = sample(data, fit_laplace(data), config, report)
     predictions = predict(data, draws, config.seed)
     with np.errstate(invalid="ignore", divide="ignore"):
         quantities = tuple(_quantity(name, values) for name, values in _population(draws).items())

@@ -31,7 +31,7 @@ State = tuple[Array, Array, Array, Array]
 """Parameters and noise of the drivers, mean and covariance of their population."""
 
 
-class Pilot(NamedTuple):
+class LaplaceFit(NamedTuple):
     """What the first fit found out about ``D`` drivers.
 
     Attributes:
@@ -56,13 +56,13 @@ class Pilot(NamedTuple):
     vague: Array
 
 
-def fit_pilot(data: Following) -> Pilot:
+def fit_laplace(data: Following) -> LaplaceFit:
     """Fit every driver by damped Gauss-Newton, drawn towards a population that is estimated along the way."""
     return _fit(data.arrays(), data.step_s)
 
 
 @functools.partial(jax.jit, static_argnums=1)
-def _fit(arrays: Arrays, step_s: float) -> Pilot:
+def _fit(arrays: Arrays, step_s: float) -> LaplaceFit:
     count, size = arrays[0].shape[0], len(TYPICAL)
     steps = jnp.sum(arrays[-1], axis=1)
     mean, covariance = jnp.log(jnp.array(TYPICAL)), jnp.eye(size) * FIRST_SPREAD**2
@@ -98,7 +98,9 @@ def _fit(arrays: Arrays, step_s: float) -> Pilot:
     # Noise below the floor leaves no trace: the likelihood is flat there.
     seen = noise > NOISE_FLOOR_MPS2
     noise_information = jnp.where(seen, 2.0 * steps * (above / noise**2) ** 2, 0.0)
-    return Pilot(information, pull, 0.5 * jnp.log(above), noise_information, steps, mean, covariance, mean_root, vague)
+    return LaplaceFit(
+        information, pull, 0.5 * jnp.log(above), noise_information, steps, mean, covariance, mean_root, vague
+    )
 
 
 def _curvature(theta: Array, noise: Array, arrays: Arrays, step_s: float) -> tuple[Array, Array, Array]:

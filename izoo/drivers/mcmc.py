@@ -16,7 +16,7 @@ from numpyro.infer import NUTS, util
 
 from izoo.cores import usable_cores
 from izoo.drivers import model
-from izoo.drivers.laplace_fit import Pilot
+from izoo.drivers.laplace_fit import LaplaceFit
 from izoo.drivers.trajectories import Following
 from izoo.errors import check_range
 
@@ -71,21 +71,21 @@ class Draws:
         return sd[..., :, None] * self.values["correlation"] * sd[..., None, :]
 
 
-def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callable[[float], None]) -> Draws:
+def sample(data: Following, first_fit: LaplaceFit, config: SamplerConfig, report: Callable[[float], None]) -> Draws:
     """Draw from the posterior; chains of one seed are the same on any number of cores.
 
     Args:
         data: one class of drivers.
-        pilot: their first fit.
+        first_fit: their first fit.
         config: how long.
         report: is told, now and then, which share of the work is done.
     """
-    potential = functools.partial(util.potential_energy, model.model, (data, pilot), {})
+    potential = functools.partial(util.potential_energy, model.model, (data, first_fit), {})
     # The first fit knows the scales of all coordinates better than a warm-up can learn them, so only the step adapts.
     kernel = NUTS(
         potential_fn=potential,
         adapt_mass_matrix=False,
-        inverse_mass_matrix=ravel_pytree(model.scales(pilot))[0],
+        inverse_mass_matrix=ravel_pytree(model.scales(first_fit))[0],
         step_size=FIRST_STEP,
         target_accept_prob=TARGET_ACCEPT,
         max_tree_depth=MAX_TREE_DEPTH,
@@ -94,8 +94,8 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
     @jax.jit
     def begin(key: Any) -> Any:
         place = jax.random.fold_in(key, 1)
-        values, unravel = ravel_pytree(model.start(pilot))
-        scale = jnp.sqrt(ravel_pytree(model.scales(pilot))[0])
+        values, unravel = ravel_pytree(model.start(first_fit))
+        scale = jnp.sqrt(ravel_pytree(model.scales(first_fit))[0])
         start = unravel(values + scale * jax.random.normal(place, values.shape))
         return kernel.init(key, config.warmup, start, (), {})
 
@@ -107,7 +107,7 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
 
         return jax.lax.scan(one, state, None, length=PIECE)
 
-    constrain = jax.jit(jax.vmap(functools.partial(_constrained, data, pilot)))
+    constrain = jax.jit(jax.vmap(functools.partial(_constrained, data, first_fit)))
     warmup, kept = -(-config.warmup // PIECE), -(-config.draws // PIECE)
     keys = jax.random.split(jax.random.PRNGKey(config.seed), config.chains)
     with ThreadPoolExecutor(min(config.chains, usable_cores())) as threads:
@@ -123,8 +123,8 @@ def sample(data: Following, pilot: Pilot, config: SamplerConfig, report: Callabl
     return _gather(pieces, config.draws)
 
 
-def _constrained(data: Following, pilot: Pilot, place: dict[str, Any]) -> dict[str, Any]:
-    values = util.constrain_fn(model.model, (data, pilot), {}, place, return_deterministic=True)
+def _constrained(data: Following, first_fit: LaplaceFit, place: dict[str, Any]) -> dict[str, Any]:
+    values = util.constrain_fn(model.model, (data, first_fit), {}, place, return_deterministic=True)
     factor = values["corr_factor"]
     chosen = {name: values[name] for name in ("log_mean", "log_sd", "noise_mean", "noise_sd", "x", "log_noise")}
     return {**chosen, "correlation": factor @ factor.T}

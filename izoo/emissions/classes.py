@@ -1,4 +1,4 @@
-"""The vehicle classes that the MOVES surrogates know, as a stable integer index."""
+"""The vehicle classes of the MOVES surrogates, as a stable integer index."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class MovesSurrogate(nn.Module):
             moves_class: integer, index into :data:`~izoo.emissions.classes.CLASSES`.
             temperature_c, humidity_pct: weather, a number or a tensor.
             mask: bool, where there is a vehicle; default everywhere.
-            electric: bool, where it has no engine that burns; default nowhere.
+            electric: bool, where the vehicle burns no fuel; default nowhere.
 
         Raises:
             IzooError: a vehicle that counts has a class outside the table (not checked in compiled code).
@@ -89,7 +89,7 @@ class MovesSurrogate(nn.Module):
         return torch.zeros(len(classes), device=rates.device).index_put((rows,), rates).reshape(shape)
 
     def _checked_rates(self, features: Tensor, classes: Tensor) -> Tensor:
-        """Return g/s ``[N]`` of ``features [N, 5]`` and ``classes [N]``, after a look at the classes."""
+        """Return g/s ``[N]`` of ``features [N, 5]`` and ``classes [N]``, whose range is checked."""
         if not torch.compiler.is_compiling():
             if len(classes) == 0:
                 return features.new_zeros(0)
@@ -122,7 +122,7 @@ class MovesSurrogate(nn.Module):
         return torch.zeros_like(rates).index_copy(0, order, rates)
 
     def tiled_rates(self, tiled: Tensor, tile_class: Tensor) -> Tensor:
-        """Return g/s ``[M, T]`` of the inputs ``tiled [M, T, 5]`` of vehicles that are laid into tiles already.
+        """Return g/s ``[M, T]`` of the inputs ``tiled [M, T, 5]`` of vehicles already laid into tiles.
 
         Args:
             tiled: temperature (C), humidity (%), speed (m/s), acceleration (m/s^2) and grade (%), float32.

@@ -1,4 +1,4 @@
-"""The data files that the package ``neuralmoves`` brings along: MOVES default tables and network weights.
+"""The data files of the package ``neuralmoves``: MOVES default tables and network weights.
 
 They are found without importing the package, whose ``__init__`` loads pandas and torch.
 """

@@ -14,7 +14,7 @@ from izoo.emissions.tables import moves_file
 INPUTS = 5
 HIDDEN = 64
 LINE_BYTES = 64
-"""Of the processor's cache."""
+"""Bytes of a line of the processor's cache."""
 
 
 class KernelWeights(NamedTuple):
@@ -28,7 +28,7 @@ class KernelWeights(NamedTuple):
         b2: ``[C, 64]``.
         w3: ``[C, 64]`` last layer, one output.
         b3: ``[C]``.
-        floor: ``[C]`` idling rate in g/s, the least that a running engine emits.
+        floor: ``[C]`` idling rate in g/s, the minimum of a running engine.
     """
 
     w1: np.ndarray
@@ -43,7 +43,7 @@ class KernelWeights(NamedTuple):
 @functools.lru_cache(maxsize=1)
 def load_weights() -> KernelWeights:
     """Return the weights of all of :data:`~izoo.emissions.classes.CLASSES`; read once per process, and read-only."""
-    import torch  # only torch can read the files; whoever has the arrays already does not need it
+    import torch  # only torch can read the files
 
     nets = []
     for model_year, source_type, fuel in CLASSES:
@@ -83,6 +83,6 @@ def _idling_rates() -> np.ndarray:
     with moves_file("idling_emissions.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             key = (int(row["modelYear"]), int(row["sourceTypeID"]), int(row["fuelTypeID"]))
-            # neuralmoves takes the first row of a class.
+            # neuralmoves uses the first row of a class.
             rates.setdefault(key, float(row["emission_per_second_MOVES"]))
     return np.array([rates[key] for key in CLASSES], dtype=np.float32)

@@ -29,7 +29,8 @@ def paper_form(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, dict[str
         One row per training seed, context and approach: ``saturated``, ``throughput_policy`` and
         ``throughput_baseline`` (vehicles, means over episode seeds), ``emission_policy_g`` and ``emission_baseline_g``
         (g per vehicle that crossed, means over the episodes in which both are defined), ``throughput_benefit``,
-        ``benefit_ungated``, ``gated``, ``benefit``, and ``left_out``: why the row has no benefit (no traffic; nobody
+        ``benefit_ungated``, ``gated``, ``fell`` (whether it is this approach that closes the gate), ``benefit``, and
+        ``left_out``: why the row has no benefit (no traffic; nobody
         crossed under human driving), or the empty string. Where nobody crossed under the policy its benefit is 0.
         The aggregates are those of :func:`paper_aggregates`.
 
@@ -70,9 +71,9 @@ def paper_form(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, dict[str
     rows["left_out"] = np.where(traffic == 0, "no traffic", np.where(flow == 0, "nobody crossed", ""))
     rows = rows.reset_index()
     counts = rows["left_out"] == ""
-    fell = counts & (rows["throughput_policy"] < rows["throughput_baseline"])
-    anywhere = fell.groupby([rows[key] for key in CONTEXT]).transform("any")
-    rows["gated"] = fell.where(rows["demand"] == "one", anywhere) & counts
+    rows["fell"] = counts & (rows["throughput_policy"] < rows["throughput_baseline"])
+    anywhere = rows["fell"].groupby([rows[key] for key in CONTEXT]).transform("any")
+    rows["gated"] = rows["fell"].where(rows["demand"] == "one", anywhere) & counts
     rows["benefit"] = rows["benefit_ungated"].mask(rows["gated"], 0.0).mask(~counts)
     return rows, paper_aggregates(rows)
 
@@ -84,7 +85,9 @@ def paper_aggregates(rows: pd.DataFrame) -> dict[str, Any]:
         rows: as :func:`paper_form` returns them, of one or several training seeds.
 
     Returns:
-        ``approaches`` (that count), ``left_out`` (how many do not), ``train_seeds``; means over training seeds of
+        ``approaches`` (that count), ``left_out`` (how many do not), ``train_seeds``; ``closed_by``: of intersections
+        with demand from all approaches, which approaches closed the gate for all of them, in words; means over training
+        seeds of
         ``ratio_of_sums`` (``1 - sum of the policy's g per vehicle / sum of the baseline's``, the baseline's own where
         the gate is closed), ``mean``, ``share_positive``, ``share_gated``, ``throughput_mean`` (relative change) and
         ``share_kept`` (approaches whose throughput did not fall); and ``best_ratio_of_sums``: of the best training
@@ -95,12 +98,23 @@ def paper_aggregates(rows: pd.DataFrame) -> dict[str, Any]:
         "approaches": int((tasks["left_out"] == "").sum()),
         "left_out": int((tasks["left_out"] != "").sum()),
         "train_seeds": int(rows["train_seed"].nunique()),
+        "closed_by": _closed_by(rows[rows["fell"] & (rows["demand"] == "all")]),
     }
     counted = rows[rows["left_out"] == ""]
     if counted.empty:
         return {**n, **dict.fromkeys((*_aggregates(counted), "best_ratio_of_sums"))}
     seeds = pd.DataFrame([_aggregates(part) for _, part in counted.groupby("train_seed")])
     return {**n, **seeds.mean().to_dict(), "best_ratio_of_sums": float(seeds["ratio_of_sums"].max())}
+
+
+def _closed_by(fell: pd.DataFrame) -> list[str]:
+    """Name the approaches on which the throughput fell, by intersection."""
+    named: dict[str, list[str]] = {}
+    for row in fell.itertuples():
+        seed = f", training seed {row.train_seed}" if fell["train_seed"].nunique() > 1 else ""
+        words = f"{row.approach} ({row.throughput_policy:.1f} vehicles, not {row.throughput_baseline:.1f}{seed})"
+        named.setdefault(str(row.context), []).append(words)
+    return [f"{context}: {', '.join(words)}" for context, words in named.items()]
 
 
 def _aggregates(rows: pd.DataFrame) -> dict[str, float]:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
+from izoo.metrics.episode_seeds import EPISODE_SEEDS, over_episode_seeds
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import (
     BASELINES,
@@ -22,6 +23,7 @@ from izoo.metrics.pairing import (
     intersections_of,
     of_policy,
     pair,
+    simulators,
 )
 from izoo.metrics.statistics import (
     MIN_INTERSECTIONS,
@@ -49,7 +51,7 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
-        table: rows of episodes of policies, with those of baselines. Of two simulators SUMO is summed up.
+        table: rows of episodes of policies, with those of baselines; of two simulators the one that played most counts.
         reference: an entry that the others are compared with; without one, all are compared pairwise.
         trained_on: rows of the same policies on contexts of their training.
 
@@ -68,19 +70,19 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     """
     if table.empty:
         raise IzooError("there are no episodes to sum up; evaluate a policy first.")
-    simulators = sorted(table["simulator"].unique())  # "sumo" comes before "twin"
-    rows = table[table["simulator"] == simulators[0]]
+    played = simulators(table)
+    rows = table[table["simulator"] == played[0]]
     without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
     left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()
     counted = rows[~rows["context_hash"].isin(without.index[without["cohort"] <= 0.0])]
     pairs = _pairs(rows)
     block = _main_block(counted)
-    training = None if trained_on is None else trained_on[trained_on["simulator"] == simulators[0]]
+    training = None if trained_on is None else trained_on[trained_on["simulator"] == played[0]]
     entries = {name: _entry(rows, name, pairs[name], block) for name in pairs}
     pairwise = _pairwise(pairs, block, reference)
     return {
         "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
-        "simulators": simulators,
+        "simulators": played,
         "n": {
             "contexts": int(counted["context_hash"].nunique()),
             "intersections": int(counted["intersection"].nunique()),
@@ -138,6 +140,7 @@ def _in_words(name: str, entry: Summary, block: str) -> str:
     name = {UNCOMMANDED: "uncommanded driving"}.get(name, name)
     kind = "" if block == "all" else f"{block} "
     where = f"on {found['intersections']} {kind}intersection{'' if found['intersections'] == 1 else 's'}"
+    where += ", over its episode seeds" if saved.get("over") == EPISODE_SEEDS else ""
     co2, time = _words(saved, "co2_saved"), _words(delay, "delay_change_s")
     slower = f"slower: {time.amount} more delay per vehicle" if time.shown == "above" else ""
     if co2.shown == "none":
@@ -227,7 +230,7 @@ def _entry(rows: pd.DataFrame, name: str, pairs: Mapping[str, Paired], block: st
         levels[kind] = {
             key: _plain(float(figure.value(mean, mean)[0])) for key, figure in FIGURES.items() if not figure.paired
         }
-    against = {other: _against(paired) for other, paired in pairs.items()}
+    against = {other: _against(paired, rows, name, other) for other, paired in pairs.items()}
     delay = against.get(UNCOMMANDED, {}).get(block, {}).get("figures", {}).get("delay_change_s", {}).get("low")
     return {
         "train_seeds": int(contexts["train_seed"].nunique()),
@@ -237,7 +240,7 @@ def _entry(rows: pd.DataFrame, name: str, pairs: Mapping[str, Paired], block: st
     }
 
 
-def _against(paired: Paired) -> Summary:
+def _against(paired: Paired, rows: pd.DataFrame, name: str, baseline: str) -> Summary:
     """Compare by block; see :func:`summarise`."""
     values = {key: figure.value(paired.own, paired.baseline) for key, figure in FIGURES.items() if figure.paired}
     found = {}
@@ -245,10 +248,13 @@ def _against(paired: Paired) -> Summary:
         contexts = paired.contexts[chosen]
         pools = {key: by_intersection(contexts, value[chosen]) for key, value in values.items()}
         saved, _, n = pools["co2_saved"]
+        figures = {key: estimate(pool, count) for key, (pool, _, count) in pools.items()}
+        if paired.contexts["intersection"].nunique() == 1:
+            over_episode_seeds(rows[rows["context_hash"].isin(contexts["context_hash"])], name, baseline, figures)
         found[kind] = {
             "intersections": saved.shape[1],
             "contexts": n,
-            "figures": {key: estimate(pool, count).to_dict() for key, (pool, _, count) in pools.items()},
+            "figures": {key: each.to_dict() for key, each in figures.items()},
             "mean": _reduced(np.mean, saved),
             "median": _reduced(np.median, saved),
             "gain_share": _reduced(np.mean, saved > NOTABLE),

@@ -19,7 +19,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from izoo.console import counted, plain
-from izoo.envs.config import SIMULATOR_NAMES
+from izoo.envs import SIMULATORS
+from izoo.metrics.episode_seeds import MIN_EPISODE_SEEDS
 from izoo.metrics.figures import FIGURES, HEADLINE, Figure
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
 from izoo.metrics.summary import BLOCKS
@@ -296,8 +297,16 @@ def counts(summary: Mapping[str, Any]) -> str:
     n = summary["n"]
     text = f"{counted(n['contexts'], 'context')} on {counted(n['intersections'], 'intersection')}, "
     text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
-    text += f"played on {' and '.join(SIMULATOR_NAMES[name] for name in summary['simulators'])}. "
-    text += "Interquartile means over intersections; brackets: 95 % intervals."
+    text += f"played on {' and '.join(SIMULATORS[name].label for name in summary['simulators'])}. "
+    if n["intersections"] == 1:
+        text += (
+            f"Brackets: 95 % intervals over the {n['eval_seeds']} episode seeds of this intersection (Student's t of "
+        )
+        text += (
+            f"paired seeds, from {MIN_EPISODE_SEEDS} on); they say nothing of other intersections or training seeds."
+        )
+    else:
+        text += "Interquartile means over intersections; brackets: 95 % intervals."
     if any(entry.get("slower") for entry in summary["entries"].values()):
         text += f" Slower: the delay is shown to be above that of {UNCOMMANDED}."
     if n["left_out"]:

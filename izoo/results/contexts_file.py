@@ -12,7 +12,7 @@ from typing import Any
 
 from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
-from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg, SignalPhase, SignalPlan
+from izoo.contexts.spec import spec_from_dict
 from izoo.errors import IzooError
 from izoo.files import MOST_UNPACKED_BYTES, read_bytes, unpacked, write_bytes
 
@@ -48,19 +48,4 @@ def context_from_dict(fields: Mapping[str, Any]) -> Context:
     """Rebuild a context from ``dataclasses.asdict``, also after a way through JSON; its hash stays the same."""
     drivers = fields.get("drivers")
     population = None if drivers is None else DriverPopulation(**drivers)
-    return Context(**{**fields, "intersection": _spec(fields["intersection"]), "drivers": population})
-
-
-def _spec(fields: Mapping[str, Any]) -> IntersectionSpec:
-    legs = []
-    for leg in fields["legs"]:
-        approach = leg["approach"]
-        if approach is not None:
-            approach = Approach(**{**approach, "lanes": tuple(approach["lanes"])})
-        legs.append(Leg(**{**leg, "approach": approach}))
-    plan = fields["signal_plan"]
-    if plan is not None:
-        phases = tuple(SignalPhase(p["duration_s"], tuple(tuple(s) for s in p["states"])) for p in plan["phases"])
-        plan = SignalPlan(phases, plan["offset_s"])
-    changes = {"legs": tuple(legs), "signal_plan": plan, "imputed": tuple(fields["imputed"])}
-    return IntersectionSpec(**{**fields, **changes, "ghosts": GhostSpec(**fields["ghosts"])})
+    return Context(**{**fields, "intersection": spec_from_dict(fields["intersection"]), "drivers": population})

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from izoo import zoo
-from izoo.algos.drivers.scripted import DRIVERS, UncommandedDriver, make_driver
+from izoo.algos.drivers.by_name import DRIVERS, make_driver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.registry import cap_share
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice

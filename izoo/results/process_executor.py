@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
+import pickle
 import socket
-import subprocess
 import tempfile
 import time
 import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 import cloudpickle
 
 from izoo.errors import IzooError
-from izoo.processes import start_process
+from izoo.networks.net.build import build_nets
+from izoo.processes import ChildProcess, receive, send
 
 if TYPE_CHECKING:  # worker processes come up before torch is loaded
     from izoo.results.playing import Measured, Play, Setup
 
-STARTUP_S = 300.0
-"""How long a process may take before its first step: it imports PyTorch, and may have to compile."""
 ATTEMPTS = 2
 """How often an episode is begun before the loss of its worker process ends the rollout."""
 
@@ -65,32 +63,34 @@ class Processes:
             cloudpickle.dump(self.setup, setup)
             setup.flush()
             workers += [_Worker(setup.fileno(), watchdog_s) for _ in range(min(self.setup.workers, len(plays)))]
+            _build_nets(plays)
             while queue or any(worker.current for worker in workers):
                 for worker in workers:
                     if worker.current is None and queue:
                         worker.begin(*queue.popleft())
-                busy = {worker.connection: worker for worker in workers if worker.current}
+                busy = {worker.socket: worker for worker in workers if worker.current}
                 ready = wait(list(busy), max(min(worker.patience_left_s() for worker in busy.values()), 0.0))
                 for connection, worker in busy.items():
                     play, attempt = worker.current  # type: ignore[misc]
                     if connection in ready:
-                        heard = worker.hear()
+                        found = worker.answer()
                     elif worker.patience_left_s() > 0.0:
                         continue
                     else:
-                        heard = Lost(f"no answer for {worker.patience_s:g} s")
-                    if isinstance(heard, Lost) and attempt == ATTEMPTS:
-                        raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times ({heard.reason}).")
-                    if isinstance(heard, Lost):
+                        found = Lost(worker.end_text())
+                    if isinstance(found, Lost) and attempt == ATTEMPTS:
+                        raise EpisodeFailed(f"{play}: the worker process was lost {ATTEMPTS} times ({found.reason}).")
+                    if isinstance(found, Lost):
                         worker.kill()
                         workers[workers.index(worker)] = _Worker(setup.fileno(), watchdog_s)
                         queue.appendleft((play, attempt + 1))
-                    elif heard is not None:
-                        yield play, heard
+                    elif found is not None:
+                        yield play, found
 
     def _play_here(self, plays: Sequence[Play]) -> Iterator[tuple[Play, Measured]]:
         from izoo.results.playing import EpisodeFailed, Player
 
+        _build_nets(plays)
         with contextlib.closing(Player(self.setup)) as player:
             for play in plays:
                 try:
@@ -102,58 +102,52 @@ class Processes:
                 yield play, found
 
 
+def _build_nets(plays: Sequence[Play]) -> None:
+    """Build the nets of all plays together, in a tenth of the time; one that cannot be built fails its own play."""
+    with contextlib.suppress(IzooError):
+        build_nets([play.context.intersection for play in plays])
+
+
 @dataclass(frozen=True)
 class Lost:
-    """A worker process has ended, or has not been heard of for too long."""
+    """A worker process has ended, or was silent for too long."""
 
     reason: str
 
 
-class _Worker:
-    """The parent's side of a worker process; it starts at once and is idle until :meth:`begin`.
+class _Worker(ChildProcess):
+    """The parent's handle on a worker process; it starts at once and is idle until :meth:`begin`.
 
     Args:
         setup: descriptor of a file with the pickled setup.
-        watchdog_s: for how long a process that plays may not be heard of.
+        watchdog_s: for how long a process that plays may be silent.
 
     Attributes:
         current: what it plays, and which attempt that is.
-        patience_s: how long it may be silent now: longer at first, while it imports and perhaps compiles.
     """
 
     def __init__(self, setup: int, watchdog_s: float) -> None:
-        ours, child = socket.socketpair()
-        call = f"from izoo.results.process_executor import worker_main; worker_main({child.fileno()}, {setup})"
-        self.process = start_process(call, child.fileno(), setup)
-        child.close()
-        self.connection = Connection(ours.detach())
+        place = "izoo.results.process_executor:worker_main"
+        super().__init__(place, setup, inherited=(setup,), watchdog_s=watchdog_s)
         self.current: tuple[Play, int] | None = None
-        self._watchdog_s, self.patience_s = watchdog_s, max(watchdog_s, STARTUP_S)
-        self._heard_s = time.monotonic()
-
-    def patience_left_s(self) -> float:
-        """For how long it may still be silent."""
-        return self._heard_s + self.patience_s - time.monotonic()
 
     def begin(self, play: Play, attempt: int) -> None:
         """Hand over an episode."""
         self.current = (play, attempt)
-        self._heard_s = time.monotonic()
+        self.asked()
         with contextlib.suppress(OSError):  # a dead worker shows when its answer is read
-            self.connection.send_bytes(cloudpickle.dumps(play))
+            send(self.socket, cloudpickle.dumps(play))
 
-    def hear(self) -> Measured | Lost | None:
+    def answer(self) -> Measured | Lost | None:
         """Return what the current episode came to, or that the process has ended; ``None``: it plays on."""
         from izoo.results.playing import EpisodeFailed
 
         play, _ = self.current  # type: ignore[misc]
         try:
-            kind, content = self.connection.recv()
+            kind, content = pickle.loads(receive(self.socket))
         except (EOFError, OSError):
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(5.0)
-            return Lost(self._exit_text())
-        self._heard_s, self.patience_s = time.monotonic(), self._watchdog_s
+            return Lost(self.end_text())
+        self.answered()
         if kind == "plays":
             return None
         self.current = None
@@ -163,36 +157,15 @@ class _Worker:
             raise EpisodeFailed(f"{play}: {content}")
         return content
 
-    def kill(self) -> None:
-        """End the process at once, also where it is stopped."""
-        self.current = None
-        self.connection.close()
-        self.process.kill()
-        self.process.wait()
-
     def dismiss(self) -> None:
-        """Ask the process to end, without waiting for it; one that still plays is killed."""
+        """Let the process know that it should end; one that still plays is killed."""
         if self.current is not None:
             self.process.kill()
-        with contextlib.suppress(OSError):
-            self.connection.send_bytes(b"")
-        self.connection.close()
-
-    def close(self) -> None:
-        """Wait for the process to end, and kill it if it does not."""
-        try:
-            self.process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-
-    def _exit_text(self) -> str:
-        code = self.process.poll()
-        return f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
+        super().dismiss()
 
 
 def worker_main(descriptor: int, setup: int) -> None:
-    """Play the episodes that the parent sends until it sends nothing or is gone.
+    """Play the episodes that the parent sends until it closes the socket or is gone.
 
     Args:
         descriptor: of the socket to the parent.
@@ -203,7 +176,7 @@ def worker_main(descriptor: int, setup: int) -> None:
     from izoo.results.playing import Player
 
     torch.set_num_threads(1)
-    connection = Connection(descriptor)
+    connection = socket.socket(fileno=descriptor)
     shared: Setup = cloudpickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
     every_s, told_s = shared.config.watchdog_s / 4.0, float("-inf")
 
@@ -211,11 +184,11 @@ def worker_main(descriptor: int, setup: int) -> None:
         nonlocal told_s
         if time.monotonic() - told_s > every_s:
             told_s = time.monotonic()
-            connection.send(("plays", None))
+            send(connection, pickle.dumps(("plays", None)))
 
     with contextlib.closing(Player(shared, beat)) as player, contextlib.suppress(EOFError, OSError):
-        while message := connection.recv_bytes():
-            connection.send(answer(player, message))
+        while True:
+            send(connection, pickle.dumps(answer(player, receive(connection))))
 
 
 def answer(player: Any, message: bytes) -> tuple[str, Any]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import pandas as pd
 
 from izoo.contexts.context import Context
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.networks.road import RoadNet
+from izoo.results.rows_file import Row
 from izoo.results.saturation import volume_over_capacity
 
-Row = dict[str, Any]
 IDENTITY = (
     "task",
     "policy",

@@ -1,15 +1,10 @@
-"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with.
-
-In ``rows.csv`` a blank line follows the header and each episode, so that one that was cut short is seen and left out.
-"""
+"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with."""
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
 import importlib.metadata
-import io
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping
@@ -23,16 +18,16 @@ import izoo
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
-from izoo.files import claimed, read_text, write_json, write_text
+from izoo.files import claimed, read_text, write_json
 from izoo.results.contexts_file import add_contexts
-from izoo.results.schema import COLUMNS, EPISODE, KEY, TEXT, WHOLE, Row, make_table
+from izoo.results.rows_file import Row, RowsFile
+from izoo.results.schema import COLUMNS, EPISODE, TEXT, WHOLE, make_table
 
 FORMAT = "izoo-results-1"
 ROWS_FILE, MANIFEST_FILE = "rows.csv", "manifest.json"
-EARLIER = ("evaluation.csv", "evaluation.json", "results.json")
-"""Files of earlier versions."""
 INDIFFERENT = ("emit", "recycle_episodes", "watchdog_s", "gui")
 """Settings of an environment that change no number."""
 SHARED = ("step_s", "horizon_s", "warmup_s", "drain_s", "num_approaches", "late_vehicle")
@@ -115,8 +110,8 @@ class Store:
             check_line("the name of a task", task)
         env = settings(config or EnvConfig())
         self.manifest = Manifest(task, MODEL_VERSION, env, versions())
+        self.file = rows_file(self.path)
         self.done: set[tuple[Any, ...]] = set()
-        self._rows: list[Row] = []
 
     @contextlib.contextmanager
     def open(self, policies: Mapping[Key, PolicyRecord] | None = None) -> Iterator[Store]:
@@ -126,8 +121,7 @@ class Store:
             IzooError: the folder was written with other settings or by another version, or another process works in it.
         """
         with contextlib.nullcontext() if self.path is None else claimed(self.path):
-            if self.path is not None:
-                self._read(self.path)
+            self.read()
             self.admit(policies or {})
             yield self
             self._update(complete=True)
@@ -150,8 +144,8 @@ class Store:
                 stale.add((name, train_seed))
             known.setdefault(name, {})[train_seed] = record
         if stale:
-            self._rows = [row for row in self._rows if (row["policy"], row["train_seed"]) not in stale]
-            self._rewrite()
+            self.file.replace(row for row in self.file.rows if (row["policy"], row["train_seed"]) not in stale)
+            self.done = _episodes(self.file.rows)
         self._update(policies=known, complete=False)
 
     def keep_contexts(self, contexts: Iterable[Context]) -> None:
@@ -161,34 +155,28 @@ class Store:
 
     def add(self, rows: list[Row]) -> None:
         """Append the rows of one episode, all of them or none."""
-        self._rows.extend(rows)
-        self.done |= {tuple(row[column] for column in EPISODE) for row in rows}
-        if self.path is not None:
-            with (self.path / ROWS_FILE).open("a", encoding="utf-8", newline="") as file:
-                file.write(_lines(rows, header=not file.tell()))
+        self.file.add(rows)
+        self.done |= _episodes(rows)
 
     @property
     def table(self) -> pd.DataFrame:
         """All rows, those of earlier evaluations too."""
-        return make_table(self._rows)
+        return make_table(self.file.rows)
 
-    def _read(self, path: Path) -> None:
-        _refuse_earlier(path)
-        if not (path / MANIFEST_FILE).exists():
-            if (path / ROWS_FILE).exists():
-                raise IzooError(f"{path} has a {ROWS_FILE} without its {MANIFEST_FILE}; choose another folder.")
-            return
-        old = read_manifest(path)
-        check_same(old.shared(), self.manifest.shared(), f"{path} holds results")
-        self.manifest = dataclasses.replace(old, versions=self.manifest.versions)
-        if (path / ROWS_FILE).exists():
-            whole, self._rows = _read_rows(path / ROWS_FILE)
-            self._rewrite(to_file=not whole)
+    def read(self, mend: bool = True) -> None:
+        """Read what is there; ``mend`` as for :meth:`~izoo.results.rows_file.RowsFile.read`.
 
-    def _rewrite(self, to_file: bool = True) -> None:
-        self.done = {tuple(row[column] for column in EPISODE) for row in self._rows}
-        if self.path is not None and to_file:
-            write_text(self.path / ROWS_FILE, _lines(self._rows, header=True))
+        Raises:
+            IzooError: the folder was written with other settings or by another version.
+        """
+        path = self.path
+        if path is not None and (path / MANIFEST_FILE).exists():
+            old = read_manifest(path)
+            check_same(old.shared(), self.manifest.shared(), f"{path} holds results")
+            self.manifest = dataclasses.replace(old, versions=self.manifest.versions)
+            self.done = _episodes(self.file.read(mend).rows)
+        elif path is not None and (path / ROWS_FILE).exists():
+            raise IzooError(f"{path} has a {ROWS_FILE} without its {MANIFEST_FILE}; choose another folder.")
 
     def _update(self, **changes: Any) -> None:
         self.manifest = dataclasses.replace(self.manifest, **changes)
@@ -200,13 +188,18 @@ def read_table(folder: Path | str) -> pd.DataFrame:
     """Return the table of a results folder.
 
     Raises:
-        IzooError: it is none, an earlier version wrote it, or its table cannot be read.
+        IzooError: it is not a results folder, or its table cannot be read.
     """
     folder = Path(folder)
     read_manifest(folder)
     if not (folder / ROWS_FILE).exists():
         raise IzooError(f"{folder} has no episodes yet; run the evaluation again.")
-    return make_table(_read_rows(folder / ROWS_FILE)[1])
+    return make_table(rows_file(folder).read(mend=False).rows)
+
+
+def rows_file(folder: Path | None) -> RowsFile:
+    """Return the file of a results folder that holds its table."""
+    return RowsFile(None if folder is None else folder / ROWS_FILE, COLUMNS, TEXT, WHOLE, MOVEMENT_METRICS)
 
 
 def read_manifest(folder: Path | str) -> Manifest:
@@ -218,7 +211,6 @@ def read_manifest(folder: Path | str) -> Manifest:
     folder = Path(folder)
     if not folder.is_dir():
         raise IzooError(f"{folder}: no such results folder.")
-    _refuse_earlier(folder)
     path = folder / MANIFEST_FILE
     try:
         content = json.loads(read_text(path))
@@ -267,41 +259,8 @@ def versions() -> dict[str, str]:
     return {"izoo": izoo.__version__, "python": platform.python_version(), **found}
 
 
-def _refuse_earlier(folder: Path) -> None:
-    if not (folder / MANIFEST_FILE).exists() and any((folder / name).exists() for name in EARLIER):
-        raise IzooError(f"{folder} was written by an earlier version of izoo; evaluate again into another folder.")
-
-
-def _lines(rows: Iterable[Row], header: bool) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if header:
-        writer.writerows([COLUMNS, ()])
-    writer.writerows([row[column] for column in COLUMNS] for row in rows)
-    writer.writerow(())
-    return text.getvalue()
-
-
-def _read_rows(path: Path) -> tuple[bool, list[Row]]:
-    """Return whether a table is whole, and its rows without those of an episode that was cut short."""
-    try:
-        text = read_text(path)
-        raw = pd.read_csv(
-            io.StringIO(text[: text.rfind("\n\n") + 1] or text),
-            float_precision="round_trip",
-            dtype={**dict.fromkeys(TEXT, str), **dict.fromkeys(WHOLE, "Int64")},
-            keep_default_na=False,  # a policy may be called "null", an intersection "NA"
-            na_values=[""],
-        )
-    except (OSError, ValueError) as error:
-        raise IzooError(f"cannot read {path}: {str(error).splitlines()[0]}; evaluate into another folder.") from error
-    missing = [column for column in COLUMNS if column not in raw]
-    if missing:
-        raise IzooError(
-            f"{path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose another folder."
-        )
-    raw = raw.drop_duplicates(list(KEY), keep="last")[list(COLUMNS)].astype(object)
-    return text.endswith("\n\n"), raw.where(raw.notna(), None).to_dict("records")
+def _episodes(rows: Iterable[Row]) -> set[tuple[Any, ...]]:
+    return {tuple(row[column] for column in EPISODE) for row in rows}
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The vehicles of an episode: when they arrive, where they go, what they are and how they are driven.
+"""The vehicles of an episode: arrivals, routes, vehicle classes and drivers.
 
 - :mod:`izoo.traffic.demand`: Poisson arrivals, turning shares.
 - :mod:`izoo.traffic.fleet`: vehicle types, ages and fuels.

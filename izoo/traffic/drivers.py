@@ -1,7 +1,7 @@
-"""How people drive: IDM parameters drawn per driver from a calibrated log-normal population.
+"""Human drivers: IDM parameters drawn per driver from a calibrated log-normal population.
 
-The built-in population is ``idm_population.json``, whose ``source`` entry says where the numbers come from. v0 is drawn
-with the others but not used: the speed limit rules.
+The built-in population is ``idm_population.json``, whose ``source`` entry names its origin. v0 is drawn with the
+others, but the speed limit is used instead.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def class_shares(fleet: tuple[float, ...] | None = None) -> np.ndarray:
 
 
 def sample_classes(generator: np.random.Generator, count: int, fleet: tuple[float, ...] | None = None) -> np.ndarray:
-    """Draw MOVES classes, ``[count]`` int64; a longer draw from the same state begins with the shorter one."""
+    """Draw MOVES classes, ``[count]`` int64; a longer draw from the same state starts with the shorter one."""
     cumulative = np.cumsum(class_shares(fleet))
     cumulative /= cumulative[-1]
     return np.searchsorted(cumulative, generator.random(count), side="right")

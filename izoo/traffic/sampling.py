@@ -23,14 +23,14 @@ SOURCE_KINDS = ("AB", "AA")
 """Names of the sources by their index in :attr:`Traffic.source`: from straight on, and turning in."""
 DEPART_SPEED_MPS = 5.0
 PAPER_CV = {"length_m": 5.0, "min_gap_m": 2.0, "tau_s": 1.0, "accel_mps2": 2.6, "decel_mps2": 4.5}
-"""The published vehicle parameters of a CV that nobody commands."""
+"""The published vehicle parameters of an uncommanded CV."""
 
-# Streams of randomness. Their numbers are part of what a seed means: never renumber them.
+# Streams of randomness. Their numbers are part of the meaning of a seed: never renumber them.
 _ARRIVALS, _ROUTES, _FLEET, _DRIVERS, _ADOPTION = range(5)
 
 
 class Roads(Protocol):
-    """What traffic needs to know of a net; :class:`izoo.networks.road.RoadNet` is one."""
+    """The parts of a net that traffic depends on; :class:`izoo.networks.road.RoadNet` is one."""
 
     @property
     def approaches(self) -> tuple[str, ...]: ...
@@ -68,7 +68,7 @@ class Traffic:
         source_type: ``[N]`` int64, MOVES source type.
         moves_class: ``[N]`` int64, index into :data:`izoo.emissions.classes.CLASSES`.
         length_m, min_gap_m, tau_s, accel_mps2, decel_mps2: ``[N]`` float64, the vehicle parameters that SUMO uses.
-        cv_vehicle: whose parameters the CVs have, see :class:`~izoo.contexts.context.Context`.
+        cv_vehicle: origin of the CVs' parameters, see :class:`~izoo.contexts.context.Context`.
     """
 
     depart_s: np.ndarray
@@ -97,8 +97,8 @@ def sample_traffic(context: Context, road: Roads, seed: int, duration_s: float) 
     """Draw the vehicles of an episode; they depend on the arguments alone.
 
     Every leg has its own streams of randomness, one per purpose. So the same seed at another adoption level changes
-    only who is a CV (and the CVs of a lower level are among those of a higher one), and a leg has the same vehicles
-    whether or not the others have demand.
+    only which vehicles are CVs (those of a lower level are among those of a higher one), and a leg has the same
+    vehicles whether or not the others have demand.
 
     Args:
         context: demand, adoption and CV parameters.
@@ -199,7 +199,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
 
 
 def write_routes(traffic: Traffic, road: Roads, path: str | Path) -> None:
-    """Write the vehicles as a SUMO route file, replacing ``path`` in one go; vehicle ids are row numbers.
+    """Write the vehicles as a SUMO route file, atomically; vehicle ids are row numbers.
 
     Every driver is a vehicle type of its own (``d<row>``); CVs with the published parameters share the type ``cv``.
     """

@@ -1,4 +1,4 @@
-"""Training episodes beside the same ones without the policy: driven by humans, and by CVs that nobody commands.
+"""The same episodes as in training, without the policy: with human drivers, and with uncommanded CVs.
 
 On the twin such an episode costs little, and another run of the same seed finds it in the cache. So the learning curve
 can show what the policy changes, where raw returns and emissions rise and fall with the contexts that were drawn; and a
@@ -32,12 +32,13 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Series
 from izoo.results.rollout import Play, Played, rollout
-from izoo.training.collectors import num_envs
+from izoo.training.batch_size import num_envs
 from izoo.training.environments import NUMBERS, split_totals
+from izoo.training.reward_to_go import RewardToGo
 
 BLOCK = 32
 """Most episodes that are played at once."""
-PAID_EVERY_S = 2.0
+REWARD_EVERY_S = 2.0
 """Time between two rewards of an uncommanded episode, where CVs do not decide in every step."""
 BLOCKS_KEPT = 64
 """Blocks that stay in memory: a few MB, or some 100 MB with the rewards of all CVs."""
@@ -70,39 +71,7 @@ class Episode(NamedTuple):
     sums: NDArray[np.float64]
 
 
-class StillPaid:
-    """What each CV of an episode is still paid, from any time on.
-
-    Args:
-        series: that was recorded of the episode.
-        gamma: discount per decision.
-    """
-
-    def __init__(self, series: Series, gamma: float) -> None:
-        self.gamma = gamma
-        number, self.first, self.count = series[VEHICLE_SPANS].astype(np.int64).T
-        self.begin = np.cumsum(self.count) - self.count
-        self.place = np.full(int(number.max(initial=-1)) + 2, -1)  # the last one is of whoever does not come at all
-        self.place[number] = np.arange(len(number))
-        paid = series[VEHICLE_REWARD].astype(np.float64)
-        for begin, count in zip(self.begin, self.count, strict=True):
-            part = paid[begin : begin + count]
-            later = itertools.accumulate(part[::-1], lambda total, now: now + gamma * total)
-            part[:] = np.fromiter(later, np.float64, count)[::-1]
-        self.paid = np.append(paid, 0.0)
-
-    def of(self, number: NDArray[np.int64], decision: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return what the vehicles ``number [n]`` are paid from their ``decision [n]`` on."""
-        if not len(self.first):
-            return np.zeros(len(number), np.float32)
-        place = self.place[np.minimum(number, len(self.place) - 1)]
-        since = decision - self.first[place]
-        paid = self.paid[self.begin[place] + np.clip(since, 0, self.count[place] - 1)]
-        paid *= self.gamma ** np.maximum(-since, 0)
-        return np.where((place >= 0) & (since < self.count[place]), paid, 0.0).astype(np.float32)
-
-
-class Baseline:
+class BaselineSchedule:
     """Every ``stride``-th episode of a schedule, without the policy; played in blocks, one prepared ahead.
 
     Args:
@@ -163,7 +132,7 @@ class Baseline:
                 self._plays(block * self.block),
                 {},
                 self.env,
-                simulator="twin",
+                simulator=self.config.simulator,
                 executor="batch",
                 workers=usable_cores() if twin.threads is None else twin.threads,
                 record=self.record,
@@ -185,24 +154,24 @@ class Baseline:
 
 
 def _by_step(env: EnvConfig) -> EnvConfig:
-    """Return the environment in which an episode is played that nobody commands; what is simulated is the same.
+    """Return the environment of uncommanded episodes, which are simulated as in ``env``.
 
-    Where CVs do not decide in every step, it says what they are paid every :data:`PAID_EVERY_S`.
+    Where CVs do not decide in every step, it gives their rewards every :data:`REWARD_EVERY_S`.
     """
     if env.decide == STEP:
         return env
-    hold_s = max(round(PAID_EVERY_S / env.step_s), 1) * env.step_s
+    hold_s = max(round(REWARD_EVERY_S / env.step_s), 1) * env.step_s
     return env.with_accelerations(hold_s)
 
 
-class Paired:
-    """What a batch is compared with.
+class BaselineComparison:
+    """Compares batches with their baseline episodes, and adds what a control variate needs of them.
 
     Args:
         config: options of a run on the twin.
         schedule: its episodes.
         cache: folder of the baselines' episodes; ``None``: in the user's cache.
-        level: the number in ``schedule`` of what a numbered episode of the run plays; ``None``: the same.
+        level: maps the number of an episode of the run to its number in ``schedule``; ``None``: the same.
     """
 
     def __init__(
@@ -218,10 +187,10 @@ class Paired:
         self.hold_steps = _by_step(config.env).hold_steps
         self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
         self.variate: str = getattr(config.algo, "control_variate", "none")
-        self._still_paid: dict[int, StillPaid] = {}
+        self._reward_to_go: dict[int, RewardToGo] = {}
 
-        def make(driver: str, stride: int, record: tuple[str, ...] = ()) -> Baseline:
-            return Baseline(config, schedule, driver, stride, cache, record)
+        def make(driver: str, stride: int, record: tuple[str, ...] = ()) -> BaselineSchedule:
+            return BaselineSchedule(config, schedule, driver, stride, cache, record)
 
         self._compared = {driver: make(driver, self.every) for driver in COMPARED} if self.every else {}
         self._subtracted = make(UNCOMMANDED, 1, RECORDED[self.variate]) if self.variate in RECORDED else None
@@ -235,7 +204,7 @@ class Paired:
                 baseline.close()
 
     def add(self, batch: TensorDictBase) -> None:
-        """Set what the learner takes from a batch ``[N, T]``: :data:`~izoo.algos.learners.mappo.TEAM_BASELINE`, or
+        """Set what the learner subtracts from a batch ``[N, T]``: :data:`~izoo.algos.learners.mappo.TEAM_BASELINE`, or
         :data:`~izoo.algos.learners.base.POTENTIAL` at the root and under ``"next"``.
         """
         if self.variate == "team":
@@ -246,10 +215,10 @@ class Paired:
     def _add_potentials(self, batch: TensorDictBase) -> None:
         episodes, levels = self._episodes(batch)
         of_level = {
-            level: self._still_paid.get(level) or StillPaid(episodes[level].series, self.gamma)
+            level: self._reward_to_go.get(level) or RewardToGo(episodes[level].series, self.gamma)
             for level in levels.values()
         }
-        self._still_paid = of_level  # those of episodes that have ended are not asked for again
+        self._reward_to_go = of_level  # episodes that have ended are not needed again
         for part in (batch, batch.get("next")):
             mask = part.get(MASK)
             steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1).long()
@@ -259,7 +228,7 @@ class Paired:
             found = np.zeros(len(vehicle), np.float32)
             for number, level in levels.items():
                 here = episode == number
-                found[here] = of_level[level].of(vehicle[here], now[here])
+                found[here] = of_level[level].at(vehicle[here], now[here])
             potential = torch.zeros(*mask.shape, 1)
             potential[mask] = torch.from_numpy(found).unsqueeze(-1)
             part.set(POTENTIAL, potential)

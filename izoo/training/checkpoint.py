@@ -1,4 +1,4 @@
-"""Checkpoints that are either whole or absent: written beside, flushed to the disk, then renamed."""
+"""Checkpoints that are either whole or absent: written under another name, flushed to the disk, then renamed."""
 
 from __future__ import annotations
 
@@ -6,23 +6,16 @@ import errno
 import os
 import re
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
-from izoo.files import DamagedError, check_parts, replacing
+from izoo.files import reading, replacing
 
-FORMAT = "izoo-checkpoint-3"
+FORMAT = "izoo-checkpoint-4"
 _NAME = re.compile(r"step-(\d+)\.pt")
 _CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
 BEST = "best.pt"
-ENTRIES = {
-    **dict.fromkeys(("frames", "features", "batches", "episodes", "first_episode"), "int"),
-    **{"seconds": "float", "options": "str", "torch_rng": "Tensor", "pasts": "list"},
-    **{"algorithm": "dict", "environments": "dict", "levels": "dict"},
-}
-"""What the checkpoint of a run holds besides its format, and the names of the types."""
 
 
 def folder_of(run_dir: Path) -> Path:
@@ -50,7 +43,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
     try:
         with replacing(path) as partial:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
-    except RuntimeError as error:  # torch's word for a write that failed underneath it
+    except RuntimeError as error:  # of torch, where a write fails
         raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
     there = listed(run_dir)
     until = there.index(path) + 1
@@ -70,32 +63,15 @@ def load(path: Path) -> dict[str, Any]:
     """Read one checkpoint file.
 
     Raises:
-        IzooError: the file is missing, damaged, or not a checkpoint of izoo; the one before it is named.
+        IzooError: the file is missing, damaged, or not a checkpoint of this version of izoo.
     """
     import torch
 
-    try:
-        check_parts(path)
+    with reading(path):
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise IzooError(f"there is no checkpoint {path}.") from None
-    except DamagedError as error:
-        raise IzooError(f"{path} is damaged: {error}.{_previous(path)}") from error
-    except Exception as error:  # what torch raises for damaged bytes depends on the bytes
-        raise IzooError(f"{path} is cut short or not a checkpoint.{_previous(path)}") from error
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise IzooError(f"{path} is not a checkpoint of this version of izoo ({FORMAT}).{_previous(path)}")
+        if state["format"] != FORMAT:
+            raise ValueError(f"it is not of format {FORMAT}")
     return state
-
-
-def check_entries(state: Mapping[str, Any], path: Path) -> None:
-    """Raise :class:`IzooError` where a checkpoint lacks an entry of :data:`ENTRIES`, or holds another type there."""
-    for name, kind in ENTRIES.items():
-        if name not in state:
-            raise IzooError(f"{path} lacks the entry {name!r}; izoo did not write it so.{_previous(path)}")
-        if type(state[name]).__name__ != kind:
-            got = type(state[name]).__name__
-            raise IzooError(f"{path} holds a {got} as {name!r}, where there should be a {kind}.{_previous(path)}")
 
 
 def find(where: Path, which: str = "last") -> Path:
@@ -147,7 +123,7 @@ def best_of(run_dir: Path) -> Path | None:
 
 
 def make_candidate(path: Path) -> Path:
-    """Keep a checkpoint for validation, however many later ones are saved meanwhile; it takes no room of its own."""
+    """Keep a checkpoint for validation, however many later ones are saved meanwhile; it takes no space."""
     candidate = path.with_name(path.name.replace("step-", "candidate-"))
     candidate.unlink(missing_ok=True)
     try:
@@ -176,10 +152,3 @@ def frames_of(path: Path) -> int:
 def run_of(checkpoint: Path) -> Path:
     """Return the run folder that a checkpoint file belongs to."""
     return checkpoint.parent.parent
-
-
-def _previous(path: Path) -> str:
-    if path.name == BEST:
-        return " Remove it: the run goes on without, and checkpoint=last has its last weights."
-    earlier = [other for other in listed(run_of(path)) if other.name < path.name]
-    return f" The one before it is {earlier[-1]}: name that file instead." if earlier else " There is none before it."

@@ -20,74 +20,33 @@ from izoo.errors import IzooError
 
 
 @dataclass
-class EpisodePast:
+class EpisodeHistory:
     """An episode in progress.
 
     Attributes:
         episode: its number in the schedule.
-        counts: per part, ``[steps]``: controlled vehicles per step.
-        commands: per part, by the names of :data:`~izoo.envs.frame_io.COMMANDS`, ``[counts.sum()]``: what they were
-            commanded, step after step, by ascending slot; of actions ``[counts.sum(), D]``. What a policy does not
-            write is absent.
+        counts: ``[steps]``: controlled vehicles per step.
+        commands: by the names of :data:`~izoo.envs.frame_io.COMMANDS`, ``[counts.sum()]``: step after step, by
+            ascending slot; of actions ``[counts.sum(), D]``. What a policy does not write is absent.
     """
 
     episode: int
-    counts: list[Tensor] = field(default_factory=list)
-    commands: list[dict[str, Tensor]] = field(default_factory=list)
+    counts: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    commands: dict[str, Tensor] = field(default_factory=dict)
 
-    @property
-    def steps(self) -> int:
+    def __len__(self) -> int:
         """Steps since the episode began."""
-        return sum(len(part) for part in self.counts)
+        return len(self.counts)
 
     def append(self, steps: TensorDictBase) -> None:
         """Add consecutive ``steps [T]`` of the episode."""
         mask = steps.get(MASK)
-        self.counts.append(mask.sum(-1))
-        found = {name: steps.get(key, None) for name, key in COMMANDS.items()}
-        self.commands.append(
-            {name: _of_slots(name, leaf, mask)[mask].clone() for name, leaf in found.items() if leaf is not None}
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything as tensors and numbers."""
-        names = self.commands[0].keys() if self.commands else ()
-        return {
-            "episode": self.episode,
-            "counts": torch.cat([torch.zeros(0, dtype=torch.int64), *self.counts]),
-            "commands": {name: torch.cat([part[name] for part in self.commands]) for name in names},
-        }
-
-    @classmethod
-    def from_state(cls, state: dict[str, Any]) -> EpisodePast:
-        """Return what :meth:`state_dict` described."""
-        return cls(state["episode"], [state["counts"]], [state["commands"]])
-
-    def unroll(self, slots: int) -> Script:
-        """Return the commands step by step, for ``slots`` agent slots."""
-        state = self.state_dict()
-        starts = torch.cat([torch.zeros(1, dtype=torch.int64), state["counts"].cumsum(0)]).tolist()
-        return Script(self.episode, starts, state["commands"], slots)
-
-
-@dataclass(frozen=True)
-class Script:
-    """The commands of one episode in progress, laid out for playing.
-
-    Attributes:
-        episode: its number.
-        starts: ``[steps + 1]``: where the commands of each step start.
-        commands: by name, all of them.
-        slots: agent slots ``A``.
-    """
-
-    episode: int
-    starts: list[int]
-    commands: dict[str, Tensor]
-    slots: int
-
-    def __len__(self) -> int:
-        return len(self.starts) - 1
+        self.counts = torch.cat([self.counts, mask.sum(-1)])
+        for name, key in COMMANDS.items():
+            leaf = steps.get(key, None)
+            if leaf is not None:
+                new = _of_slots(name, leaf, mask)[mask]
+                self.commands[name] = torch.cat([self.commands[name], new]) if name in self.commands else new.clone()
 
     def at(self, step: int, mask: Tensor) -> dict[str, Tensor]:
         """Return the commands ``[A]`` of a step, by name; of actions ``[A, D]``.
@@ -97,16 +56,17 @@ class Script:
             mask: ``[A]``: slots that hold a controlled vehicle now.
 
         Raises:
-            IzooError: other vehicles are there than when the commands were given.
+            IzooError: there are other vehicles than when the commands were given.
         """
-        first, last = self.starts[step], self.starts[step + 1]
+        first = int(self.counts[:step].sum())
+        last = first + int(self.counts[step])
         if int(mask.sum()) != last - first:
             raise IzooError(
                 f"episode {self.episode} does not repeat itself: {int(mask.sum())} controlled vehicles at step {step}, "
                 f"{last - first} before. Another version of SUMO or of izoo, or changed data, must have trained this "
                 "run; train anew, or give another num_workers to leave the episodes in progress out."
             )
-        rows = {name: values.new_zeros(self.slots, *values.shape[1:]) for name, values in self.commands.items()}
+        rows = {name: values.new_zeros(len(mask), *values.shape[1:]) for name, values in self.commands.items()}
         for name, row in rows.items():
             row[mask] = self.commands[name][first:last]
         return rows
@@ -118,10 +78,10 @@ def _of_slots(name: str, leaf: Tensor, mask: Tensor) -> Tensor:
 
 
 def idle(names: Sequence[str], slots: int, action_size: int) -> dict[str, Tensor]:
-    """Return commands of a step for an environment whose script has not begun: what it does now will be forgotten."""
+    """Return commands of a step that is forgotten, while an environment waits for its episode to begin."""
     kinds = {"action": torch.float32, "defer": torch.bool, "lane_change": torch.int64}
     rows = {name: torch.zeros(slots, dtype=kinds[name]) for name in names}
-    return rows | {"action": torch.ones(slots, action_size)}  # which is legal for speeds, too
+    return rows | {"action": torch.ones(slots, action_size)}  # legal as accelerations and as speeds
 
 
 def with_commands(frame: TensorDictBase, rows: Sequence[dict[str, Tensor]]) -> TensorDictBase:
@@ -133,43 +93,43 @@ def with_commands(frame: TensorDictBase, rows: Sequence[dict[str, Tensor]]) -> T
     return frame
 
 
-class Pasts:
+class EpisodeHistories:
     """Follows the episodes in progress of ``N`` environments from the batches that they yield.
 
     Args:
-        pasts: where the environments stand; environment ``k`` plays every ``N``-th episode from there on.
+        histories: where the environments stand; environment ``k`` plays every ``N``-th episode from there on.
     """
 
-    def __init__(self, pasts: Sequence[EpisodePast]) -> None:
-        self.pasts = list(pasts)
+    def __init__(self, histories: Sequence[EpisodeHistory]) -> None:
+        self.histories = list(histories)
 
     @classmethod
-    def fresh(cls, num_envs: int) -> Pasts:
+    def fresh(cls, num_envs: int) -> EpisodeHistories:
         """Return the state before the first step: environment ``k`` begins episode ``k``."""
-        return cls([EpisodePast(number) for number in range(num_envs)])
+        return cls([EpisodeHistory(number) for number in range(num_envs)])
 
     def add(self, batch: TensorDictBase) -> None:
-        """Take in a batch ``[N, T]`` of consecutive steps."""
+        """Add a batch ``[N, T]`` of consecutive steps."""
         done = batch.get(("next", "done")).reshape(batch.shape)
-        for index, past in enumerate(self.pasts):
+        for index, history in enumerate(self.histories):
             ends = done[index].nonzero().view(-1)
             begun = 0
             if len(ends) > 0:
                 begun = int(ends[-1]) + 1
-                past = self.pasts[index] = EpisodePast(past.episode + len(ends) * len(self.pasts))
+                history = self.histories[index] = EpisodeHistory(history.episode + len(ends) * len(self.histories))
             if begun < batch.shape[1]:
-                past.append(batch[index, begun:])
+                history.append(batch[index, begun:])
 
     @property
     def next_episode(self) -> int:
         """The first episode number that no environment has reached yet."""
-        return max(past.episode for past in self.pasts) + 1
+        return max(history.episode for history in self.histories) + 1
 
     def state_dict(self) -> list[dict[str, Any]]:
-        """Return the pasts as tensors and numbers."""
-        return [past.state_dict() for past in self.pasts]
+        """Return the histories as dictionaries of tensors and numbers."""
+        return [{**vars(history), "commands": dict(history.commands)} for history in self.histories]
 
     @classmethod
-    def from_state(cls, state: list[dict[str, Any]]) -> Pasts:
+    def from_state(cls, state: list[dict[str, Any]]) -> EpisodeHistories:
         """Return what :meth:`state_dict` described."""
-        return cls([EpisodePast.from_state(entry) for entry in state])
+        return cls([EpisodeHistory(**entry) for entry in state])

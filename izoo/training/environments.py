@@ -6,6 +6,7 @@ reason the group of vehicles, where it is emitted, is what critics look at (:mod
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,33 +18,34 @@ from torchrl.data import Composite, Unbounded
 
 from izoo.algos.learners.base import Keys
 from izoo.algos.networks import fleet_features
-from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import simulator_of
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
-from izoo.envs.twin_env import TwinEnv
+from izoo.imports import imported
 from izoo.training import command_replay
-from izoo.training.prioritized_level_replay import Levels
+from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
 NUMBERS = "context_ids"
-"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
+"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; where environments are batched."""
 
 
 class _Training(EcoDrivingBase):
     """Adds :data:`TOTALS` to what an environment emits, and plays episodes in progress up to where they stood.
 
     Args:
-        pasts: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
+        histories: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
 
     Attributes:
-        steps_taken: ``[1]``: counts the steps, for whoever watches over them; ``None``: nobody does.
+        steps_taken: ``[1]``: counts the steps for a watchdog; ``None``: there is none.
     """
 
     leaves: tuple[str, ...] = (TOTALS,)
     steps_taken: np.ndarray | None = None
 
-    def __init__(self, *args: Any, pasts: Sequence[command_replay.EpisodePast] = (), **options: Any) -> None:
+    def __init__(self, *args: Any, histories: Sequence[command_replay.EpisodeHistory] = (), **options: Any) -> None:
         super().__init__(*args, **options)
-        self._pasts = tuple(pasts)
+        self._pasts = tuple(histories)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
             self.reader.vehicle_names = fleet_features.COLUMNS
@@ -59,40 +61,38 @@ class _Training(EcoDrivingBase):
         return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
-        pasts, self._pasts = self._pasts, ()
-        return self._relive(pasts) if pasts else super()._reset(tensordict, **options)
+        histories, self._pasts = self._pasts, ()
+        return self._relive(histories) if histories else super()._reset(tensordict, **options)
 
-    def _relive(self, pasts: Sequence[command_replay.EpisodePast]) -> TensorDictBase:
+    def _relive(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
-        Before the shorter ones begin, their environments play a part of the same episode that is then forgotten.
+        Until a shorter one begins, its environment plays a part of the same episode that is then forgotten.
         """
         slots = self.config.num_agents
-        scripts = [entry.unroll(slots) for entry in pasts]
-        names = next((list(script.commands) for script in scripts if script.commands), ["action"])
-        episodes = torch.tensor([script.episode for script in scripts]).view(*self.batch_size, 1)
-        longest = max(len(script) for script in scripts)
+        names = next((list(history.commands) for history in histories if history.commands), ["action"])
+        episodes = torch.tensor([history.episode for history in histories]).view(*self.batch_size, 1)
+        longest = max(map(len, histories))
         frame = super()._reset(episode=episodes)
         for step in range(longest):
-            starting = torch.tensor([len(script) == longest - step for script in scripts])
+            starting = torch.tensor([len(history) == longest - step for history in histories])
             if step > 0 and starting.any():
                 frame = super()._reset(self._only(starting), episode=episodes)
             masks = frame.get(("agents", "mask")).view(-1, slots)
-            waits = [longest - len(script) for script in scripts]
+            idle = command_replay.idle(names, slots, self.config.action_size)
+            begun = [step - longest + len(history) for history in histories]
             rows = [
-                script.at(step - wait, mask)
-                if step >= wait
-                else command_replay.idle(names, slots, self.config.action_size)
-                for script, wait, mask in zip(scripts, waits, masks, strict=True)
+                history.at(own, mask) if own >= 0 else idle
+                for history, own, mask in zip(histories, begun, masks, strict=True)
             ]
             frame = self._step(command_replay.with_commands(frame, rows)).exclude(("agents", "reward"))
             if frame.get("done").any():
                 raise RuntimeError("a simulation was lost while its episode was played again; resume the run once more")
-        # A script without steps belongs to an episode that was about to begin.
-        unbegun = torch.tensor([len(script) == 0 for script in scripts])
+        # A history without steps is of an episode that was about to begin.
+        unbegun = torch.tensor([len(history) == 0 for history in histories])
         if longest > 0 and unbegun.any():
             frame = super()._reset(self._only(unbegun), episode=episodes)
-        self._next_episode[:] = [script.episode + self._stride for script in scripts]
+        self._next_episode[:] = [history.episode + self._stride for history in histories]
         return frame
 
     def _only(self, chosen: Tensor) -> TensorDict:
@@ -101,20 +101,16 @@ class _Training(EcoDrivingBase):
 
 
 class TrainingEnv(_Training, EcoDrivingEnv):
-    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and pasts."""
+    """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and histories."""
 
 
-class TrainingParallelEnv(_Training, SumoParallelEnv):
-    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and pasts."""
-
-
-class TrainingTwinEnv(_Training, TwinEnv):
-    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS` and :data:`NUMBERS`.
+class TrainingBatchEnv(_Training):
+    """Environments that step side by side in this process, with :data:`TOTALS` and :data:`NUMBERS`.
 
     Args:
         keeps: keys of a step that a batch needs; ``None``: all. The policy sees everything.
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
-        phases: ``[N]`` decisions that nobody commands at the beginning of each environment's first episode; ``None``:
+        phases: ``[N]`` uncommanded decisions at the beginning of each environment's first episode; ``None``:
             episodes begin, and so end, together.
     """
 
@@ -138,15 +134,23 @@ class TrainingTwinEnv(_Training, TwinEnv):
         self._left_at = self._phases = None
         if state:
             self.load_state_dict(state)
-            return self.present()
+            return self.present()  # type: ignore[operator]
         frame = super()._reset(tensordict, **options)
-        return frame if phases is None else self.advance(phases)
+        return frame if phases is None else self.advance(phases)  # type: ignore[operator]
 
     def _look_ahead(self) -> None:
         # Levels are drawn here and now: the thread that prepares the episodes would draw them at any time.
-        if isinstance(self.schedule, Levels):
-            self.schedule.settle(self._next_episode.tolist())
-        super()._look_ahead()
+        if isinstance(self.schedule, PrioritizedLevelReplay):
+            self.schedule.draw(self._next_episode.tolist())
+        super()._look_ahead()  # type: ignore[misc]
+
+
+@functools.cache
+def training_class(simulator: str) -> Any:
+    """Return the class of a simulator's environments side by side, with what training needs."""
+    chosen = simulator_of(simulator)
+    several = imported("simulator", chosen.several)
+    return type(f"Training{several.__name__}", (TrainingBatchEnv if chosen.batched else _Training, several), {})
 
 
 def random_phases(num_envs: int, decisions: int, seed: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""What ends a run: its policy beside human driving and uncommanded CVs, on a few contexts, in SUMO."""
+"""The final evaluation of a run: its policy against human driving and uncommanded CVs, on a few contexts, in SUMO."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_conte
 EVALUATIONS = "evaluations"
 """Folder of a run with its results folders."""
 LAST = "last"
-"""That of the comparison which ends the run."""
+"""That of the final evaluation."""
 
 
 def compare(

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Algorithm, Keys, reads
+from izoo.algos.learners.base import POTENTIAL, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -36,31 +36,8 @@ def learner_device(name: str) -> torch.device:
 
 
 def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """Return a batch on the learner's device; every batch that is learned from passes here, whole and once."""
+    """Return a batch on the learner's device."""
     return batch if device == COLLECTS_ON else batch.to(device)
-
-
-def load_state(algorithm: Algorithm, state: dict[str, Any]) -> None:
-    """Load what :meth:`~izoo.algos.learners.base.Algorithm.state_dict` returned.
-
-    Raises:
-        Exception: of whichever kind, where it is of an algorithm with other networks.
-    """
-    algorithm.load_state_dict(state)
-    # Optimisers take any shape, and would stumble over it in their first step.
-    for optimiser in vars(_learned(algorithm)).values():
-        if isinstance(optimiser, torch.optim.Optimizer):
-            for parameter, entries in optimiser.state.items():
-                for name, entry in entries.items():
-                    if isinstance(entry, torch.Tensor) and entry.ndim > 0 and entry.shape != parameter.shape:
-                        raise ValueError(f"the optimiser's {name} is {list(entry.shape)}, not {list(parameter.shape)}")
-
-
-def _learned(algorithm: Any) -> Any:
-    """Return what learns: an algorithm, or the one inside of what makes commands of its actions."""
-    while hasattr(algorithm, "learned"):
-        algorithm = algorithm.learned
-    return algorithm
 
 
 def is_finite(state: Any) -> bool:
@@ -75,22 +52,22 @@ def is_finite(state: Any) -> bool:
 
 
 class Learner:
-    """What learns. On the CPU the collecting policy shares the algorithm's weights; elsewhere it gets a copy after each
-    update.
+    """An algorithm and the policy that collects. They share weights on the CPU; elsewhere the policy gets a copy after
+    each update.
 
     Args:
         config: options of the run.
         device: where networks, losses and replay live.
 
     Attributes:
-        decisions: makes decisions out of steps, where agents do not decide in every step.
+        decisions: makes decisions of steps, where agents do not decide in every step.
     """
 
     def __init__(self, config: TrainConfig, device: torch.device) -> None:
         self.device = device
         self.gamma: float = getattr(config.algo, "gamma", 1.0)
         self.algorithm = make_algorithm(config.algo, config.action, config.env, device)
-        whole = getattr(_learned(self.algorithm), "looks_around", False)
+        whole = getattr(innermost(self.algorithm), "looks_around", False)
         self.decisions = None if config.env.decide == STEP else Decisions(whole)
         shared = device == COLLECTS_ON
         self.policy: TensorDictModuleBase = (
@@ -100,7 +77,7 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
-        The algorithm sees decisions, and of rewards what differs from the uncommanded episode where the batch says it.
+        The algorithm sees decisions, and shaped rewards where the batch holds potentials.
         """
         stats: dict[str, float] = {}
         if self.decisions is not None:
@@ -120,11 +97,11 @@ class Learner:
 
     def advantage(self) -> Tensor:
         """Return the advantages ``[N, T, A]`` that the last update estimated, before they were normalised."""
-        return _learned(self.algorithm).advantage.to(COLLECTS_ON)
+        return innermost(self.algorithm).advantage.to(COLLECTS_ON)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the algorithm's state and the states of the random generators that learning draws from."""
-        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        acts, kept = innermost(self.policy), innermost(self.algorithm.policy)
         if acts is not kept and hasattr(acts, "noise"):  # exploration goes on in the copy
             kept.noise = acts.noise
         state = {"algorithm": self.algorithm.state_dict(), "torch_rng": torch.get_rng_state()}
@@ -136,11 +113,11 @@ class Learner:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned, on whichever device that was."""
-        load_state(self.algorithm, state["algorithm"])
+        self.algorithm.load_state_dict(state["algorithm"])
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()
-        acts, kept = _learned(self.policy), _learned(self.algorithm.policy)
+        acts, kept = innermost(self.policy), innermost(self.algorithm.policy)
         if acts is not kept and hasattr(acts, "noise"):
             acts.noise = kept.noise.to(COLLECTS_ON, copy=True)
         torch.set_rng_state(state["torch_rng"])

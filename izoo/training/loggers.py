@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from izoo.conf.train_options import LoggerConfig
 from izoo.errors import IzooError
-from izoo.files import read_text, replacing
+from izoo.files import reading, replacing
 
 FIRST_COLUMNS = (
     *("frames", "seconds", "frames_per_s", "episodes", "return", "reward"),
@@ -94,27 +94,15 @@ class MetricsTable:
 
 
 def _read_rows(path: Path) -> list[dict[str, str]]:
-    """Read the rows that were written whole.
-
-    Raises:
-        IzooError: the file holds something else than numbers.
-    """
+    """Read the rows whose line ends; a last one that was cut short is left out."""
     if not path.exists():
         return []
-    try:
-        text = read_text(path)
-        # The last row was written whole if its line ends.
-        reader = csv.DictReader(text[: text.rfind("\n") + 1].splitlines(), strict=True)
-        if "\0" in text or "frames" not in (reader.fieldnames or ("frames",)):
-            raise ValueError("it is no table of a run")
-        whole = [row for row in reader if None not in row and None not in row.values()]
-        for row in whole:
+    with reading(path):
+        text = path.read_text()
+        rows = list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines(), strict=True))
+        for row in rows:
             int(row["frames"])
-            for value in filter(None, row.values()):
-                float(value)
-        return whole
-    except (OSError, ValueError, LookupError, csv.Error) as error:
-        raise IzooError(f"cannot read {path}: {error}; restore it, or remove it to do without its rows.") from error
+    return rows
 
 
 def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:
@@ -158,7 +146,7 @@ def close_all(sinks: list[Sink]) -> None:
 
 @contextlib.contextmanager
 def _dispensable(sink: Sink, sinks: list[Sink]) -> Iterator[None]:
-    """Do without a logger that fails, and say so: everything is in ``metrics.csv`` as well."""
+    """Go on without a logger that fails: everything is in ``metrics.csv`` as well."""
     try:
         yield
     except Exception as error:  # what a logger raises is its own

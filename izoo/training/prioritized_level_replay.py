@@ -1,9 +1,8 @@
 """Prioritised level replay (Jiang et al., arXiv 2010.03934): contexts that promise to teach are played again.
 
-A level is a context with the seed of its episode, traffic and all: one numbered episode of uniform draws. An episode
-plays a new level, or one that was played before: the more likely the greater its score is among those that are kept,
-and the longer ago it was played. Its score is how far the advantages of its last episode were from 0: there the value
-function, or the policy, has something to learn.
+A level is a context with the seed of its episode: one numbered episode of uniform draws. An episode plays a new level
+or one that was played before; the latter is drawn by the rank of its score, and by how long ago it was played. Scores
+are mean magnitudes of advantages: where these are large, the value function or the policy has something to learn.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ def replay_probabilities(scores: np.ndarray, ages: np.ndarray, temperature: floa
     return (1.0 - staleness) * by_score / by_score.sum() + staleness * by_age / by_age.sum()
 
 
-class Levels:
+class PrioritizedLevelReplay:
     """A schedule whose episodes are new levels of another one, or levels that it has played before.
 
-    Which, is drawn when an episode is next in line, from its seed and how many were drawn before, so that a run is the
-    same whatever the number of threads, and goes on exactly.
+    The level of an episode is drawn when the episode is prepared, from the seed and the number of draws before, so a
+    run is the same with any number of threads, and resumes exactly.
 
     Args:
         fresh: the levels, by their number.
@@ -67,11 +66,11 @@ class Levels:
         return self.fresh(self.level(episode))
 
     def level(self, episode: int) -> int:
-        """Return the level of an episode that is under way or next in line; of another one, draw it."""
-        self.settle([episode])
+        """Return the level of an episode in progress; draw it if the episode has none yet."""
+        self.draw([episode])
         return self._level_of[episode]
 
-    def settle(self, episodes: Iterable[int]) -> None:
+    def draw(self, episodes: Iterable[int]) -> None:
         """Draw the levels of the episodes that have none yet, in this order."""
         for episode in episodes:
             if episode not in self._level_of:
@@ -80,8 +79,8 @@ class Levels:
     def _draw(self) -> int:
         generator = np.random.default_rng([self.seed, STREAM, self.begun])
         self.begun += 1
-        under_way = set(self._level_of.values())
-        waiting = [level for level in self.scores if level not in under_way]  # others are about to be scored anew
+        in_progress = set(self._level_of.values())
+        waiting = [level for level in self.scores if level not in in_progress]  # others are about to be scored anew
         wanted = generator.random() < self.config.share
         if wanted and waiting and 2 * len(self.scores) >= self.config.kept:
             scores = np.array([self.scores[level] for level in waiting])
@@ -94,13 +93,13 @@ class Levels:
         self._played[level] = self.begun - 1
         return level
 
-    def learn(self, numbers: Tensor, advantage: Tensor, mask: Tensor, done: Tensor) -> None:
-        """Take note of a batch's advantages; episodes that ended in it score their levels.
+    def update(self, numbers: Tensor, advantage: Tensor, mask: Tensor, done: Tensor) -> None:
+        """Add a batch's advantages; episodes that ended in it score their levels.
 
         Args:
             numbers: ``[N, T]`` of the episodes.
             advantage: ``[N, T, A]``.
-            mask: ``[N, T, A]`` of the slots that hold a CV; the others do not count, whatever they hold.
+            mask: ``[N, T, A]`` of the slots that hold a CV; others do not count.
             done: ``[N, T]`` the episode's last decision.
         """
         size = advantage.abs() if self.config.score == "magnitude" else advantage.clamp_min(0.0)
@@ -114,7 +113,7 @@ class Levels:
             self._score(number)
 
     def _score(self, episode: int) -> None:
-        """Score an episode's level, and let go of the level that has the least where there are too many."""
+        """Score an episode's level; where too many levels are kept, drop the one with the lowest score."""
         level, (total, count) = self._level_of.pop(episode), self._sums.pop(episode)
         if count > 0:
             self.scores[level] = total / count
@@ -124,7 +123,7 @@ class Levels:
         self._played = {k: when for k, when in self._played.items() if k in self.scores or k in self._level_of.values()}
 
     def forget_episodes(self) -> None:
-        """Leave out the episodes under way: those that come have other numbers. What is kept stays."""
+        """Forget the episodes in progress, since later ones have other numbers; scores stay."""
         self._level_of, self._sums = {}, {}
 
     def stats(self) -> dict[str, float]:

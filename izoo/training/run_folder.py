@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,14 +12,13 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
-from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, SafeLoader, YAMLError
 
-from izoo.algos.learners.base import Algorithm
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.base import Algorithm, innermost
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.own_drivers import driver_files
+from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
 from izoo.envs.mdp.frame import observation_names
@@ -32,13 +29,12 @@ from izoo.files import (
     expanded,
     free_folder,
     read_bytes,
-    read_text,
+    reading,
     usable_paths,
     write_bytes,
     write_text,
 )
 from izoo.training import checkpoint
-from izoo.training.learner import load_state
 from izoo.training.loggers import LOGGER_FOLDERS
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
@@ -58,8 +54,6 @@ CHANGEABLE = (
 """Options that may differ when a run is resumed; the others are part of what the run is."""
 NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
 """Options of ``algo`` that decide what the weights of a policy mean."""
-MOST_CONFIG_BYTES, MOST_CONFIG_LEVELS = 1_000_000, 16
-_RESTORE = "restore the file, or train again"
 
 
 @contextlib.contextmanager
@@ -157,85 +151,17 @@ def read_config(run_dir: Path) -> TrainConfig:
     """Read the options of a run.
 
     Raises:
-        IzooError: the folder is not a run, or the file is damaged, incomplete or of another version: an option that is
-            missing must not pass for its default.
+        IzooError: the folder is not a run, or its options cannot be read.
     """
     path = run_dir / CONFIG_FILE
     if not path.is_file():
         raise IzooError(f"{run_dir} has no {CONFIG_FILE}; give the folder of a training run.")
-    try:
-        text = read_text(path, MOST_CONFIG_BYTES)
-        if not text.endswith("\n"):
-            raise ValueError("it is cut short")
-        values = plain_yaml(text)
-    except (OSError, ValueError, YAMLError, RecursionError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
-        raise IzooError(f"cannot read {path}: {reason}.") from error
-    if not isinstance(values, dict):
-        raise IzooError(f"{path} holds no options; {_RESTORE}.")
-    try:
-        config = from_mapping(TrainConfig, values)
-    except IzooError as error:
-        raise IzooError(f"{path}: {error}") from error
-    missing = _missing(to_mapping(config), values)
-    if missing:
-        raise IzooError(f"{path} lacks {', '.join(missing[:5])}: it is cut short or of another version; {_RESTORE}.")
-    return config
-
-
-def plain_yaml(text: str) -> Any:
-    """Return what YAML says, without its aliases: a few lines of them stand for more than fits into the memory."""
-    loader = getattr(yaml, "CSafeLoader", SafeLoader)  # the fast one may not have been built
-    depth = 0
-    for event in yaml.parse(text, loader):
-        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
-        if isinstance(event, AliasEvent):
-            raise ValueError("it holds YAML aliases, which izoo does not write")
-        if depth > MOST_CONFIG_LEVELS:
-            raise ValueError(f"it is nested more than {MOST_CONFIG_LEVELS} levels deep")
-    return yaml.load(text, loader)
-
-
-def _missing(whole: Any, values: Any, prefix: str = "") -> list[str]:
-    """Return the paths of the options of ``whole`` that ``values`` lacks."""
-    if not isinstance(whole, dict):
-        return []
-    found = []
-    for name, value in whole.items():
-        path = f"{prefix}{name}"
-        found += [path] if name not in values else _missing(value, values[name], f"{path}.")
-    return found
-
-
-def options_digest(config: TrainConfig) -> str:
-    """Return a digest of the options that make a run what it is: not where it lies, and none of :data:`CHANGEABLE`."""
-    values = to_mapping(from_mapping(TrainConfig, to_mapping(config)))  # 60 and 60.0 are the same
-    kept = {name: value for name, value in values.items() if name not in (*CHANGEABLE, "run_dir")}
-    kept["contexts"].pop("path", None)
-    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
-
-
-def check_state(state: Mapping[str, Any], config: TrainConfig, path: Path) -> None:
-    """Raise :class:`IzooError` unless a checkpoint is whole and was written under the options that lie beside it."""
-    checkpoint.check_entries(state, path)
-    check_layout(state["features"], config, path)
-    if state["options"] != options_digest(config):
-        raise IzooError(
-            f"the options in {checkpoint.run_of(path) / CONFIG_FILE} are not those that {path} was trained with: the "
-            f"file was changed or damaged; {_RESTORE}."
-        )
-
-
-@contextlib.contextmanager
-def fitting(path: Path) -> Iterator[None]:
-    """Say in words that what a checkpoint holds does not fit the networks that its options describe."""
-    try:
-        yield
-    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError, LookupError) as error:
-        if isinstance(error, IzooError):
-            raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise IzooError(f"{path} does not fit the options in {CONFIG_FILE} beside it: {reason}") from error
+    with reading(path):
+        values = yaml.safe_load(path.read_text())
+        try:
+            return from_mapping(TrainConfig, values)
+        except IzooError as error:
+            raise IzooError(f"{path}: {error}") from error
 
 
 def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str, Any]]:
@@ -250,10 +176,9 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     path = checkpoint.find(expanded(where).absolute())
     config = read_config(checkpoint.run_of(path))
     state = checkpoint.load(path)
-    check_state(state, config, path)
     algorithm = make_algorithm(config.algo, config.action, config.env)
-    with fitting(path):
-        load_state(algorithm, state["algorithm"])
+    with reading(path):
+        algorithm.load_state_dict(state["algorithm"])
     return algorithm, config, state
 
 
@@ -265,7 +190,6 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
     """
     path = checkpoint.find(Path(config.start or ""))
     theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
-    check_state(state, theirs, path)
     if not isinstance(theirs.algo, PPOConfig) or (theirs.algo.name == "gcrl") != (config.algo.name == "gcrl"):
         raise IzooError(
             f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
@@ -275,32 +199,21 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
     for what, its in there.items():
         if here.get(what) != its:
             raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
-    learned: Any = getattr(algorithm, "learned", algorithm)  # of what advises, that is what has weights
-    with fitting(path):
-        learned.policy.load_state_dict(state["algorithm"]["policy"])
+    with reading(path):
+        innermost(algorithm).policy.load_state_dict(state["algorithm"]["policy"])
 
 
 def _meaning(config: TrainConfig) -> dict[str, Any]:
-    """Return what gives the weights of a run's policy their meaning, by what it is called."""
+    """Return the options that decide what the weights of a run's policy mean, by name."""
     options = to_mapping(config.algo)
-    if getattr(config.action, "rest", None) is not None:
-        options.pop("initial_spread", None)  # where an action of 0 is doing nothing, action.spread is meant
+    if getattr(config.action, "point_mass", None) is not None:
+        options.pop("initial_spread", None)  # action.spread takes its place
     return {
         "action": to_mapping(config.action),
         "observes": observation_names(config.env),
         "seconds of a decision": config.env.decision_s,
         **{f"algo.{name}": options[name] for name in NETWORK_OPTIONS if name in options},
     }
-
-
-def check_layout(features: int, config: TrainConfig, path: Path) -> None:
-    """Raise :class:`IzooError` unless a checkpoint observes as many ``features`` as its run's options say."""
-    expected = len(observation_names(config.env))
-    if features != expected:
-        raise IzooError(
-            f"{path} was trained on an observation of {features} numbers per vehicle, and the options in {CONFIG_FILE} "
-            f"describe one of {expected}: env.observed or env.neighbours were changed; restore them or train again."
-        )
 
 
 def load_policy(where: Path | str) -> TensorDictModuleBase:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
 from izoo.errors import IzooError
-from izoo.files import NO_ROOM, read_text
 
 
 def as_they_are(rows: TensorDictBase) -> TensorDictBase:
@@ -34,11 +32,11 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
         ValueError: a file is missing or of another size, or its name leads out of the folder.
     """
     leaves: dict[str, tuple[str, list[int]]] = {}
-    for name, entry in json.loads(read_text(folder / "meta.json")).items():
+    for name, entry in json.loads((folder / "meta.json").read_text()).items():
         if not isinstance(entry, dict):
             continue
         if name == ".." or name != Path(name).name:
-            raise ValueError(f"{name!r} is no name of a file")
+            raise ValueError(f"{name!r} is not a file name")
         if "dtype" not in entry:
             leaves |= {f"{name}/{leaf}": form for leaf, form in check_files(folder / name).items()}
             continue
@@ -49,25 +47,6 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
             raise ValueError(f"{path} has {there:,} bytes, and should have {size:,}")
         leaves[name] = (entry["dtype"], entry["shape"][1:])
     return leaves
-
-
-def reserve(folder: Path) -> None:
-    """Take the room that the files of a memory-mapped TensorDict need: a full disk would else end the process.
-
-    Raises:
-        OSError: there is not enough.
-    """
-    if not hasattr(os, "posix_fallocate"):
-        return
-    for path in folder.rglob("*.memmap"):
-        size = path.stat().st_size
-        if size:
-            with path.open("r+b") as file:
-                try:
-                    os.posix_fallocate(file.fileno(), 0, size)
-                except OSError as error:
-                    if error.errno in NO_ROOM:
-                        raise  # not every file system can do this, and then it is left to chance
 
 
 class ShardStorage(Storage):

@@ -5,36 +5,21 @@ weights and the baselines.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
-import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import Any
 
-from izoo.conf.built_in import CityContexts
-from izoo.conf.context_choices import ContextsConfig, MixedContexts
-from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.source import ContextSource, MixedSource
-from izoo.errors import IzooError
-from izoo.metrics.figures import FIGURES, HEADLINE
-from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
+from izoo.metrics.figures import HEADLINE
 from izoo.metrics.statistics import SIGNIFICANCE, fall_p_value
-from izoo.processes import start_process
-from izoo.results.selection import EpisodeSeeds, choose_contexts
+from izoo.processes import ChildProcess
 from izoo.training import checkpoint
 from izoo.training.loggers import MetricsTable
-
-if TYPE_CHECKING:
-    import pandas as pd
+from izoo.training.validation_rollout import CONTEXTS
 
 VALIDATION_FILE, RESULT_FOLDER, LOG_FILE = "validation.csv", "validation", "validation.log"
-VALIDATION_SEED = 7_561
-"""Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
-POLICY, CONTEXTS = "policy", "contexts_saved"
 LOGGED = tuple(f"{name}{end}" for name in (*HEADLINE, "co2_saved_over_human") for end in ("", "_low", "_high"))
 """Columns that go into the run's own table as well, as ``validation_NAME``."""
 _PATIENCE_S = 0.2
@@ -52,8 +37,7 @@ class Validator:
     def __init__(self, config: TrainConfig, run_dir: Path, frames: int = 0) -> None:
         self.options, self.run_dir = config.validation, run_dir
         self.table = MetricsTable(run_dir / VALIDATION_FILE, frames)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._log: IO[bytes] | None = None
+        self._child: ChildProcess | None = None
         self._waiting: Path | None = None
         self._validating = Path()
         best = checkpoint.best_of(run_dir)
@@ -75,18 +59,18 @@ class Validator:
 
     def submit(self, path: Path) -> None:
         """Validate a checkpoint as soon as the process is free; it takes the place of another that still waits."""
-        if self._process is not None and checkpoint.frames_of(self._validating) == checkpoint.frames_of(path):
+        if self._child is not None and checkpoint.frames_of(self._validating) == checkpoint.frames_of(path):
             return  # it is being validated
         self._wait_for_turn(checkpoint.make_candidate(path))
         self._begin()
 
     def poll(self) -> dict[str, float]:
         """Return what a validation that has just ended says, for the run's own table; empty where none has."""
-        if self._process is None or self._process.poll() is None:
+        if self._child is None or self._child.process.poll() is None:
             self._begin()
             return {}
-        code, self._process = self._process.returncode, None
-        self._close_log()
+        code = self._child.process.returncode
+        self.close()
         result = _read_result(self._result(self._validating))
         if code != 0 or result is None:
             self._validating.unlink(missing_ok=True)
@@ -113,7 +97,7 @@ class Validator:
     @property
     def busy(self) -> bool:
         """Whether a validation runs or waits for its turn."""
-        return self._process is not None or self._waiting is not None
+        return self._child is not None or self._waiting is not None
 
     def wait(self, stop: Any) -> dict[str, float]:
         """Wait for all validations, until ``stop.requested``; return what the last one says."""
@@ -125,11 +109,9 @@ class Validator:
 
     def close(self) -> None:
         """Stop the process; a resumed run validates the same weights again."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._process = None
-        self._close_log()
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
 
     def _wait_for_turn(self, candidate: Path) -> None:
         if self._waiting is not None and self._waiting != candidate:
@@ -137,17 +119,14 @@ class Validator:
         self._waiting = candidate
 
     def _begin(self) -> None:
-        if self._process is not None or self._waiting is None:
+        if self._child is not None or self._waiting is None:
             return
         self._validating, self._waiting = self._waiting, None
         result = self._result(self._validating)
         result.parent.mkdir(exist_ok=True)
-        self._log = (self.run_dir / LOG_FILE).open("wb")
-        self._alive, child = socket.socketpair()  # which closes for the process when the run is gone
-        with child:
-            paths = f"{str(self._validating)!r}, {str(result)!r}"
-            call = f"from izoo.training.validation_worker import main; main({child.fileno()}, {paths})"
-            self._process = start_process(call, child.fileno(), output=self._log)
+        with (self.run_dir / LOG_FILE).open("wb") as log:
+            place = "izoo.training.validation_worker:main"
+            self._child = ChildProcess(place, str(self._validating), str(result), output=log)
 
     def _result(self, candidate: Path) -> Path:
         return self._result_of(checkpoint.frames_of(candidate))
@@ -179,11 +158,6 @@ class Validator:
             return row["co2_saved"] >= earlier[highest]
         return not shown_worse(contexts, before[CONTEXTS], len(earlier))
 
-    def _close_log(self) -> None:
-        if self._log is not None:
-            self._log.close()
-            self._log = None
-
 
 def shown_worse(new: dict[str, Any], old: dict[str, Any], chosen_of: int) -> bool:
     """Whether new weights save less CO2 than old ones, by a paired t-test over intersections.
@@ -201,71 +175,6 @@ def shown_worse(new: dict[str, Any], old: dict[str, Any], chosen_of: int) -> boo
         return False
     difference = [new[key][1] - old[key][1] for key in shared]
     return fall_p_value(difference, [new[key][0] for key in shared]) < SIGNIFICANCE / max(chosen_of, 1)
-
-
-def held_out(config: ContextsConfig) -> ContextSource:
-    """Return what to validate on: the validation split, or, of contexts without splits, the same distribution."""
-    if isinstance(config, MixedContexts):
-        return MixedSource([held_out(source) for source in config.sources])
-    if isinstance(config, (CityContexts, DatasetContexts, OsmContexts)) and config.split in ("train", "all"):
-        with contextlib.suppress(IzooError):  # sets of a few intersections are for training alone
-            return dataclasses.replace(config, split="validation").build()
-    return config.build()
-
-
-def validate(path: Path) -> dict[str, Any]:
-    """Play a checkpoint's policy and the baselines in the validation contexts; return a row of the table.
-
-    Figures of :data:`~izoo.metrics.figures.HEADLINE`, of the unsaturated contexts if there are any: those that compare
-    do so with uncommanded CVs, and ``NAME_low`` and ``NAME_high`` are the ends of their intervals over intersections
-    (``None`` where there are too few for one). ``co2_saved_over_human`` compares with human driving. ``slower``: 1
-    where the delay is shown to be higher than that of uncommanded CVs. Under :data:`CONTEXTS`: the intersection and the
-    CO2 saved of every context.
-    """
-    from izoo.results import evaluate_policy, summarise
-    from izoo.training import run_folder
-
-    started = time.perf_counter()
-    algorithm, config, state = run_folder.load_algorithm(path)
-    run_folder.check_drivers(checkpoint.run_of(path), config)
-    options = config.validation
-    table = evaluate_policy(
-        algorithm.policy.eval(),
-        choose_contexts(held_out(config.contexts), options.contexts, VALIDATION_SEED),
-        EpisodeSeeds(VALIDATION_SEED, options.seeds),
-        config.env,
-        name=POLICY,
-        simulator=options.simulator,
-        workers=0,
-        progress=False,
-    )
-    summary = summarise(table)
-    entry, block = summary["entries"][POLICY], summary["block"]
-    beside, human = (entry["against"][baseline][block] for baseline in (UNCOMMANDED, HUMAN))
-    figures = {**beside["figures"], "co2_saved_over_human": human["figures"]["co2_saved"]}
-    ends = {"": "value", "_low": "low", "_high": "high"}
-    compared = {f"{name}{end}": found[part] for name, found in figures.items() for end, part in ends.items()}
-    return {
-        "frames": state["frames"],
-        **compared,
-        **{name: entry["levels"][block][name] for name in HEADLINE if name not in figures},
-        "slower": float(entry["slower"]),
-        "nan_share": entry["levels"]["all"]["nan_share"],
-        "intersections": beside["intersections"],
-        "seconds": time.perf_counter() - started,
-        CONTEXTS: saved_by_context(table, block),
-    }
-
-
-def saved_by_context(table: pd.DataFrame, block: str) -> dict[str, list[Any]]:
-    """Return intersection and CO2 saved over uncommanded CVs (per cent) by context, of a block of contexts."""
-    contexts, own, baseline = pair(table, POLICY, UNCOMMANDED)
-    values = FIGURES["co2_saved"].value(own, baseline)
-    return {
-        row.context_hash: [row.intersection, float(value)]
-        for row, value in zip(contexts.itertuples(), values, strict=True)
-        if block == "all" or row.saturated == (block == "saturated")
-    }
 
 
 def _read_result(path: Path) -> dict[str, Any] | None:

@@ -6,23 +6,12 @@ watch over that.
 
 from __future__ import annotations
 
-import contextlib
 import os
-import threading
 from pathlib import Path
 
+from izoo.processes import end_with_parent
+
 NICENESS = 10
-
-
-def end_with_parent(parent: int) -> None:
-    """End this process as soon as the run is gone, which holds the other end of the socket ``parent``."""
-
-    def watch() -> None:
-        with contextlib.suppress(OSError):
-            os.read(parent, 1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def main(parent: int, checkpoint_file: str, result_file: str) -> None:
@@ -31,6 +20,6 @@ def main(parent: int, checkpoint_file: str, result_file: str) -> None:
     os.nice(NICENESS)
     os.environ["OMP_NUM_THREADS"] = "1"
     from izoo.files import write_json
-    from izoo.training.validation import validate
+    from izoo.training.validation_rollout import validate
 
     write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)

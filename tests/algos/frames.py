@@ -6,7 +6,6 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos.learners import base
 from izoo.algos.learners.set_ppo import SetPPO
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
@@ -69,22 +68,3 @@ def alone(algorithm: SetPPO, observation: torch.Tensor, mask: torch.Tensor) -> t
             with torch.no_grad():
                 values[here][valid] = network(observation[here][valid].unsqueeze(0), everyone)[0, :, 0]
     return values
-
-
-def hand_advantages(algorithm: SetPPO, batch: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
-    """Advantages and values ``[N, T, A]`` by the textbook recursion, slot by slot, in plain Python."""
-    config = algorithm.config
-    value = alone(algorithm, batch[base.OBSERVATION], batch[base.MASK])
-    following = alone(algorithm, batch["next"][base.OBSERVATION], batch["next"][base.MASK])
-    done, terminated = (batch["next", "agents", key].squeeze(-1) for key in ("done", "terminated"))
-    reward = batch["next", "agents", "reward"].squeeze(-1) * config.reward_scale
-    advantage = torch.zeros_like(value)
-    for n in range(value.shape[0]):
-        for a in range(value.shape[2]):
-            running = 0.0
-            for t in reversed(range(value.shape[1])):
-                bootstrap = 0.0 if terminated[n, t, a] else float(following[n, t, a])
-                delta = float(reward[n, t, a]) + config.gamma * bootstrap - float(value[n, t, a])
-                running = delta + config.gamma * config.gae_lambda * (0.0 if done[n, t, a] else running)
-                advantage[n, t, a] = running if batch[base.MASK][n, t, a] else 0.0
-    return advantage, value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import io
 
 import pytest
 import torch
@@ -11,9 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.base import ACTION_VALUE
-from izoo.algos.learners.ddpg import DDPG
-from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.ddpg import DDPG, DDPGConfig
 from izoo.algos.learners.replay import (
     ERROR,
     NEXT_OBSERVATION,
@@ -25,10 +22,6 @@ from izoo.algos.learners.replay import (
     Replay,
     transitions,
 )
-from izoo.conf.compose import compose_config
-from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.train_options import TrainConfig
-from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
 SMALL = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 500, "learning_starts": 0, "rows_per_frame": None}
@@ -131,25 +124,6 @@ def test_targets_follow_slowly_and_each_loss_moves_its_own_network() -> None:
             torch.testing.assert_close(target, old + 0.1 * (new - old))
 
 
-@pytest.mark.parametrize("noise", [1e6, float("nan")])
-def test_padding_changes_nothing(noise: float) -> None:
-    clean_ddpg, noisy_ddpg = make_ddpg(), make_ddpg()
-    clean = make_batch()
-    noisy = clean.clone()
-    empty = ~noisy[base.MASK]
-    noisy[base.OBSERVATION][empty] = noise
-    noisy[base.ACTION][empty] = noise
-    noisy[NEXT_REWARD][empty] = noise
-    gone = noisy[NEXT_TERMINATED].squeeze(-1)
-    noisy[NEXT_OBSERVATION][empty | gone] = noise
-    torch.manual_seed(7)
-    expected = clean_ddpg.update(clean, 0.0)
-    torch.manual_seed(7)
-    assert noisy_ddpg.update(noisy, 0.0) == pytest.approx(expected, rel=1e-6)
-    for one, other in zip(clean_ddpg.loss.parameters(), noisy_ddpg.loss.parameters(), strict=True):
-        torch.testing.assert_close(one, other)
-
-
 def test_slot_order_changes_nothing() -> None:
     batch = make_batch()
     order = torch.tensor([2, 3, 0, 1])
@@ -228,17 +202,6 @@ def test_compiled_actor_equals_the_modules(activation: str, hidden: tuple[int, .
     assert compiled.shape == (*mask.shape, 1) and not compiled[~mask].any()
 
 
-def test_a_restored_noise_is_the_policys_own() -> None:
-    ddpg, batch = make_ddpg(), make_batch()
-    explore(ddpg, batch)
-    state = ddpg.state_dict()
-    before = state["noise"].clone()
-    ddpg.load_state_dict(state)
-    explore(ddpg, batch)
-    torch.testing.assert_close(state["noise"], before, atol=0.0, rtol=0.0)
-    assert not torch.equal(ddpg.policy.noise, before)
-
-
 def test_noise_decays_and_randomness_ends() -> None:
     ddpg = make_ddpg(random_frames=20, noise_frames=24, noise_final=0.5)
     batch = make_batch()  # 12 frames
@@ -247,29 +210,6 @@ def test_noise_decays_and_randomness_ends() -> None:
     assert ddpg.policy.uniform and float(ddpg.policy.noise_factor) == pytest.approx(0.75)
     ddpg.update(batch, 0.0)
     assert not ddpg.policy.uniform and float(ddpg.policy.noise_factor) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("alpha", [0.0, 0.6])
-def test_state_restores_the_very_next_updates(alpha: float) -> None:
-    one, other = make_ddpg(priority_alpha=alpha, replay_rows=40), make_ddpg(priority_alpha=alpha, replay_rows=40)
-    for seed in range(2):
-        explore(one, make_batch())
-        one.update(make_batch(seed), 0.1)
-    file = io.BytesIO()
-    torch.save(one.state_dict(), file)
-    file.seek(0)
-    other.load_state_dict(torch.load(file, weights_only=True))
-    for seed in range(2, 5):
-        torch.manual_seed(seed)
-        expected = one.update(make_batch(seed), 0.2)
-        torch.manual_seed(seed)
-        assert other.update(make_batch(seed), 0.2) == expected
-    torch.manual_seed(5)
-    expected_action = explore(one, make_batch())
-    torch.manual_seed(5)
-    torch.testing.assert_close(explore(other, make_batch()), expected_action, atol=0.0, rtol=0.0)
-    for left, right in zip(one.loss.state_dict().values(), other.loss.state_dict().values(), strict=True):
-        torch.testing.assert_close(left, right, atol=0.0, rtol=0.0)
 
 
 def test_without_its_replay_a_restored_run_collects_before_it_learns() -> None:
@@ -297,55 +237,3 @@ def test_priorities_decide_what_is_drawn_and_weights_undo_it() -> None:
     replay.add(transitions(make_batch())[:1])
     assert isinstance(replay.sampler, PriorityDraws)
     assert float(replay.sampler.priority[0]) == pytest.approx(9.0, abs=1e-3), "new rows come first"
-
-
-def test_an_empty_batch_is_no_update() -> None:
-    ddpg, batch = make_ddpg(), make_batch()
-    batch[base.MASK][:] = False
-    before = [parameter.clone() for parameter in ddpg.loss.parameters()]
-    assert "loss_value" not in ddpg.update(batch, 0.0)
-    for parameter, old in zip(ddpg.loss.parameters(), before, strict=True):
-        torch.testing.assert_close(parameter, old)
-
-
-def test_update_improves_a_bandit() -> None:
-    """Reward falls with the distance from 1 m/s^2: the actor must move there."""
-    settings = {"gamma": 0.0, "n_step": 1, "reward_scale": 1.0, "critic_lr": 1e-2, "actor_lr": 1e-3, "tau": 0.005}
-    sizes = {"replay_rows": 10_000, "minibatch_rows": 256, "hidden": (32,), "updates_per_frame": 0.1}
-    ddpg = make_ddpg(**settings, **sizes, saturation_coeff=1e-3)
-    for round_ in range(14):
-        batch = make_batch(round_, n=8, t=60)
-        batch[NEXT_REWARD] = -(((batch[base.ACTION] - 1.0) / 3) ** 2)
-        ddpg.update(batch, 0.0)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        batch = ddpg.policy(make_batch())
-    action = batch[base.ACTION][batch[base.MASK]]
-    assert float((action - 1.0).abs().mean()) < 0.5
-
-
-@pytest.mark.parametrize(("choice", "config"), [("ddpg", DDPGConfig()), ("ddpg_paper", DDPGConfig.paper())])
-def test_choices_are_the_presets_of_the_dataclass(choice: str, config: DDPGConfig) -> None:
-    assert compose_config("train", TrainConfig, [f"algo={choice}"]).algo == config
-    assert from_mapping(DDPGConfig, to_mapping(config)) == config
-
-
-def test_bad_hyper_parameters_are_refused() -> None:
-    for name, value in {
-        "tau": 0.0,
-        "activation": "sin",
-        "n_step": 0,
-        "rows_per_frame": 0.0,
-        "max_grad_norm": 0.0,
-    }.items():
-        with pytest.raises(IzooError, match=f"algo.{name} is {value!r}"):
-            DDPGConfig(**{name: value})  # type: ignore[arg-type]
-    with pytest.raises(IzooError, match=r"algo.hidden is \[\]"):
-        DDPGConfig(hidden=())
-    with pytest.raises(IzooError, match="initial_accel"):
-        make_ddpg(initial_accel_mps2=3.0)
-
-
-def test_loss_reads_per_agent_keys() -> None:
-    ddpg = make_ddpg()
-    assert ddpg.loss.tensor_keys.state_action_value == ACTION_VALUE
-    assert ddpg.loss.tensor_keys.terminated == base.TERMINATED

@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
 from izoo.algos.actions.action_modes import SpeedAction
-from izoo.algos.drivers.scripted import RandomDriver
+from izoo.algos.drivers.random import RandomDriver
 from izoo.algos.learners.base import ACTION, DECIDES, DONE, LOG_PROB, MASK, NUMBER, OBSERVATION, REWARD, TERMINATED
 from izoo.algos.learners.decisions import Decisions
 from izoo.algos.learners.registry import make_algorithm, preset
@@ -118,7 +118,7 @@ def test_rewards_of_decisions_add_up_to_what_vehicles_are_paid() -> None:
     still_open = Decisions()
     still_open(batch)
     assert still_open.open is not None
-    rest = float(still_open.open["paid"].sum())
+    rest = float(still_open.open["reward_sum"].sum())
     assert float(decided["next"][REWARD].sum()) + rest == pytest.approx(total, rel=1e-4)
 
 

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 import torch
 
-from izoo import train
 from izoo.algos.learners import base, graph_ppo
-from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
-from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GCRLConfig, GraphNetwork
 from izoo.algos.networks.set_networks import places
-from izoo.conf.compose import compose_config
-from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from izoo.errors import IzooError
-from izoo.training import run_folder
-from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
@@ -207,24 +199,3 @@ def test_gradients_do_not_reach_empty_slots() -> None:
     assert observation.grad is not None
     assert not observation.grad[~mask].any()
     assert observation.grad[mask].any()
-
-
-@pytest.mark.parametrize(("word", "value"), [("algo=gcrl", GCRLConfig()), ("algo=gcrl_paper", GCRLConfig.paper())])
-def test_yaml_equals_the_dataclass(word: str, value: GCRLConfig) -> None:
-    assert compose_config("train", TrainConfig, [word]).algo == value
-
-
-def test_bad_hyper_parameters_are_refused() -> None:
-    for changes in ({"neighbours": -1}, {"range_m": -1.0}, {"layers": 0}, {"heads": 3}, {"hidden": ()}):
-        with pytest.raises(IzooError):
-            GCRLConfig(**changes)  # type: ignore[arg-type]
-
-
-def test_a_short_run_on_sumo(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = ["algo=gcrl", "contexts=pcg_easy", "algo.frames_per_batch=400", "total_frames=800", f"run_dir={run_dir}"]
-    assert train.main([*words, "collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
-    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 800).series("loss_critic")[1]
-    assert len(losses) == 2
-    assert all(math.isfinite(loss) for loss in losses)
-    assert run_folder.load_policy(run_dir).in_keys == [base.OBSERVATION, base.MASK], "neighbours act on each other"

@@ -18,9 +18,8 @@ from torchrl.objectives.value import GAE
 
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg import Squash
-from izoo.algos.learners.mappo import TeamCritic
-from izoo.algos.learners.ppo_config import MAPPOConfig
-from izoo.algos.losses.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss, MaskedTD3Loss
+from izoo.algos.learners.mappo import MAPPOConfig, TeamCritic
+from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss, MaskedTD3Loss
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.gaussian import normal_parameters, tanh_normal
 from izoo.errors import IzooError
@@ -268,7 +267,7 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
 
 def test_they_can_be_imported_without_simulators_or_options() -> None:
     code = (
-        "import sys, izoo.algos.losses.losses\n"
+        "import sys, izoo.algos.losses\n"
         "print([name for name in sys.modules if name.startswith(('izoo.envs', 'izoo.conf', 'libsumo'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

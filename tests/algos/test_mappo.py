@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 import torch
 
-from izoo import train
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, SetCritic
-from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
-from izoo.conf.compose import compose_config
+from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from izoo.training import run_folder
-from izoo.training.loggers import MetricsTable
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
 
@@ -84,11 +80,6 @@ def test_gradients_do_not_reach_empty_slots() -> None:
     assert observation.grad[mask].any()
 
 
-@pytest.mark.parametrize(("word", "value"), [("algo=mappo", MAPPOConfig()), ("algo=mappo_paper", MAPPOConfig.paper())])
-def test_yaml_equals_the_dataclass(word: str, value: MAPPOConfig) -> None:
-    assert compose_config("train", TrainConfig, [word]).algo == value
-
-
 def test_the_paper_preset_is_rllibs_ppo() -> None:
     paper, ppo = MAPPOConfig.paper(), PPOConfig.paper()
     assert {name: getattr(paper, name) for name in vars(ppo) if name != "name"} == {
@@ -96,41 +87,8 @@ def test_the_paper_preset_is_rllibs_ppo() -> None:
     }
 
 
-def test_bad_hyper_parameters_are_refused() -> None:
-    for changes in ({"critic_queries": 0}, {"critic_embedding": 0}, {"gamma": 2.0}):
-        with pytest.raises(IzooError):
-            MAPPOConfig(**changes)  # type: ignore[arg-type]
-
-
-def test_a_short_run_on_sumo(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = ["algo=mappo", "contexts=pcg_easy", "algo.frames_per_batch=400", "total_frames=800", f"run_dir={run_dir}"]
-    assert train.main([*words, "collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=150"]) == 0
-    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 800).series("loss_critic")[1]
-    assert len(losses) == 2
-    assert all(math.isfinite(loss) for loss in losses)
-    policy = run_folder.load_policy(run_dir)
-    assert policy.in_keys == [base.OBSERVATION], "it acts on one vehicle's observation"
-
-
 def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:
     with pytest.raises(IzooError, match=r"algo.credit=team .* env.reward.eta is 0.*fuel_team"):
-        compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
-    chosen = compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
+        compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
+    chosen = compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
     assert chosen.env.emit == ("team_reward",)
-
-
-def test_a_short_run_for_the_team(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [
-        "algo=mappo",
-        "algo.credit=team",
-        "env.reward=fuel_team",
-        "env.hold_s=2",
-        "action=advise",
-        "contexts=pcg_easy",
-    ]
-    short = ["collector=single", "evaluation.contexts=0", "algo.epochs=2", "env.horizon_s=100", "total_frames=200"]
-    assert train.main([*words, *short, "algo.frames_per_batch=100", f"run_dir={run_dir}"]) == 0
-    losses = MetricsTable(run_dir / run_folder.METRICS_FILE, 200).series("loss_critic")[1]
-    assert len(losses) == 2 and all(math.isfinite(loss) for loss in losses)

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import copy
-import io
 
-import pytest
 import torch
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg_config import TD3Config
 from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
-from izoo.algos.learners.td3 import TD3
-from izoo.conf.compose import compose_config
-from izoo.conf.train_options import TrainConfig
-from izoo.errors import IzooError
+from izoo.algos.learners.td3 import TD3, TD3Config
 from tests.algos.frames import FEATURES, HIGH, LOW
-from tests.algos.test_ddpg import SMALL, explore, make_batch
+from tests.algos.test_ddpg import SMALL, make_batch
 
 
 def make_td3(**changes: object) -> TD3:
@@ -81,75 +75,3 @@ def test_the_actor_and_the_targets_move_every_second_time_and_the_critics_always
         }
         assert moved == {"actor": step % 2 == 0, "critic": True, "targets": step % 2 == 0}
         assert ("loss_actor" in logged) == (step % 2 == 0)
-
-
-@pytest.mark.parametrize("noise", [1e6, float("nan")])
-def test_padding_changes_nothing(noise: float) -> None:
-    one, other = make_td3(updates_per_frame=0.5), make_td3(updates_per_frame=0.5)
-    clean = make_batch()
-    noisy = clean.clone()
-    empty = ~noisy[base.MASK]
-    for key in (base.OBSERVATION, base.ACTION, NEXT_REWARD):
-        noisy[key][empty] = noise
-    noisy[NEXT_OBSERVATION][empty | noisy[NEXT_TERMINATED].squeeze(-1)] = noise
-    torch.manual_seed(7)
-    expected = one.update(clean, 0.0)
-    torch.manual_seed(7)
-    assert other.update(noisy, 0.0) == pytest.approx(expected, rel=1e-6)
-    for left, right in zip(one.loss.parameters(), other.loss.parameters(), strict=True):
-        torch.testing.assert_close(left, right)
-
-
-def test_slot_order_changes_nothing() -> None:
-    batch, order = make_batch(), torch.tensor([2, 3, 0, 1])
-    permuted = batch.clone()
-    permuted["agents"] = batch["agents"][:, :, order]
-    permuted["next", "agents"] = batch["next", "agents"][:, :, order]
-    logged = [
-        make_td3(policy_delay=1, target_noise=0.0).gradient_step(transitions(one, 1.0, 3, 0.9))
-        for one in (batch, permuted)
-    ]
-    for key, value in logged[0].items():
-        torch.testing.assert_close(logged[1][key], value)
-
-
-def test_state_restores_the_very_next_updates() -> None:
-    """An odd number of gradient steps has been made: whose turn it is belongs to the state."""
-    one, other = make_td3(updates_per_frame=0.25), make_td3(updates_per_frame=0.25)
-    for seed in range(3):
-        explore(one, make_batch())
-        one.update(make_batch(seed), 0.1)
-    assert one.gradient_steps % 2
-    file = io.BytesIO()
-    torch.save(one.state_dict(), file)
-    file.seek(0)
-    other.load_state_dict(torch.load(file, weights_only=True))
-    for seed in range(3, 6):
-        torch.manual_seed(seed)
-        expected = one.update(make_batch(seed), 0.2)
-        torch.manual_seed(seed)
-        assert other.update(make_batch(seed), 0.2) == expected
-    for left, right in zip(one.loss.state_dict().values(), other.loss.state_dict().values(), strict=True):
-        torch.testing.assert_close(left, right, atol=0.0, rtol=0.0)
-
-
-def test_update_improves_a_bandit() -> None:
-    """Reward falls with the distance from 1 m/s^2: the actor must move there."""
-    settings = {"gamma": 0.0, "n_step": 1, "reward_scale": 1.0, "critic_lr": 1e-2, "actor_lr": 2e-3, "tau": 0.005}
-    sizes = {"replay_rows": 10_000, "minibatch_rows": 256, "hidden": (32,), "updates_per_frame": 0.1}
-    td3 = make_td3(**settings, **sizes, saturation_coeff=1e-3)
-    for round_ in range(14):
-        batch = make_batch(round_, n=8, t=60)
-        batch[NEXT_REWARD] = -(((batch[base.ACTION] - 1.0) / 3) ** 2)
-        td3.update(batch, 0.0)
-    batch = make_batch()
-    with torch.no_grad():
-        action = td3.actor.module(batch[base.OBSERVATION])[batch[base.MASK]]
-    assert float((action - 1.0).abs().mean()) < 0.5
-
-
-def test_options() -> None:
-    assert compose_config("train", TrainConfig, ["algo=td3"]).algo == TD3Config()
-    for changes in ({"policy_delay": 0}, {"target_noise": -0.1}, {"stores": "asked"}):
-        with pytest.raises(IzooError):
-            TD3Config(**changes)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.actions.action_modes import ActionConfig, AdviseAction, ResidualAction
-from izoo.algos.drivers.scripted import make_driver
+from izoo.algos.drivers.by_name import make_driver
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm, preset
 from izoo.contexts.catalogue import Scenarios
 from izoo.contexts.context import Context

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -11,11 +9,9 @@ from torch import nn
 from torchrl.modules import RunningValueNorm, ValueOperator
 
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo import PPO, make_value_norm
-from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.losses.masked_gae import MaskedGAE
-from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 
 KINDS = ("running", "popart")
@@ -94,22 +90,3 @@ def test_large_returns_are_learned_as_fast_as_small_ones(kind: str) -> None:
             found[name] = ppo.update(batch, 0.0)["explained_variance"]
     assert found[kind] > 0.8, found
     assert found["none"] < 0.3, found
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_state_restores_the_very_next_update(kind: str) -> None:
-    one, other = make_ppo(value_norm=kind), make_ppo(value_norm=kind)
-    batch = act(one, scaled(make_frames(), 100.0))  # type: ignore[arg-type]
-    one.update(batch, 0.0)
-    other.load_state_dict(copy.deepcopy(one.state_dict()))
-    assert float(other.loss.value_norm.scale()) > 1.0
-    torch.manual_seed(11)
-    expected = one.update(batch, 0.1)
-    torch.manual_seed(11)
-    assert other.update(batch, 0.1) == expected
-
-
-def test_an_unknown_normalisation_is_refused() -> None:
-    with pytest.raises(IzooError, match=r"algo.value_norm.*none, running, popart"):
-        PPOConfig(value_norm="batch")  # type: ignore[arg-type]
-    assert make_value_norm("none") is None

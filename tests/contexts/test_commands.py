@@ -40,7 +40,12 @@ def town(tmp_path: Path) -> Path:
         str(number): dataclasses.replace(cities.get("boston")[number], source="osm", city=None, signal_plan=None)
         for number in (3, 4)
     }
-    save_cmdp(tmp_path / "town", specs, {key: {"streets": {"A": "Elm Street"}} for key in specs}, {})
+    save_cmdp(
+        tmp_path / "town",
+        specs,
+        {key: {"streets": {"A": "Elm Street"}, "lonlat": [-122.0 + 0.001 * int(key), 47.0]} for key in specs},
+        {},
+    )
     return tmp_path / "town"
 
 
@@ -127,6 +132,9 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
         (["try", "--city", "paris"], "unknown city"),
+        (["count", "--city", "paris"], "unknown city"),
+        (["show", "9999999"], "0 to 1306719"),
+        (["list", "--limit", "-1"], "--limit"),
     ):
         assert main(argv) == 2, argv
         err = capsys.readouterr().err
@@ -142,19 +150,17 @@ def test_a_reader_that_stops_early_is_no_error():
 
 def test_try_cities_plays_in_all_of_them(capsys):
     before = os.environ.get("IZOO_CACHE_DIR")
-    assert main(["try", "--count", "10", "--horizon-s", "60"]) == 0
+    assert main(["try", "--count", "3", "--horizon-s", "60"]) == 0
     out = capsys.readouterr().out
-    assert "10 intersections, 20 episodes, 0 failures" in out
+    assert "3 intersections, 6 episodes, 0 failures" in out
     assert "nets built in" in out
     assert os.environ.get("IZOO_CACHE_DIR") == before
 
 
-def test_try_plays_towns(town, capsys):
+def test_try_plays_towns_and_names_what_fails(town, monkeypatch, capsys):
     assert main(["try", str(town), "--horizon-s", "60"]) == 0
     assert "2 intersections, 4 episodes, 0 failures" in capsys.readouterr().out
 
-
-def test_try_names_what_fails(town, monkeypatch, capsys):
     def refuse(*_arguments: object) -> None:
         raise ValueError("no way")
 

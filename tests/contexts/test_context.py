@@ -18,8 +18,9 @@ from izoo.results.contexts_file import context_from_dict
 from izoo.results.store import PolicyRecord, Store
 
 
-def test_contexts_do_without_torch():
-    code = "import sys, izoo.contexts.catalogue as c; c.get(5).content_hash; sys.exit('torch' in sys.modules)"
+def test_contexts_and_emissions_do_without_torch_and_pandas() -> None:
+    code = "import sys, izoo.emissions.kernel, izoo.contexts.catalogue as c; c.get(5).content_hash; "
+    code += "sys.exit(bool({'torch', 'pandas'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -148,7 +148,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
     write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
-    tally = copy / "envs" / "mdp" / "tally.py"
+    tally = copy / "envs" / "mdp" / "metric_sums.py"
     named = shown('"hard_braking_s"').strip().replace('"  #', '",  #')
     write_before(tally, '    "due",', f"    {named}\n")
     write_before(copy / "metrics" / "figures.py", "    )\n}\n", f"        {shown('Figure')[:-1]},\n", "FIGURES: dict")
@@ -172,7 +172,7 @@ def test_no_other_file_changes(package: Path) -> None:
         for path in package.rglob("*.py")
         if path.read_bytes() != original(path.relative_to(package)).read_bytes()
     }
-    figure = {"metrics/figures.py", "envs/mdp/tally.py"}
+    figure = {"metrics/figures.py", "envs/mdp/metric_sums.py"}
     assert changed == {"envs/mdp/reward.py", "envs/mdp/observation.py", *figure}
 
 

@@ -19,7 +19,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.drivers import model
 from izoo.drivers.estimate import Estimate, estimate, to_content
 from izoo.drivers.idm import next_speed
-from izoo.drivers.laplace_fit import NOISE_FLOOR_MPS2, TYPICAL, Pilot, fit_pilot
+from izoo.drivers.laplace_fit import NOISE_FLOOR_MPS2, TYPICAL, LaplaceFit, fit_laplace
 from izoo.drivers.mcmc import SamplerConfig, sample
 from izoo.drivers.posterior_figure import longest_drive
 from izoo.drivers.predictive import predict
@@ -41,8 +41,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Following:
 
 
 @pytest.fixture(scope="module")
-def pilot(data: Following) -> Pilot:
-    return fit_pilot(data)
+def first_fit(data: Following) -> LaplaceFit:
+    return fit_laplace(data)
 
 
 @pytest.fixture(scope="module")
@@ -83,28 +83,28 @@ def test_one_step_is_the_simulators(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_density_is_the_one_written_down_whatever_the_first_fit_says(data: Following, pilot: Pilot) -> None:
+def test_the_density_is_the_one_written_down_for_any_first_fit(data: Following, first_fit: LaplaceFit) -> None:
     """Coordinates that a worse first fit suggests hold the same posterior: the change of variables is exact."""
     generator = np.random.default_rng(2)
-    worse = pilot._replace(
-        information=0.3 * pilot.information + 2.0 * jnp.eye(5),
-        pull=0.5 * pilot.pull,
-        log_noise=pilot.log_noise + 0.3,
-        noise_information=0.1 * pilot.noise_information,
+    worse = first_fit._replace(
+        information=0.3 * first_fit.information + 2.0 * jnp.eye(5),
+        pull=0.5 * first_fit.pull,
+        log_noise=first_fit.log_noise + 0.3,
+        noise_information=0.1 * first_fit.noise_information,
     )
-    for first_fit in (pilot, worse):
+    for fit in (first_fit, worse):
         difference = []
         for _ in range(3):
-            near = {name: jnp.asarray(value) for name, value in model.start(first_fit).items()}
+            near = {name: jnp.asarray(value) for name, value in model.start(fit).items()}
             place = {name: value + 0.1 * generator.standard_normal(value.shape) for name, value in near.items()}
-            values = util.constrain_fn(model.model, (data, first_fit), {}, place, return_deterministic=True)
-            got = -util.potential_energy(model.model, (data, first_fit), {}, place)
-            difference.append(float(got - _written_down(data, values, place, first_fit)))
+            values = util.constrain_fn(model.model, (data, fit), {}, place, return_deterministic=True)
+            got = -util.potential_energy(model.model, (data, fit), {}, place)
+            difference.append(float(got - _written_down(data, values, place, fit)))
         # Constants are left out of the product's density.
         np.testing.assert_allclose(difference, difference[0], atol=1e-6)
 
 
-def _written_down(data: Following, values: dict, place: dict, pilot: Pilot) -> float:
+def _written_down(data: Following, values: dict, place: dict, first_fit: LaplaceFit) -> float:
     """The model's lines, term by term, and the volumes of the sampler's coordinates."""
     mean, sd, factor = values["log_mean"], values["log_sd"], values["corr_factor"]
     covariance = np.outer(sd, sd) * (factor @ factor.T)
@@ -121,7 +121,7 @@ def _written_down(data: Following, values: dict, place: dict, pilot: Pilot) -> f
 
     def constrained(place: dict) -> jnp.ndarray:
         """What the volumes are of: the drivers' values, by the sampler's coordinates."""
-        values = util.constrain_fn(model.model, (data, pilot), {}, place, return_deterministic=True)
+        values = util.constrain_fn(model.model, (data, first_fit), {}, place, return_deterministic=True)
         return jnp.concatenate([values["x"].ravel(), values["log_noise"]])
 
     def of_drivers(z: jnp.ndarray, noise_z: jnp.ndarray) -> jnp.ndarray:
@@ -170,10 +170,10 @@ def test_predictive_checks_can_fail(found: Estimate, data: Following) -> None:
 
 
 @pytest.mark.slow
-def test_chains_of_one_seed_are_the_same(data: Following, pilot: Pilot) -> None:
+def test_chains_of_one_seed_are_the_same(data: Following, first_fit: LaplaceFit) -> None:
     config = SamplerConfig(warmup=20, draws=20, chains=2, seed=4)
     reports: list[float] = []
-    one, other = (sample(data, pilot, config, reports.append) for _ in range(2))
+    one, other = (sample(data, first_fit, config, reports.append) for _ in range(2))
     np.testing.assert_array_equal(one.values["log_mean"], other.values["log_mean"])
     assert not np.array_equal(one.values["log_mean"][0], one.values["log_mean"][1])
     assert reports[-1] == 1.0 and reports[: len(reports) // 2] == sorted(reports[: len(reports) // 2])
@@ -206,10 +206,9 @@ def test_the_environments_drivers_are_found() -> None:
     """One data set of the recovery study."""
     from izoo.benchmarks.calibration import recover
 
-    result = recover(0, 30, SamplerConfig(warmup=150, draws=250))
-    assert result["converged"]
-    table = pd.DataFrame(result["quantities"]).T
+    table = pd.DataFrame(recover(0, 30, SamplerConfig(warmup=150, draws=250)))
+    assert table["converged"].all()
     held = (table["low"] <= table["true"]) & (table["true"] <= table["high"])
     assert held.mean() >= 0.6
-    medians = table[table.index.str.startswith("median")]
+    medians = table[table["name"].str.startswith("median")]
     assert ((medians["mean"] / medians["true"] - 1.0).abs() < 0.12).all()

@@ -7,31 +7,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 pytest.importorskip("numpyro", reason="needs izoo[calibrate]")
 
 from izoo.benchmarks import calibration
-from izoo.benchmarks.fidelity.journal import Journal
 from izoo.envs import MODEL_VERSION
+from izoo.results.rows_file import Row, RowsFile
+
+ABOUT = {"minutes": 1.5, "seconds": 9.0, "processor_seconds": 8.0, "converged": True}
+ABOUT |= {"worst_r_hat": 1.0, "least_ess": 900.0}
 
 
-def one_set(number: int) -> dict[str, Any]:
-    """A result as the study keeps it: everything 10 % (or 0.1) too large, every third interval beside the truth."""
-    quantities = {}
+def one_set(number: int, **changes: Any) -> list[Row]:
+    """Rows as the study makes them: everything 10 % (or 0.1) too large, every third interval beside the truth."""
+    rows = []
     for k, (name, true) in enumerate(calibration.truth(calibration.true_population(number)).items()):
         mean = true + 0.1 if name.startswith("correlation") else 1.1 * true
         low = mean - 1e-6 if k % 3 == 0 else true - 1.0
-        quantities[name] = {"true": true, "mean": mean, "low": low, "high": mean + 1.0}
-    about = {"set": number, "drivers": 30, "minutes": 45.0, "seconds": 9.0, "processor_seconds": 8.0}
-    state = {"converged": True, "not_converged": [], "diverging": 0, "autocorrelation": 0.0}
-    return {**about, **state, "worst_r_hat": 1.0, "least_ess": 900.0, "quantities": quantities}
+        rows.append({"name": name, "true": true, "mean": mean, "low": low, "high": mean + 1.0, **ABOUT, **changes})
+    return rows
 
 
-def keep(folder: Path, *sets: dict[str, Any], speed_noise: float = 0.0) -> None:
-    kept = Journal(folder / calibration.SETS_FILE)
-    for found in sets:
-        kept.add((found["set"], 30, speed_noise, 200, 400, MODEL_VERSION), found)
+def sets_file(folder: Path) -> RowsFile:
+    columns = (*calibration.SETTINGS, "name", "converged", *calibration.NUMBERS)
+    return RowsFile(folder / calibration.SETS_FILE, columns, ("name",), ("set", "drivers", "warmup", "draws"))
+
+
+def keep(folder: Path, *sets: list[Row], speed_noise: float = 0.0) -> None:
+    kept = sets_file(folder)
+    for number, rows in enumerate(sets):
+        key = dict(zip(calibration.SETTINGS, (number, 30, speed_noise, 200, 400, MODEL_VERSION), strict=True))
+        kept.add([{**key, **row} for row in rows])
 
 
 def test_populations_are_fixed_by_their_number() -> None:
@@ -50,7 +58,8 @@ def test_populations_are_fixed_by_their_number() -> None:
 
 
 def test_the_summary_counts_intervals_and_averages_errors() -> None:
-    lines = calibration.summarise([one_set(0), one_set(1)]).splitlines()
+    sets = [{**row, "set": number, "drivers": 30} for number in (0, 1) for row in one_set(number)]
+    lines = calibration.summarise(pd.DataFrame(sets)).splitlines()
     assert lines[0].startswith("2 data sets, 2 converged; median: 30 drivers of 1.5 minutes")
     by_name = {line[:34].strip(): line[34:].split() for line in lines[2:-4]}
     assert by_name["median v0_mps"] == ["0%", "+10.0%", "10.0%"]
@@ -74,12 +83,11 @@ def test_sets_of_other_options_are_made_anew(tmp_path: Path, monkeypatch: pytest
     keep(tmp_path, one_set(0), speed_noise=0.05)
     monkeypatch.setattr(calibration, "recover", lambda number, *_: one_set(number))
     assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
-    assert len(Journal(tmp_path / calibration.SETS_FILE).rows) == 2
+    assert len(sets_file(tmp_path).read().rows) == 2 * 15
 
 
 def test_a_set_whose_chains_did_not_move_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stuck = {**one_set(0), "converged": False, "worst_r_hat": None, "least_ess": None}
-    keep(tmp_path, stuck)
+    keep(tmp_path, one_set(0, converged=False, worst_r_hat=None, least_ess=None))
     assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
     assert "chains that do not move, not converged" in capsys.readouterr().out
 

@@ -1,18 +1,20 @@
-"""A net written by hand, vehicles placed on it, and environments on the twin."""
+"""A net written by hand, vehicles placed on it, and environments that are closed after the test."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
-from izoo.envs import TwinEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from izoo.networks.road import RoadNet, read_road
 from tests.envs.placed import Scene
 from tests.envs.worlds import crossing, short
 from tests.networks.handmade import write_handmade
 
+Make = Callable[..., Any]
 MakeTwin = Callable[..., TwinEnv]
 
 
@@ -27,16 +29,24 @@ def scene(road: RoadNet) -> Scene:
 
 
 @pytest.fixture
-def make_twin() -> Iterator[MakeTwin]:
-    """Build environments on the twin and close them in the end."""
-    made: list[TwinEnv] = []
+def make() -> Iterator[Make]:
+    """Build ``make(simulator, num_envs, contexts, **options)``; without ``num_envs`` a single environment."""
+    with contextlib.ExitStack() as stack:
 
-    def build(num_envs: int = 2, contexts: Any = None, **options: Any) -> TwinEnv:
-        contexts = crossing() if contexts is None else contexts
-        env = TwinEnv(num_envs, contexts, **({"config": short(), "threads": 1} | options))
-        made.append(env)
-        return env
+        def build(simulator: str = "sumo", num_envs: int | None = None, contexts: Any = None, **options: Any) -> Any:
+            options = {"contexts": crossing() if contexts is None else contexts, "config": short(), **options}
+            if num_envs is None:
+                env: Any = EcoDrivingEnv(simulator=simulator, **options)
+            elif simulator == "twin":
+                env = TwinEnv(num_envs, **{"threads": 1, **options})
+            else:
+                env = SumoParallelEnv(num_envs, **options)
+            return stack.enter_context(contextlib.closing(env))
 
-    yield build
-    for env in made:
-        env.close()
+        yield build
+
+
+@pytest.fixture
+def make_twin(make: Make) -> MakeTwin:
+    """Build several environments on the twin: ``make_twin(num_envs, contexts, **options)``."""
+    return lambda num_envs=2, contexts=None, **options: make("twin", num_envs, contexts, **options)

@@ -1,4 +1,4 @@
-"""Drivers whose outcomes tests compare, and what an evaluation measures of them: episodes side by side on the twin."""
+"""Drivers whose outcomes are compared, and their outcomes on the twin by an evaluation's measure."""
 
 from __future__ import annotations
 
@@ -11,31 +11,28 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, TwinEnv
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
-from tests.envs.worlds import defer
+from tests.envs.worlds import defer, one_lane
 
 Drive = Callable[[TensorDictBase, float], TensorDictBase]
 """``act(state, time since the warm-up in s)``."""
 Rule = Callable[[torch.Tensor, torch.Tensor, float], torch.Tensor]
-"""Maps speed (m/s), distance to the stop line (m) and time since the warm-up (s) to the speed to head for."""
+"""Maps speed (m/s), distance to the stop line (m) and time since the warm-up (s) to the desired speed."""
 STEP_S = 0.5
 
 
 def lane(**changes: Any) -> Context:
-    """One lane from one leg, on which the twin does what SUMO does."""
-    plan = {"phase_count": 1, "green_s": 30.0, "red_s": 30.0, "offset_s": 2.0, "speed_limit_mps": 15.0}
-    road = {"lane_count": 1, "inflow_vph_per_lane": 300.0, "lane_length_m": 250.0, "approach": "A", "adoption": 1 / 3}
-    return procedural_context(**(plan | road | changes))
+    road = {"inflow_vph_per_lane": 300.0, "lane_length_m": 250.0, "speed_limit_mps": 15.0, "adoption": 1 / 3}
+    return one_lane(**({"green_s": 30.0, "red_s": 30.0} | road | changes))
 
 
 def driving(rule: Rule, until_m: float = 0.0) -> Drive:
-    """Let CVs drive by a rule, and leave them to their driver from ``until_m`` before the stop line on.
+    """Let CVs drive by a rule, uncommanded from ``until_m`` before the stop line on.
 
     Args:
-        rule: which speed to head for.
-        until_m: below 0, CVs are commanded behind the line, too.
+        rule: the desired speed.
+        until_m: below 0, CVs are commanded behind the line too.
     """
 
     def act(state: TensorDictBase, time_s: float) -> TensorDictBase:
@@ -63,7 +60,7 @@ def stopping(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torc
 
 
 def shifting(speed: torch.Tensor, distance: torch.Tensor, time_s: float) -> torch.Tensor:
-    """Drive slowly up to the stop line, and make up for it behind it."""
+    """Drive slowly up to the stop line, and fast behind it."""
     return torch.where(distance > 0.0, 10.0, 40.0) * torch.ones_like(speed)
 
 
@@ -72,14 +69,14 @@ def uncommanded(state: TensorDictBase, time_s: float) -> TensorDictBase:
 
 
 def glide() -> Drive:
-    from izoo.algos.drivers.scripted import make_driver
+    from izoo.algos.drivers.by_name import make_driver
 
     driver = make_driver("glide", EnvConfig(step_s=STEP_S))
     return lambda state, time_s: driver(state)
 
 
 class Outcome(NamedTuple):
-    """What became of contexts that were played side by side on the twin: ``[N]`` each."""
+    """Sums and returns of contexts that were played on the twin: ``[N]`` each."""
 
     sums: dict[str, np.ndarray]
     local: np.ndarray

@@ -1,4 +1,4 @@
-"""Vehicles placed by hand on the hand-written net, for tests of the kernels: no SUMO takes part."""
+"""Vehicles placed by hand on the hand-written net, for tests of the compiled functions without SUMO."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from izoo.envs.mdp.columns import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
-from izoo.envs.mdp.displacement import place, road_arrays
+from izoo.envs.mdp.displacement import road_arrays, update_motion
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS, neighbour_columns
-from izoo.envs.mdp.observation_kernel import observe
+from izoo.envs.mdp.observation_kernel import write_observations
 from izoo.envs.mdp.signals import clock_arrays, read_clock
 from izoo.networks.road import RoadNet
 
@@ -26,6 +26,14 @@ class Vehicles(NamedTuple):
     flags: np.ndarray
     order: np.ndarray
     lane_start: np.ndarray
+
+
+class Sensors(NamedTuple):
+    """The parts of an episode's rules that observations depend on."""
+
+    features: np.ndarray
+    columns: np.ndarray
+    sensor_range_m: float
 
 
 class Scene:
@@ -66,14 +74,17 @@ class Scene:
         signals = self.reading[self.rows.index(row)][3]
         self.reading[self.rows.index(row)] = (self.road.lane_ids.index(lane), position, speed, signals)
 
+    def vehicles(self) -> Vehicles:
+        return Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
+
     def read(self) -> None:
         """Place, sort and find leaders, as in every step."""
         rows = np.array(self.rows, np.int64)
         lane, position, speed, signals = (np.array(column) for column in zip(*self.reading, strict=True))
-        tables = (self.floats, self.ints, self.flags)
-        place(rows, lane, position.astype(float), speed.astype(float), signals, *tables, self.lanes, STEP_S)
+        vehicles = self.vehicles()
+        update_motion(rows, (lane, position.astype(float), speed.astype(float), signals), vehicles, self.lanes, STEP_S)
         sort_lanes(rows, self.floats, self.ints, np.zeros(len(self.road.lane_ids), np.int64), self.order, self.start)
-        find_leaders(rows, *tables, self.order, self.start, self.lanes)
+        find_leaders(rows, vehicles, self.lanes)
 
     def look(
         self,
@@ -91,15 +102,14 @@ class Scene:
         features = np.zeros((*shape, 0)) if features is None else features
         width = len(EGO_FEATURES) + len(NEIGHBOUR_FEATURES) * len(neighbours) + features.shape[2]
         out = np.full((len(agents), width), np.nan, np.float32)
-        vehicles = Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
-        columns = neighbour_columns(neighbours)
-        slots, shown = np.array(agents, np.int64), np.ones(len(agents), np.uint8)
-        observe(slots, shown, vehicles, self.lanes, clock, features, columns, float(range_m), out)
+        sensors = Sensors(features, neighbour_columns(neighbours), float(range_m))
+        slots, written = np.array(agents, np.int64), np.ones(len(agents), np.uint8)
+        write_observations(slots, written, self.vehicles(), self.lanes, clock, sensors, out)
         return out
 
     def see(self, agent: int, **options: Any) -> dict[str, float]:
         """Return the observation of one vehicle by name."""
         neighbours = options.get("neighbours", NEIGHBOURS)
-        names = (*EGO_FEATURES, *(f"{who}_{what}" for who in neighbours for what in NEIGHBOUR_FEATURES))
+        names = (*EGO_FEATURES, *(f"{which}_{what}" for which in neighbours for what in NEIGHBOUR_FEATURES))
         line = self.look(agent, **options)[0]
         return dict(zip(names, line.tolist(), strict=False))

@@ -1,4 +1,4 @@
-"""Decisions that last several steps: the same trajectory, rewards summed, leavers ended, newcomers not yet asked."""
+"""Decisions that last several steps: trajectories, sums of rewards, CVs that leave or enter during a decision."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def decide(state: TensorDictBase) -> dict[int, float]:
 
 
 def command(state: TensorDictBase, actions: dict[int, float]) -> TensorDictBase:
-    """Command those who were asked; the others are left to their own driver."""
+    """Command the vehicles that decided; the others are uncommanded."""
     held = numbers(state)
     state["agents", "action"] = torch.tensor([actions.get(number, 0.0) for number in held]).unsqueeze(-1)
     state["agents", "defer"] = torch.tensor([number not in actions for number in held])
@@ -44,14 +44,14 @@ def decisions() -> TensorDict:
         return play(env, CONFIG.decisions, lambda s: command(s, decide(s)), env.reset(context=crossing(), seed=SEED))
 
 
-def test_a_decision_is_its_steps(decisions: TensorDict) -> None:
-    """Step by step, repeating the actions of those who were asked: the same traffic, and the same pay in all."""
+def test_a_decision_equals_its_steps(decisions: TensorDict) -> None:
+    """Repeating its actions step by step gives the same traffic, and the same total rewards."""
     ended: set[int] = set()
     with contextlib.closing(EcoDrivingEnv(config=short(horizon_s=150.0))) as env:
         state = env.reset(context=crossing(), seed=SEED)
         for frame in decisions.unbind(0):
             assert sorted(numbers(state)) == sorted(numbers(frame))
-            actions, paid = decide(state), defaultdict(float)
+            actions, rewards = decide(state), defaultdict(float)
             for _ in range(HOLD_STEPS):
                 asked = numbers(state)
                 following = env.step(command(state, actions))["next"]
@@ -59,14 +59,14 @@ def test_a_decision_is_its_steps(decisions: TensorDict) -> None:
                     asked, following["agents", "reward"], following["agents", "terminated"], strict=True
                 ):
                     if number in actions:
-                        paid[number] += float(reward)
+                        rewards[number] += float(reward)
                         ended |= {number} if bool(over) else set()
                 state = following.exclude(("agents", "reward"))
                 if bool(following["done"]):
                     break
             ours = dict(zip(numbers(frame), frame["next", "agents", "reward"].squeeze(-1).tolist(), strict=True))
             ours.pop(-1, None)
-            assert ours == pytest.approx(dict(paid), abs=1e-4)
+            assert ours == pytest.approx(dict(rewards), abs=1e-4)
             one, other = following["vehicles"], frame["next", "vehicles"]
             for name in ("vehicle_number", "speed_mps", "path_position_m"):
                 mine, theirs = (part[name][part["present"]].sort().values for part in (one, other))
@@ -90,9 +90,9 @@ def test_the_last_decision_may_be_shorter(decisions: TensorDict) -> None:
     assert decisions[-1]["next", "metrics", "episode", "steps"].item() == CONFIG.control_steps
 
 
-def test_next_is_the_same_vehicle_or_nobody(decisions: TensorDict) -> None:
-    """A slot whose vehicle left during a decision is empty when it ends, even if others came meanwhile."""
-    came = 0
+def test_next_shows_the_same_vehicle_or_an_empty_slot(decisions: TensorDict) -> None:
+    """A slot whose vehicle left during a decision is empty when it ends, even if others entered meanwhile."""
+    entered = 0
     for frame in decisions.unbind(0):
         before, after = numbers(frame), numbers(frame["next"])
         for slot, (now, then) in enumerate(zip(before, after, strict=True)):
@@ -101,11 +101,11 @@ def test_next_is_the_same_vehicle_or_nobody(decisions: TensorDict) -> None:
                 assert then == (-1 if left else now)
             else:
                 assert not left and float(frame["next", "agents", "reward"][slot]) == 0.0
-                came += then >= 0
-    assert came > 10, "newcomers make their first decision when the present one ends"
+                entered += then >= 0
+    assert entered > 10, "new vehicles make their first decision when the present one ends"
 
 
-def test_many_environments_hold_as_well() -> None:
+def test_several_environments_hold_decisions() -> None:
     config = short(horizon_s=40.0, hold_s=2.5)
     with contextlib.closing(EcoDrivingEnv([crossing()], config=config, seed=2)) as one:
         alone = play(one, config.decisions)
@@ -117,7 +117,7 @@ def test_many_environments_hold_as_well() -> None:
 @pytest.mark.parametrize(
     ("hold_s", "message"), [(0.25, "hold_s is 0.25.*0.5"), (0.7, "Give 0.5 or 1,"), (0.0, "hold_s is 0")]
 )
-def test_what_is_no_multiple_of_a_step_is_refused(hold_s: float, message: str) -> None:
+def test_other_lengths_than_multiples_of_a_step_are_refused(hold_s: float, message: str) -> None:
     with pytest.raises(IzooError, match=message):
         EnvConfig(hold_s=hold_s)
     assert EnvConfig().decision_s == 0.5 and EnvConfig(hold_s=3.0).decisions == 325

@@ -1,28 +1,25 @@
-"""A context and a seed determine an episode, whatever process, worker, start method or history plays it."""
+"""A context and a seed determine an episode, for any number of processes, environments and threads, and any history."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import multiprocessing
-import subprocess
-import sys
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
-from torchrl.collectors import MultiSyncCollector
 
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList, RandomSchedule
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
+from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.sumo.session import SUMO_VERSION
-from tests.envs.worlds import crossing, digest, play, play_on, short, steer, steering
+from izoo.envs.twin.runtime.batched_emissions import GROUP
+from tests.envs.conftest import Make, MakeTwin
+from tests.envs.worlds import crossing, digest, play, play_on, short, steer
 
-SEED = 5
+SEED, EPISODES = 5, 4
 GOLDEN: dict[str, dict[str, str]] = {
     "1.28.0": {
         "procedural": "39de9d2b5b6247aa",
@@ -31,80 +28,47 @@ GOLDEN: dict[str, dict[str, str]] = {
         "dataset intersection": "baf1454ea4124d6d",
     }
 }
-"""Digests of fixed episodes per SUMO version. A change here changes what a seed means: say so in the release notes."""
-
-
-def own_context(name: str) -> Context:
-    return crossing(engine="electric" if "electric" in name else "combustion")
+"""Digests of fixed episodes per SUMO version. A change here changes the meaning of a seed: see the release notes."""
+TWIN_GOLDEN = "dc986a0f8ed211e7"
+NEEDS_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
 
 @functools.cache
 def play_alone(context: Context, seed: int = SEED) -> str:
-    env = EcoDrivingEnv(context, config=short())
-    try:
+    with contextlib.closing(EcoDrivingEnv(context, config=short())) as env:
         start = env.reset(context=context, seed=seed)
         return digest(play(env, env.config.control_steps, steer, start))
-    finally:
-        env.close()
 
 
-@pytest.mark.parametrize("name", ["procedural", "procedural electric"])
-def test_golden(name: str) -> None:
-    assert play_alone(own_context(name)) == GOLDEN[SUMO_VERSION][name]
-
-
-@pytest.mark.parametrize("name", ["dataset approach", "dataset intersection"])
-def test_golden_on_measured_intersections(dataset: ContextList, name: str) -> None:
-    context = max(dataset, key=lambda context: context.flow_vph_per_lane(context.approach or "A"))
-    if "intersection" in name:
-        context = context.replace(approach=None)
+@pytest.mark.parametrize("name", GOLDEN[SUMO_VERSION])
+def test_episodes_equal_their_golden_digests(request: pytest.FixtureRequest, name: str) -> None:
+    if name.startswith("procedural"):
+        context = crossing(engine="electric" if "electric" in name else "combustion")
+    else:
+        dataset: ContextList = request.getfixturevalue("dataset")
+        context = max(dataset, key=lambda context: context.flow_vph_per_lane(context.approach or "A"))
+        context = context if "approach" in name else context.replace(approach=None)
     assert play_alone(context) == GOLDEN[SUMO_VERSION][name]
 
 
-def test_another_seed_is_another_episode() -> None:
-    """The digest can differ."""
+def test_another_seed_gives_another_episode() -> None:
     assert play_alone(crossing(), SEED + 1) != play_alone(crossing())
 
 
-@pytest.mark.slow
-def test_same_in_another_process() -> None:
-    program = "from tests.envs.test_determinism import *; print(play_alone(crossing()))"
-    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
-    assert output.stdout.split()[-1] == play_alone(crossing())
-
-
-def test_same_whatever_was_played_before() -> None:
-    """libsumo is re-used from episode to episode: nothing of another context may linger."""
-    alone = play_alone(crossing())
-    env = EcoDrivingEnv(crossing(), config=short())
-    try:
+def test_same_after_other_episodes_on_sumo() -> None:
+    """libsumo is re-used from episode to episode."""
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=short())) as env:
         for other in (crossing(lane_count=1, phase_count=1), crossing(adoption=1.0)):
             play(env, 40, steer, env.reset(context=other, seed=1))
         again = digest(play(env, env.config.control_steps, steer, env.reset(context=crossing(), seed=SEED)))
-    finally:
-        env.close()
-    assert again == alone
+    assert again == play_alone(crossing())
 
 
-# -- several workers ---------------------------------------------------------------------------------------------------
-
-EPISODES = 4
+# -- several environments ----------------------------------------------------------------------------------------------
 
 
 def schedule() -> RandomSchedule:
     return RandomSchedule(ContextList([crossing(), crossing(lane_count=1, adoption=1.0)]), SEED)
-
-
-@pytest.fixture(scope="module")
-def expected() -> dict[int, str]:
-    """Digest of every numbered episode, played by a single environment."""
-    env = EcoDrivingEnv(schedule(), config=short())
-    try:
-        digests = by_episode(play(env, EPISODES * env.config.control_steps).unsqueeze(0))
-    finally:
-        env.close()
-    assert len(set(digests.values())) == EPISODES
-    return digests
 
 
 def by_episode(frames: TensorDict) -> dict[int, str]:
@@ -120,61 +84,84 @@ def by_episode(frames: TensorDict) -> dict[int, str]:
     return found
 
 
+@functools.cache
+def expected(simulator: str) -> dict[int, str]:
+    """Digest of every numbered episode, played by a single environment."""
+    make = functools.partial(TwinEnv, 1, threads=1) if simulator == "twin" else functools.partial(SumoParallelEnv, 1)
+    with contextlib.closing(make(contexts=schedule(), config=short())) as env:
+        digests = by_episode(play(env, EPISODES * env.config.control_steps))
+    assert len(set(digests.values())) == EPISODES
+    return digests
+
+
 @pytest.mark.parametrize(
     ("workers", "changes"),
-    [(2, {"recycle_episodes": 1}), *(pytest.param(count, {}, marks=pytest.mark.slow) for count in (1, 4))],
+    [(2, {"recycle_episodes": 1}), pytest.param(4, {}, marks=pytest.mark.slow)],
 )
-def test_same_for_any_number_of_workers(expected: dict[int, str], workers: int, changes: dict[str, Any]) -> None:
-    """And before and after a worker process has been replaced on schedule."""
-    env = SumoParallelEnv(workers, schedule(), config=short(**changes))
-    try:
-        processes = set()
-        frames, state = [], env.reset()
-        for _ in range(EPISODES // workers):
-            processes |= {worker.process.pid for worker in env.backend._workers if worker is not None}
-            part, state = play_on(env, env.config.control_steps, steer, state)
-            frames.append(part)
-    finally:
-        env.close()
-    assert by_episode(torch.cat(frames, -1)) == expected
+def test_same_for_any_number_of_workers(make: Make, workers: int, changes: dict[str, Any]) -> None:
+    """Also before and after a worker process has been replaced on schedule."""
+    env = make("sumo", workers, schedule(), config=short(**changes))
+    processes = set()
+    frames, state = [], env.reset()
+    for _ in range(EPISODES // workers):
+        processes |= {worker.process.pid for worker in env.backend._workers if worker is not None}
+        part, state = play_on(env, env.config.control_steps, steer, state)
+        frames.append(part)
+    assert by_episode(torch.cat(frames, -1)) == expected("sumo")
     assert len(processes) == (EPISODES if changes else workers)
 
 
-def make_env(worker: int) -> EcoDrivingEnv:
-    torch.set_num_threads(1)
-    return EcoDrivingEnv(schedule(), config=short(), worker=worker, num_workers=2)
+@pytest.mark.parametrize(("num_envs", "threads"), [(2, 1), (4, 2), (4, 3)])
+def test_same_for_any_number_of_environments_and_threads(make_twin: MakeTwin, num_envs: int, threads: int) -> None:
+    env = make_twin(num_envs, schedule(), threads=threads)
+    found = by_episode(play(env, EPISODES // num_envs * env.config.control_steps))
+    assert found == expected("twin") and found[0] == TWIN_GOLDEN
 
 
-@pytest.fixture
-def start_method(request: pytest.FixtureRequest) -> Iterator[str]:
-    before = multiprocessing.get_start_method(allow_none=True)
-    multiprocessing.set_start_method(request.param, force=True)
-    yield request.param
-    multiprocessing.set_start_method(before, force=True)
+def test_same_after_other_episodes_on_the_twin(make_twin: MakeTwin) -> None:
+    """Episodes in another order, begun anew in the middle."""
+    env = make_twin(2, schedule())
+    env.reset()
+    state = env.reset(episode=[3, 1])
+    for _ in range(7):
+        _, state = env.step_and_maybe_reset(steer(state))
+    frames = play(env, env.config.control_steps, start=env.reset(episode=[2, 0]))
+    assert by_episode(frames) == {number: expected("twin")[number] for number in (0, 2)}
 
 
-@pytest.mark.parametrize("start_method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)], indirect=True)
-def test_same_in_collector_processes(expected: dict[int, str], start_method: str) -> None:
-    policy = TensorDictModule(steering, in_keys=[("agents", "observation")], out_keys=[("agents", "action")])
-    steps = short().control_steps
-    collector = MultiSyncCollector(
-        [functools.partial(make_env, worker) for worker in range(2)],
-        policy,
-        frames_per_batch=2 * steps,
-        total_frames=EPISODES * steps,
-        cat_results="stack",
-    )
-    try:
-        found: dict[int, str] = {}
-        for batch in collector:
-            found |= by_episode(batch)
-    finally:
-        collector.shutdown()
-    assert found == expected
+@pytest.mark.parametrize("hold_s", [None, 2.0])
+@pytest.mark.parametrize("other", ["compiled", pytest.param("cuda", marks=NEEDS_GPU)])
+def test_the_surrogates_agree(make_twin: MakeTwin, hold_s: float | None, other: str) -> None:
+    config = short(hold_s=hold_s, emit=EMIT_GROUPS)
+    envs = (make_twin(3, surrogate=name, config=config) for name in ("torch", other))
+    parts = [play(env, config.decisions + 5)["next"] for env in envs]
+    for key in (("vehicles", "emission_g"), ("agents", "reward"), ("metrics", "approach", "emission_g")):
+        assert torch.allclose(parts[0][key], parts[1][key], rtol=1e-4, atol=1e-4), key
+    for key in (("agents", "observation"), ("agents", "mask"), ("vehicles", "speed_mps"), ("agents", "vehicle")):
+        assert torch.equal(parts[0][key], parts[1][key]), key
+    assert parts[0]["done"].any() and parts[0]["vehicles", "emission_g"].sum() > 1.0
 
 
-def test_default_contexts_are_the_same_for_everybody() -> None:
-    """What the default schedule gives depends on seed and number alone."""
-    one, other = (RandomSchedule(SYSTEMATICITY_TRAIN, 3) for _ in range(2))
-    assert [one(k)[0].content_hash for k in (0, 7)] == [other(k)[0].content_hash for k in (0, 7)]
-    assert one(0)[1] != one(1)[1]
+@pytest.mark.parametrize(("num_envs", "threads"), [(GROUP + 3, 1), (3 * GROUP, 2)])
+def test_environments_of_a_group_do_not_affect_each_other(make_twin: MakeTwin, num_envs: int, threads: int) -> None:
+    """With the compiled surrogate, in different phases of their episodes."""
+    config, phases = short(hold_s=2.0), [7 * index % 11 for index in range(num_envs)]
+    envs = [make_twin(num_envs, schedule(), threads=threads, surrogate="compiled", config=config)]
+    envs += [make_twin(1, schedule(), surrogate="compiled", config=config) for _ in range(num_envs)]
+    together, alone = envs[0], envs[1:]
+    together.reset(episode=[index % EPISODES for index in range(num_envs)])
+    state = together.advance(phases)
+    states = []
+    for index, env in enumerate(alone):
+        env.reset(episode=index % EPISODES)
+        states.append(env.advance([phases[index]]))
+    assert config.decisions - max(phases) > 3
+    for _ in range(config.decisions - max(phases)):
+        following = together.step_lean(steer(state))
+        for index, env in enumerate(alone):
+            one = env.step_lean(steer(states[index]))
+            for key, value in one.items(True, True):
+                assert torch.equal(following.get(key)[index], value[0]), (index, key)
+            states[index] = one.exclude(("agents", "reward"))
+        state = following.exclude(("agents", "reward"))
+    assert following["done"].any() and not following["done"].all()

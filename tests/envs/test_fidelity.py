@@ -1,7 +1,8 @@
-"""With nobody commanding, an episode is what the ``sumo`` program makes of the same files, step for step."""
+"""An uncommanded episode equals that of the ``sumo`` program with the same files, step by step."""
 
 from __future__ import annotations
 
+import contextlib
 from collections import defaultdict
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from tests.envs.reference import Steps, run_sumo
-from tests.envs.worlds import crossing, defer, episode, play, steer
+from tests.envs.worlds import crossing, defer, play
 
 SEED = 11
 CONFIG = EnvConfig(horizon_s=150.0, warmup_s=20.0)
@@ -22,13 +23,10 @@ CONFIG = EnvConfig(horizon_s=150.0, warmup_s=20.0)
 
 def run_env(context: Context, config: EnvConfig) -> Steps:
     """The same from the environment, over its controlled region."""
-    env = EcoDrivingEnv(context, config=config)
-    try:
+    with contextlib.closing(EcoDrivingEnv(context, config=config)) as env:
         start = env.reset(context=context, seed=SEED)
         frames = play(env, config.control_steps, defer, start)
         lanes = env.road.lane_ids
-    finally:
-        env.close()
     steps: Steps = defaultdict(dict)
     for t in range(len(frames) + 1):
         vehicles = frames[t]["vehicles"] if t < len(frames) else frames[-1]["next", "vehicles"]
@@ -57,66 +55,48 @@ def assert_equal_steps(context: Context, folder: Path, config: EnvConfig = CONFI
 
 
 @pytest.mark.parametrize("adoption", [0.0, 0.5, 1.0])
-def test_uncommanded_episodes_are_sumos_own(adoption: float, tmp_path: Path) -> None:
+def test_uncommanded_episodes_equal_sumos(adoption: float, tmp_path: Path) -> None:
     assert_equal_steps(crossing(adoption=adoption), tmp_path)
 
 
-def test_vehicles_past_the_stop_line_at_the_end_of_the_warm_up_are_there(tmp_path: Path) -> None:
-    assert_equal_steps(crossing(), tmp_path, EnvConfig(horizon_s=90.0, warmup_s=40.0))
+def test_uncommanded_episodes_equal_sumos_with_other_warm_up_and_drivers(tmp_path: Path) -> None:
+    """With vehicles past the stop line when the warm-up ends."""
+    assert_equal_steps(crossing(cv_vehicle="human"), tmp_path, EnvConfig(horizon_s=90.0, warmup_s=40.0))
 
 
-def test_uncommanded_human_cvs_are_sumos_own(tmp_path: Path) -> None:
-    assert_equal_steps(crossing(adoption=0.5, cv_vehicle="human"), tmp_path)
-
-
-def test_uncommanded_measured_intersections_are_sumos_own(dataset: ContextList, tmp_path: Path) -> None:
+def test_uncommanded_measured_intersections_equal_sumos(dataset: ContextList, tmp_path: Path) -> None:
     """Busy approaches of measured intersections, and whole ones: pockets, permissive lefts, right on red, gates."""
     busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
     for context in (busy[0], busy[25].replace(approach=None), busy[60].replace(approach=None)):
         assert_equal_steps(context, tmp_path)
 
 
-def test_commands_change_the_traffic(tmp_path: Path) -> None:
-    """The comparison can fail: with commands the same files give other trajectories."""
-    env = EcoDrivingEnv(crossing(), config=CONFIG)
-    try:
-        frames = episode(env, steer)
-        env.reset(episode=frames[0]["context", "episode"])
-        again = episode(env, defer)
-    finally:
-        env.close()
-    assert not np.allclose(frames["vehicles", "speed_mps"], again["vehicles", "speed_mps"])
-
-
 def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the grade in % of every vehicle in every step, as reported and as SUMO says."""
     import libsumo
 
-    env = EcoDrivingEnv(context, config=EnvConfig(horizon_s=90.0, warmup_s=25.0))
-    ours, theirs = [], []
-    try:
+    with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(horizon_s=90.0, warmup_s=25.0))) as env:
+        ours, theirs = [], []
         state = env.reset()
         simulator = env.backend
         for _ in range(env.config.control_steps - 1):
             frame, state = env.step_and_maybe_reset(defer(state))
-            for name, row in simulator.names.row_of.items():
+            for name, row in simulator.ids.row_of.items():
                 ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
                 theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(name))))
-    finally:
-        env.close()
     return np.array(ours), np.array(theirs)
 
 
-def test_grade_is_sumos_slope() -> None:
-    """Also of vehicles that stand across a change of grade."""
+def test_grade_equals_sumos_slope() -> None:
+    """Also for vehicles across a change of grade."""
     ours, theirs = slopes(crossing(grade=0.04))
     assert ours.min() == pytest.approx(-4.0, abs=1e-4) and ours.max() == pytest.approx(4.0, abs=1e-4)
     assert len(np.unique(theirs.round(3))) > 10
     np.testing.assert_allclose(ours, theirs, atol=0.05)
 
 
-def test_grade_is_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
-    """Exact but for newcomers, whose back is still on roads outside the controlled region, and for sharp bends."""
+def test_grade_equals_sumos_slope_on_measured_intersections(dataset: ContextList) -> None:
+    """Exact except for vehicles that enter, whose rear is still outside the controlled region, and for sharp bends."""
     for context in sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))[:3]:
         ours, theirs = slopes(context)
         error = np.abs(ours - theirs)

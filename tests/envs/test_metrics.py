@@ -1,9 +1,9 @@
-"""The metrics of an episode: sums that must agree with each other, with the vehicles, and with SUMO."""
+"""The metrics of an episode: sums that agree with each other and with the vehicles."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,24 +12,19 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
-from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.config import EMIT_GROUPS
-from izoo.networks.net.build import build_net
-from izoo.networks.road import APPROACHING, read_road
-from izoo.traffic.sampling import sample_traffic
-from tests.envs.reference import run_sumo
-from tests.envs.worlds import Driver, at_random, crossing, defer, digest, play, set_action, short, steer
+from izoo.envs.mdp.metric_sums import MOVEMENTS, OF_COHORT, STOPPED_MPS
+from izoo.networks.road import APPROACHING
+from tests.envs.worlds import Driver, at_random, constant, crossing, defer, digest, play, set_action, short, steer
 
 CONFIG = short(horizon_s=150.0, warmup_s=25.0)
 SEED = 4
 
 
 def run(context: Context, act: Driver = steer, config: EnvConfig = CONFIG) -> TensorDict:
-    env = EcoDrivingEnv(context, config=config)
-    try:
+    with contextlib.closing(EcoDrivingEnv(context, config=config)) as env:
         return play(env, config.control_steps, act, env.reset(context=context, seed=SEED))
-    finally:
-        env.close()
 
 
 @pytest.fixture(scope="module", params=["commanded", "uncommanded", "measured"])
@@ -103,7 +98,7 @@ def test_sums_agree_with_the_vehicles(frames: TensorDict) -> None:
         add("stopped_time_s", approach, 0.5 * sum(step["speed_mps"] < 1.0 for step in part))
         add("abs_accel_sum", approach, sum(abs(step["accel_mps2"]) for step in part))
         accel = [step["accel_mps2"] for step in part]
-        # A newcomer has no acceleration before the first.
+        # A new vehicle has no acceleration before its first step.
         add("abs_jerk_sum", approach, sum(abs(b - a) / 0.5 for a, b in itertools.pairwise(accel)))
     sums = final(frames)
     for name, values in expected.items():
@@ -111,23 +106,19 @@ def test_sums_agree_with_the_vehicles(frames: TensorDict) -> None:
 
 
 def test_distance_is_the_approach(frames: TensorDict) -> None:
-    """A vehicle that crossed has driven its approach and at most one step's way of the junction."""
+    """A vehicle that crossed has driven its approach and at most one step's distance of the junction."""
     sums = final(frames)
-    lengths = frames[0]["vehicles"]
     crossed = sums["crossed"] > 0
     mean = sums["distance_m"][crossed] / sums["crossed"][crossed]
     for p, distance in zip(crossed.nonzero().flatten().tolist(), mean.tolist(), strict=True):
         mine = frames["vehicles", "approach"] == p
         begin = -frames["vehicles", "path_position_m"][mine & frames["vehicles", "present"]].min().item()
         assert begin - 10.0 < distance < begin + 25.0
-    assert lengths.shape[0] == 256
 
 
 def test_numbers_are_finite_and_in_range(frames: TensorDict) -> None:
     sums = final(frames)
-    for group in ("approach", "episode"):
-        for name, value in frames["next", "metrics", group].items():
-            assert torch.isfinite(value.float()).all(), name
+    assert_finite(frames)
     assert (sums["min_ttc_vehicles"] <= sums["crossed"]).all() and sums["min_ttc_vehicles"].sum() > 0
     assert (sums["min_ttc_sum_s"] > 0).eq(sums["min_ttc_vehicles"] > 0).all()
     assert (sums["stopped_time_s"] <= sums["travel_time_s"]).all()
@@ -144,46 +135,38 @@ def test_episode_counts(frames: TensorDict) -> None:
 
 
 def test_sums_only_grow(frames: TensorDict) -> None:
-    for name, value in frames["next", "metrics", "approach"].items():
-        if name != "mask":
-            assert (value.diff(dim=0) >= 0).all(), name
-
-
-def test_nothing_leaves_as_nan(frames: TensorDict) -> None:
-    for name, value in frames.items(True, True):
-        assert torch.isfinite(value.float()).all(), name
-
-
-def test_approach_mask(frames: TensorDict) -> None:
-    mask = frames["next", "metrics", "approach", "mask"]
+    sums = dict(frames["next", "metrics", "approach"].items())
+    mask = sums.pop("mask")
     assert (mask == mask[0]).all() and 2 <= mask[0].sum() <= 6
-    assert not final(frames)["entered"][~mask[0]].any()
+    for name, value in sums.items():
+        assert not value[-1][~mask[0]].any(), name
+        assert name.endswith("_queue") or (value.diff(dim=0) >= 0).all(), name  # a queue is the present one
 
 
-def test_throughput_is_sumos(tmp_path: Path) -> None:
-    """Count in the ``sumo`` program's own output who entered after the warm-up and crossed the stop line."""
-    context = crossing()
-    road = read_road(build_net(context.intersection))
-    location = dict(zip(road.lane_ids, road.lane_location.tolist(), strict=True))
-    steps = run_sumo(context, SEED, tmp_path, CONFIG)
-    uncounted = {n for n, place in steps[CONFIG.warmup_s].items() if place[0] in location}
-    entered: dict[int, str] = {}
-    crossed: dict[int, str] = {}
-    for time_s in sorted(steps):
-        if time_s <= CONFIG.warmup_s or time_s > CONFIG.horizon_s:
-            continue
-        for number, (lane, _, _) in steps[time_s].items():
-            if number in uncounted or lane not in location:
+@pytest.mark.parametrize("simulator", ["twin", "sumo"])
+def test_sums_by_movement_add_up_and_queues_are_the_stopped_vehicles(simulator: str) -> None:
+    config = EnvConfig(horizon_s=140.0, warmup_s=20.0, drain_s=300.0, num_vehicles=128, emit=("metrics", "vehicles"))
+    queue = longest = torch.zeros(config.num_approaches, len(MOVEMENTS))
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=config, simulator=simulator)) as env:
+        state = env.reset(seed=5)
+        while not state["done"].item():
+            state = env.step_lean(defer(state))
+            if state["metrics", "episode", "steps"].item() > config.control_steps:
                 continue
-            if location[lane] == APPROACHING:
-                entered.setdefault(number, lane[0] if lane[0] != ":" else "?")
-            else:
-                crossed.setdefault(number, entered[number])
-    sums = final(run(context, defer))
-    for name, theirs in (("entered", entered), ("crossed", crossed)):
-        counts = [list(theirs.values()).count(leg) for leg in road.approaches]
-        assert sum(counts) > 10
-        assert sums[name].tolist()[: len(counts)] == counts
+            vehicles = state["vehicles"]
+            stopped = vehicles["present"] & (vehicles["location"] == APPROACHING)
+            stopped &= vehicles["speed_mps"] < STOPPED_MPS
+            where = (vehicles["approach"][stopped].long(), vehicles["movement"][stopped].long())
+            queue = torch.zeros_like(queue).index_put_(where, torch.ones(int(stopped.sum())), accumulate=True)
+            longest = torch.maximum(longest, queue)
+        sums = state["metrics", "approach"]
+    for name in OF_COHORT:
+        parts = torch.stack([sums[f"{movement}_{name}"] for movement in MOVEMENTS])
+        assert (parts > 0).sum() > 4, name
+        torch.testing.assert_close(parts.sum(0), sums[name], rtol=1e-5, atol=1e-3)
+    for name, expected in (("queue", queue), ("queue_max", longest)):
+        torch.testing.assert_close(torch.stack([sums[f"{movement}_{name}"] for movement in MOVEMENTS], -1), expected)
+    assert longest.max() >= 2 and queue.sum() > 0
 
 
 def test_waiting_vehicles_are_spill_back() -> None:
@@ -192,54 +175,6 @@ def test_waiting_vehicles_are_spill_back() -> None:
     sums = final(run(full, defer, short(horizon_s=500.0, emit=("metrics",))))
     free = final(run(crossing(inflow_vph_per_lane=100.0), defer))
     assert sums["waiting"].sum() > 0 and free["waiting"].sum() == 0
-
-
-def test_blocked_is_what_could_have_come_and_has_not(tmp_path: Path) -> None:
-    """Read in the ``sumo`` program's own output when each vehicle came to the region, of a demand that queues up."""
-    config = short(horizon_s=300.0, warmup_s=60.0, emit=("metrics", "vehicles"))
-    full = crossing(lane_count=1, inflow_vph_per_lane=900.0, green_s=20.0, red_s=32.0, adoption=0.0)
-    road = read_road(build_net(full.intersection))
-    traffic = sample_traffic(full, road, SEED, config.horizon_s)
-    came: dict[int, float] = {}
-    for time_s, vehicles in run_sumo(full, SEED, tmp_path, config).items():
-        for number in (n for n, (lane, _, _) in vehicles.items() if lane in road.lane_ids):
-            came[number] = min(came.get(number, np.inf), time_s)
-    expected = np.zeros(len(road.approaches))
-    cohort = np.flatnonzero(traffic.depart_s >= config.warmup_s)
-    for number, p in zip(cohort.tolist(), traffic.approach[cohort].tolist(), strict=True):
-        could_s = traffic.depart_s[number] + 2.0 * road.lane_length_m[p] / road.speed_limit_mps[p]
-        until_s = min(came.get(number, np.inf), config.horizon_s)
-        expected[p] += max(until_s - could_s, 0.0)
-    frames = run(full, defer, config)
-    sums = final(frames)
-    blocked_s = sums["cohort_blocked_s"][: len(expected)].numpy()
-    assert expected.min() > 300.0
-    steps = np.bincount(traffic.approach) * config.step_s  # a vehicle comes between two steps
-    assert (abs(blocked_s - expected) <= steps).all()
-    standing_gps = sums["cohort_blocked_co2_g"][: len(expected)].numpy() / blocked_s
-    still = rates_of_standing(frames)
-    assert still.min() <= standing_gps.min() and standing_gps.max() <= still.max()
-
-
-def rates_of_standing(frames: TensorDict) -> np.ndarray:
-    """CO2 rates, in g/s, of those who stand on an approach."""
-    vehicles = frames["next", "vehicles"]
-    stands = vehicles["present"] & (vehicles["speed_mps"] < 0.01) & (vehicles["accel_mps2"].abs() < 0.01)
-    return vehicles["emission_g"][stands].numpy() / CONFIG.step_s
-
-
-def test_blocked_vehicles_are_charged() -> None:
-    """CVs that crawl burn little on the approach, and keep a queue outside."""
-    full = crossing(lane_count=1, inflow_vph_per_lane=700.0, approach="A")
-    config = short(horizon_s=400.0, emit=("metrics",))
-    free, crawling = (final(run(full, act, config)) for act in (defer, crawl))
-    assert crawling["cohort_blocked_s"][0] > free["cohort_blocked_s"][0] + 100.0
-    assert crawling["cohort_blocked_co2_g"][0] > free["cohort_blocked_co2_g"][0]
-
-
-def crawl(tensordict: TensorDictBase) -> TensorDictBase:
-    """Slow down to a walk."""
-    return set_action(tensordict, torch.full((64, 1), -1.0))
 
 
 # -- edges -------------------------------------------------------------------------------------------------------------
@@ -255,8 +190,11 @@ def test_without_cvs() -> None:
 
 
 def test_without_any_vehicle() -> None:
-    frames = run(crossing(inflow_vph_per_lane=0.0, approach="A"))
+    reward = RewardConfig(eta=0.5, safety=2.0)
+    config = short(horizon_s=150.0, warmup_s=25.0, reward=reward, emit=EMIT_GROUPS)
+    frames = run(crossing(inflow_vph_per_lane=0.0, approach="A"), config=config)
     assert not frames["next", "vehicles", "present"].any() and not frames["next", "agents", "reward"].any()
+    assert not frames["next", "agents", "reward_vector"].any() and not frames["next", "team_reward"].any()
     for name, value in final(frames).items():
         assert name == "mask" or not value.any(), name
     assert frames[-1]["next", "truncated"].all() and len(frames) == CONFIG.control_steps
@@ -267,36 +205,33 @@ def test_demand_from_one_approach() -> None:
     assert sums["entered"].nonzero().flatten().tolist() == [2]
 
 
-def with_nan(tensordict: TensorDictBase) -> TensorDictBase:
-    return set_action(tensordict, torch.full((64, 1), torch.nan))
+def assert_finite(frames: TensorDict) -> None:
+    for name, value in frames.exclude(("agents", "action")).items(True, True):
+        assert torch.isfinite(value.float()).all(), name
 
 
 def test_nan_actions_are_counted_and_deferred() -> None:
-    nan, asked = run(crossing(), with_nan), run(crossing(), defer)
+    nan, asked = run(crossing(), constant(torch.nan)), run(crossing(), defer)
     assert torch.equal(nan["next", "vehicles", "speed_mps"], asked["next", "vehicles", "speed_mps"])
     steps = nan["agents", "mask"].sum()
     assert final(nan)["nan_actions"].sum() == final(nan)["deferred_steps"].sum() == steps > 0
     assert final(asked)["nan_actions"].sum() == 0 and final(asked)["deferred_steps"].sum() == steps
-    for name, value in nan.exclude(("agents", "action")).items(True, True):
-        assert torch.isfinite(value.float()).all(), name
+    assert_finite(nan)
 
 
-def test_deferred_flag_says_who_was_left_to_sumo() -> None:
+def test_deferred_flag_marks_uncommanded_cvs() -> None:
+    def half_deferred(state: TensorDictBase) -> TensorDictBase:
+        return steer(state).set(("agents", "defer"), torch.arange(64) % 2 == 0)
+
     frames = run(crossing(), half_deferred)
     after = frames["next", "vehicles"]
     count = (after["deferred"] & after["present"]).sum()
     left = final(frames)["deferred_steps"].sum() - count
-    assert 0 <= left <= frames["next", "agents", "terminated"].sum(), "only leavers may be missing"
+    assert 0 <= left <= frames["next", "agents", "terminated"].sum(), "only vehicles that left may be missing"
     assert 0 < final(frames)["deferred_steps"].sum() < final(frames)["agent_steps"].sum()
 
 
-def half_deferred(tensordict: TensorDictBase) -> TensorDictBase:
-    tensordict = steer(tensordict)
-    even = torch.arange(64) % 2 == 0
-    return tensordict.set(("agents", "defer"), even)
-
-
-def test_what_stands_in_empty_slots_of_the_action_does_not_matter() -> None:
+def test_actions_of_empty_slots_do_not_matter() -> None:
     def noisy(tensordict: TensorDictBase) -> TensorDictBase:
         tensordict = steer(tensordict)
         empty = ~tensordict["agents", "mask"]
@@ -309,22 +244,14 @@ def test_what_stands_in_empty_slots_of_the_action_does_not_matter() -> None:
 
 
 def test_actions_beyond_the_bounds_are_clipped() -> None:
-    def wild(sign: float) -> Driver:
-        return lambda tensordict: set_action(tensordict, torch.full((64, 1), sign * torch.inf))
-
-    def full(value: float) -> Driver:
-        return lambda tensordict: set_action(tensordict, torch.full((64, 1), value))
-
-    assert digest(run(crossing(), wild(1.0))) == digest(run(crossing(), full(2.6)))
-    assert digest(run(crossing(), wild(-1.0))) == digest(run(crossing(), full(-4.5)))
+    for wild, bound in ((torch.inf, 2.6), (-torch.inf, -4.5)):
+        assert digest(run(crossing(), constant(wild))) == digest(run(crossing(), constant(bound)))
 
 
 def test_commands_are_applied() -> None:
     """In free flow the commanded acceleration is the realised one; a command never exceeds the speed limit."""
     value = 0.5
-    frames = run(
-        crossing(inflow_vph_per_lane=100.0, adoption=1.0), lambda td: set_action(td, torch.full((64, 1), value))
-    )
+    frames = run(crossing(inflow_vph_per_lane=100.0, adoption=1.0), constant(value))
     mask = frames["agents", "mask"] & frames["next", "agents", "mask"]
     row = frames["agents", "vehicle"]
     speed = torch.gather(frames["vehicles", "speed_mps"], 1, row)
@@ -338,17 +265,15 @@ def test_commands_are_applied() -> None:
     # Where SUMO intervenes it is for safety: it brakes harder, never less.
     moving = mask & (speed > 1.0) & (v["location"] != 1)
     assert (realised[moving] <= value + 1e-3).all() and (realised[moving] < value - 0.1).any()
-    # Inside the junction it drives alone.
+    # Inside the junction SUMO's own models drive it.
     deferred = torch.gather(frames["next", "vehicles", "deferred"], 1, row)
     inside = mask & (v["location"] == 1)
     assert deferred[inside].all() and not deferred[free].any()
     assert final(frames)["junction_deferred"].sum() == (frames["agents", "mask"] & (v["location"] == 1)).sum() > 0
-    fast = run(crossing(adoption=1.0), lambda td: set_action(td, torch.full((64, 1), 2.6)))
+    fast = run(crossing(adoption=1.0), constant(2.6))
     assert fast["next", "vehicles", "speed_mps"].max() <= 16.0 + 1e-4
 
 
-@pytest.mark.parametrize("act", [steer, with_nan, at_random(1)])
-def test_no_nan_ever_leaves(act: Driver) -> None:
-    frames = run(crossing(grade=0.1, adoption=1.0), act, short(emit=EMIT_GROUPS))
-    for name, value in frames.exclude(("agents", "action")).items(True, True):
-        assert torch.isfinite(value.float()).all(), name
+@pytest.mark.parametrize("act", [steer, constant(torch.nan), at_random(1)])
+def test_no_nan_leaves_an_environment(act: Driver) -> None:
+    assert_finite(run(crossing(grade=0.1, adoption=1.0), act, short(emit=EMIT_GROUPS)))

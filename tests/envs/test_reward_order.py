@@ -1,4 +1,4 @@
-"""The ``fuel`` rewards by what they lead to: they order drivers as an evaluation's measure does."""
+"""The ``fuel`` rewards order drivers as an evaluation's measure does."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ REWARDS = ("local", "team")
 
 
 def drivers(seed: int) -> dict[str, Outcome]:
-    """Play five drivers on procedural contexts as they were drawn."""
+    """Play five drivers on random procedural contexts."""
     generator = np.random.default_rng(seed)
     drawn = [ProceduralSource().sample(generator).replace(adoption=1 / 3) for _ in range(CONTEXTS)]
-    # With the parameters of human drivers, CVs that nobody commands drive as at adoption 0, and can be paid.
+    # Uncommanded CVs with the parameters of human drivers drive as at adoption 0, and have rewards.
     human = [dataclasses.replace(context, cv_vehicle="human") for context in drawn]
     acts: dict[str, Drive] = {
         "uncommanded": uncommanded,
@@ -38,11 +38,11 @@ def drivers(seed: int) -> dict[str, Outcome]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_order_of_drivers_is_that_of_the_measure(seed: int) -> None:
+def test_rewards_order_drivers_as_the_measure_does(seed: int) -> None:
     """The measure is CO2 and half a gram per second of delay, per vehicle of the cohort, relative to uncommanded CVs.
 
-    Summed over the contexts both rewards have the measure's order. In single contexts the team's has it as well; what
-    CVs are paid for themselves and those behind them leaves out who drives ahead of the first CV.
+    Summed over the contexts both rewards have its order. In single contexts the team's reward has it as well; the CVs'
+    own rewards leave out the vehicles ahead of the first CV.
     """
     found = drivers(seed)
     free = found["uncommanded"].cost
@@ -54,7 +54,6 @@ def test_the_order_of_drivers_is_that_of_the_measure(seed: int) -> None:
             (found[one].cost < found[other].cost) == (getattr(found[one], reward) > getattr(found[other], reward))
             for one, other in itertools.combinations(found, 2)
         ]
-        print(seed, reward, np.mean(right))
         assert np.mean(right) > {"local": 0.85, "team": 0.95}[reward]
 
 
@@ -63,8 +62,8 @@ def test_sums_without_fuel_or_time_are_refused() -> None:
         RewardConfig(sums=True, beta=0.0)
 
 
-def test_shares_do_not_overlap_and_nobody_is_forgotten() -> None:
-    """At full adoption each vehicle has an owner, so what agents get on one approach adds up to the team's."""
+def test_own_rewards_add_up_to_the_teams() -> None:
+    """At full adoption each vehicle is credited to exactly one agent."""
     everyone = dataclasses.replace(lane(inflow_vph_per_lane=330.0, lane_length_m=300.0), adoption=1.0)
     config = dataclasses.replace(CONFIG, horizon_s=225.0)
     with contextlib.closing(EcoDrivingEnv(everyone, config=config)) as env:
@@ -75,6 +74,6 @@ def test_shares_do_not_overlap_and_nobody_is_forgotten() -> None:
             asked = state["agents", "mask"].clone()
             before = set(state["agents", "vehicle"][asked].tolist())
             state = env.step_lean(defer(state))
-            if set(state["agents", "vehicle"][state["agents", "mask"]].tolist()) <= before:  # a newcomer is not paid
+            if set(state["agents", "vehicle"][state["agents", "mask"]].tolist()) <= before:  # a new agent has no reward
                 total = torch.tensor(float(state["agents", "reward"].sum()) * scale)
                 torch.testing.assert_close(total, state["team_reward"][0], rtol=1e-3, atol=1e-3)

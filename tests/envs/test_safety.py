@@ -1,8 +1,8 @@
-"""Random full-range actions: no CV runs a red light, and collisions stand beside the uncommanded baseline's."""
+"""Random actions over the full range: no CV runs a red light, and CVs collide no more than uncommanded."""
 
 from __future__ import annotations
 
-import sys
+import contextlib
 from collections import Counter
 from collections.abc import Iterator
 
@@ -14,7 +14,6 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.networks.clock import GREEN, RED, YELLOW
-from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import RoadNet
 from tests.envs.worlds import Driver, at_random, crossing, defer, play, set_action
 from tests.networks.test_clock import signal_links
@@ -27,7 +26,7 @@ def totals(env: EcoDrivingEnv, context: Context, seed: int, act: Driver) -> Coun
 
 
 def flat_out(tensordict):  # type: ignore[no-untyped-def]
-    """Always full acceleration: only SUMO's checks keep this apart from the others and from red lights."""
+    """Always full acceleration: only SUMO's checks prevent collisions and red-light violations."""
     action = at_random(0)(tensordict)["agents", "action"]
     return set_action(tensordict, action.clamp(min=2.6))
 
@@ -41,7 +40,7 @@ def env() -> Iterator[EcoDrivingEnv]:
 
 @pytest.mark.parametrize("act", [at_random(1), flat_out], ids=["random", "flat out"])
 def test_no_cv_runs_a_red_light(env: EcoDrivingEnv, act: Driver) -> None:
-    """Nor does a human-driven vehicle; and no CV runs into anybody on a simple intersection."""
+    """Nor does a human-driven vehicle, and no CV collides on a simple intersection."""
     counts = totals(env, crossing(adoption=0.5, inflow_vph_per_lane=500.0), 3, act)
     assert counts["agent_steps"] > 1000 and counts["deferred_steps"] < 0.2 * counts["agent_steps"]
     if act is flat_out:
@@ -51,21 +50,20 @@ def test_no_cv_runs_a_red_light(env: EcoDrivingEnv, act: Driver) -> None:
 
 
 def test_red_crossings_are_noticed() -> None:
-    """The count can fail: with SUMO's checks switched off by hand, the same driver runs red lights."""
+    """With SUMO's checks switched off, the same driver runs red lights."""
     import libsumo
 
-    env = EcoDrivingEnv(crossing(adoption=1.0), config=EnvConfig(horizon_s=120.0, warmup_s=5.0, emit=("metrics",)))
-    try:
+    with contextlib.closing(
+        EcoDrivingEnv(crossing(adoption=1.0), config=EnvConfig(horizon_s=120.0, warmup_s=5.0, emit=("metrics",)))
+    ) as env:
         state = env.reset()
         for _ in range(env.config.control_steps - 1):
-            for name in env.backend.names.row_of:
+            for name in env.backend.ids.row_of:
                 libsumo.vehicle.setSpeedMode(name, 0)
             frame, state = env.step_and_maybe_reset(flat_out(state))
         sums = frame["next", "metrics", "approach"]
         assert sums["red_crossings_cv"].sum() > 0
         assert sums["collisions_cv"].sum() > 0 and frame["next", "metrics", "episode", "collisions"].item() > 0
-    finally:
-        env.close()
 
 
 def rush(tensordict: TensorDictBase) -> TensorDictBase:
@@ -82,8 +80,8 @@ def letters_of(road: RoadNet, state: str) -> np.ndarray:
     return colour
 
 
-def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
-    """With greens that end between two steps, what SUMO shows after a step is what it and the twin drove by."""
+def test_red_crossings_count_by_the_signal_during_the_step() -> None:
+    """With greens that end between two steps, it is the signal that SUMO shows after the step."""
     import libsumo
 
     context = crossing(adoption=1.0, inflow_vph_per_lane=500.0, green_s=20.3, offset_s=2.1)
@@ -91,8 +89,7 @@ def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
     shown: list[np.ndarray] = []
     invented = 0
     for simulator in ("sumo", "twin"):
-        env = EcoDrivingEnv(context, config=config, simulator=simulator, worker=0)
-        try:
+        with contextlib.closing(EcoDrivingEnv(context, config=config, simulator=simulator, worker=0)) as env:
             state = env.reset()
             road, vehicles = env.road, state["vehicles"]
             early = set(vehicles["vehicle_number"][vehicles["present"]].tolist())
@@ -113,51 +110,12 @@ def test_crossings_count_by_the_signal_that_vehicles_drove_by() -> None:
             sums = frame["next", "metrics", "approach"]
             assert sums["crossed"].sum() > 100
             assert sums["red_crossings_cv"].sum() == on_red
-        finally:
-            env.close()
-    assert invented > 0, "nobody crossed in a step in which red ended"
+    assert invented > 0
 
 
 def test_measured_intersections(env: EcoDrivingEnv, dataset: ContextList) -> None:
     busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
     for k, context in enumerate(busy[:24:8]):
-        counts = totals(env, context.replace(approach=None), k, at_random(k))
+        counts, baseline = (totals(env, context.replace(approach=None), k, act) for act in (at_random(k), defer))
         assert counts["agent_steps"] > 0 and counts["red_crossings_cv"] == 0, context.name
-
-
-def beside_baseline(contexts: list[Context], episodes: int, config: EnvConfig) -> tuple[Counter[str], Counter[str]]:
-    """Sums over episodes of random actions on one context after another, and over the same with nobody commanding."""
-    env = EcoDrivingEnv(crossing(), config=config)
-    commanded, baseline = Counter[str](), Counter[str]()
-    try:
-        for k in range(episodes):
-            context = contexts[k % len(contexts)]
-            commanded += totals(env, context, 1000 + k, at_random(k))
-            baseline += totals(env, context, 1000 + k, defer)
-    finally:
-        env.close()
-    return commanded, baseline
-
-
-def from_all_approaches(dataset: ContextList) -> list[Context]:
-    """One context per measured intersection, with demand from all of its approaches."""
-    contexts = {context.intersection.name: context.replace(approach=None) for context in dataset}
-    return [contexts[name] for name in sorted(contexts)]
-
-
-@pytest.mark.slow
-def test_random_actions_beside_the_baseline_on_measured_intersections(dataset: ContextList) -> None:
-    config = EnvConfig(horizon_s=200.0, emit=("metrics",))
-    commanded, baseline = beside_baseline(from_all_approaches(dataset)[::3], 20, config)
-    assert commanded["agent_steps"] > 0 and baseline["crossed"] > 500
-    assert commanded["red_crossings_cv"] == baseline["red_crossings_cv"] == 0
-    assert commanded["collisions_cv"] <= baseline["collisions_cv"]
-
-
-if __name__ == "__main__":
-    # The same at length: `python -m tests.envs.test_safety DATASET EPISODES` prints both counts.
-    results = beside_baseline(
-        from_all_approaches(load_dataset(sys.argv[1])), int(sys.argv[2]), EnvConfig(emit=("metrics",))
-    )
-    for who, counts in zip(("random", "uncommanded"), results, strict=True):
-        print(who, {name: counts[name] for name in counts if "cross" in name or "collisions" in name})
+        assert counts["collisions_cv"] <= baseline["collisions_cv"], context.name

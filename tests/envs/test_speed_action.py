@@ -1,8 +1,9 @@
-"""Desired speeds as actions: 1 leaves everything as it is, and what less does is the same in SUMO and on the twin."""
+"""Desired speeds as actions: 1 is uncommanded, and lower ones have the same effect in SUMO and on the twin."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,12 +11,11 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from izoo.algos.drivers.scripted import make_driver
+from izoo.algos.drivers.by_name import make_driver
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import procedural_context
-from izoo.envs import EcoDrivingEnv, EnvConfig
+from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
-from tests.envs.worlds import crossing, defer, digest, play, same
+from tests.envs.worlds import constant, crossing, defer, digest, one_lane, places, play, same, set_action
 
 SEED = 7
 LIMIT_MPS = 16.0
@@ -26,44 +26,27 @@ def speeds(**changes: Any) -> EnvConfig:
     return EnvConfig(**({"horizon_s": 300.0, "action": "speed", "emit": ("vehicles", "metrics", "number")} | changes))
 
 
-def one_lane(**changes: Any) -> Context:
-    values = {"lane_count": 1, "phase_count": 1, "inflow_vph_per_lane": 500.0, "approach": "A", "adoption": 0.5}
-    return procedural_context(**(values | changes))
-
-
-def share_for_all(share: float, parts: int = 1) -> Act:
-    def act(state: TensorDictBase) -> TensorDictBase:
-        state["agents", "action"] = torch.full((*state["agents", "mask"].shape, parts), share)
-        return state
-
-    return act
-
-
 def share_each(state: TensorDictBase) -> TensorDictBase:
     """0.3 to 1 by the vehicle's number."""
-    state["agents", "action"] = (0.3 + 0.1 * (state["agents", "number"] % 8)).float().unsqueeze(-1)
-    return state
+    return set_action(state, (0.3 + 0.1 * (state["agents", "number"] % 8)).float().unsqueeze(-1))
 
 
-class Anew:
-    """Other shares for everybody every 20 s, 1 among them."""
+def new_shares() -> Act:
+    """Other shares for all vehicles every 20 s, 1 among them."""
+    steps = itertools.count()
 
-    def __init__(self) -> None:
-        self.step = 0
+    def act(state: TensorDictBase) -> TensorDictBase:
+        share = 0.3 + 0.1 * ((state["agents", "number"] + next(steps) // 40) % 8)
+        return set_action(state, share.float().unsqueeze(-1))
 
-    def __call__(self, state: TensorDictBase) -> TensorDictBase:
-        share = 0.3 + 0.1 * ((state["agents", "number"] + self.step // 40) % 8)
-        self.step += 1
-        state["agents", "action"] = share.float().unsqueeze(-1)
-        return state
+    return act
 
 
 def two_parts(state: TensorDictBase) -> TensorDictBase:
     """Slow before the stop line and free behind it, or the other way round, by the vehicle's number."""
     slow, free = torch.tensor([0.5, 1.0]), torch.tensor([1.0, 0.6])
     even = (state["agents", "number"] % 2 == 0).unsqueeze(-1)
-    state["agents", "action"] = torch.where(even, slow, free)
-    return state
+    return set_action(state, torch.where(even, slow, free))
 
 
 def episode(simulator: str, context: Context, config: EnvConfig, act: Act) -> TensorDict:
@@ -73,28 +56,30 @@ def episode(simulator: str, context: Context, config: EnvConfig, act: Act) -> Te
 
 def motion(frames: TensorDict) -> list[dict[int, tuple[float, float]]]:
     """Position and speed of every vehicle by its number, step by step."""
-    found = []
-    for vehicles in frames["next", "vehicles"].unbind(0):
-        there = vehicles["present"]
-        columns = (vehicles[name][there].tolist() for name in ("vehicle_number", "path_position_m", "speed_mps"))
-        found.append({number: (position, speed) for number, position, speed in zip(*columns, strict=True)})
-    return found
+    return [places(vehicles) for vehicles in frames["next", "vehicles"].unbind(0)]
 
 
-@pytest.mark.parametrize("simulator", ["sumo", "twin"])
-def test_1_is_uncommanded(simulator: str) -> None:
-    """Nothing at all is told to the simulator: on several lanes too, all is the same to the last bit."""
-    ours = episode(simulator, crossing(), speeds(), share_for_all(1.0))
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_a_share_of_1_is_uncommanded(simulator: str) -> None:
+    """Bit for bit, also on several lanes."""
+    ours = episode(simulator, crossing(), speeds(), constant(1.0))
     theirs = episode(simulator, crossing(), speeds(action="acceleration"), defer)
-    for frames in (ours, theirs):
-        del frames["agents", "action"]
-        frames.pop(("agents", "defer"), None)
-    assert same(ours, theirs)
+    left_out = [("agents", "action"), ("agents", "defer")]
+    assert same(ours.exclude(*left_out), theirs.exclude(*left_out))
     assert digest(ours) == digest(theirs)
 
 
+def assert_same_motion(context: Context, config: EnvConfig, act: Callable[[], Act]) -> list[dict[int, Any]]:
+    sumo, twin = (motion(episode(name, context, config, act())) for name in SIMULATORS)
+    for step, (ours, theirs) in enumerate(zip(twin, sumo, strict=True)):
+        assert ours.keys() == theirs.keys(), step
+        for number, place in theirs.items():
+            assert ours[number] == pytest.approx(place, abs=1e-6), (step, number)
+    return sumo
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("act", [share_for_all(0.5), share_for_all(0.8), share_each, Anew])
+@pytest.mark.parametrize("act", [lambda: constant(0.5), lambda: constant(0.8), lambda: share_each, new_shares])
 @pytest.mark.parametrize(
     "features",
     [
@@ -104,33 +89,21 @@ def test_1_is_uncommanded(simulator: str) -> None:
         {"inflow_vph_per_lane": 700.0, "lane_length_m": 150.0, "approach": "all"},
     ],
 )
-def test_sumo_and_twin_drive_alike(features: dict[str, Any], act: Any) -> None:
-    context = one_lane(**features)
-    acts = [act() if isinstance(act, type) else act for _ in range(2)]
-    sumo, twin = (motion(episode(name, context, speeds(), a)) for name, a in zip(("sumo", "twin"), acts, strict=True))
-    assert sum(map(len, sumo)) > 3000
-    for step, (ours, theirs) in enumerate(zip(twin, sumo, strict=True)):
-        assert ours.keys() == theirs.keys(), step
-        for number, place in theirs.items():
-            assert ours[number] == pytest.approx(place, abs=1e-6), (step, number)
+def test_sumo_and_twin_drive_alike(features: dict[str, Any], act: Callable[[], Act]) -> None:
+    steps = assert_same_motion(one_lane(adoption=0.5, **features), speeds(), act)
+    assert sum(map(len, steps)) > 3000
 
 
-def test_before_and_behind_the_line_alike() -> None:
+def test_sumo_and_twin_drive_alike_with_a_speed_before_and_one_behind_the_line() -> None:
     config = speeds(action_parts=("speed_before", "speed_behind"))
-    sumo, twin = (motion(episode(name, one_lane(), config, two_parts)) for name in ("sumo", "twin"))
-    for ours, theirs in zip(twin, sumo, strict=True):
-        assert ours.keys() == theirs.keys()
-        for number, place in theirs.items():
-            assert ours[number] == pytest.approx(place, abs=1e-6)
-    cvs = {n for n in range(200) if n % 2 == 0}
-    free = [speed for places in sumo for n, (x, speed) in places.items() if n not in cvs and x < -30.0]
+    steps = assert_same_motion(one_lane(adoption=0.5), config, lambda: two_parts)
+    free = [speed for step in steps for number, (x, speed) in step.items() if number % 2 and x < -30.0]
     assert max(free) > 0.9 * LIMIT_MPS
 
 
-@pytest.mark.parametrize("simulator", ["sumo", "twin"])
-def test_the_share_is_kept_to_gently(simulator: str) -> None:
-    """Nobody is faster than its share once it is there, and nobody brakes hard to get there."""
-    frames = episode(simulator, one_lane(inflow_vph_per_lane=150.0, adoption=1.0), speeds(), share_for_all(0.6))
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_vehicles_slow_down_to_their_share_gently(simulator: str) -> None:
+    frames = episode(simulator, one_lane(inflow_vph_per_lane=150.0, adoption=1.0), speeds(), constant(0.6))
     vehicles = frames["next", "vehicles"]
     cvs = vehicles["present"] & vehicles["is_cv"]
     speed, accel = vehicles["speed_mps"][cvs], vehicles["accel_mps2"][cvs]
@@ -141,30 +114,25 @@ def test_the_share_is_kept_to_gently(simulator: str) -> None:
     assert speed[~slowing].max() == pytest.approx(0.6 * LIMIT_MPS, abs=1e-3)
 
 
-@pytest.mark.parametrize("simulator", ["sumo", "twin"])
-def test_nan_and_defer_leave_a_vehicle_alone(simulator: str) -> None:
-    def nan(state: TensorDictBase) -> TensorDictBase:
-        return share_for_all(float("nan"))(state)
-
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_nan_and_defer_are_uncommanded(simulator: str) -> None:
     def deferred(state: TensorDictBase) -> TensorDictBase:
-        state["agents", "defer"] = state["agents", "mask"].clone()
-        return share_for_all(0.4)(state)
+        return constant(0.4)(state).set(("agents", "defer"), state["agents", "mask"].clone())
 
-    config = speeds(horizon_s=120.0)
-    free, lost, left = (episode(simulator, one_lane(), config, a) for a in (share_for_all(1.0), nan, deferred))
-    assert motion(free) == motion(lost) == motion(left)
-    sums = [frames[-1]["next", "metrics", "approach"] for frames in (free, lost, left)]
+    config, context = speeds(horizon_s=120.0), one_lane(adoption=0.5)
+    parts = [episode(simulator, context, config, act) for act in (constant(1.0), constant(torch.nan), deferred)]
+    assert motion(parts[0]) == motion(parts[1]) == motion(parts[2])
+    sums = [frames[-1]["next", "metrics", "approach"] for frames in parts]
     assert [s["nan_actions"].sum().item() > 0 for s in sums] == [False, True, False]
-    for s in sums:
-        assert s["deferred_steps"].sum() == s["agent_steps"].sum() > 0
+    assert all(s["deferred_steps"].sum() == s["agent_steps"].sum() > 0 for s in sums)
 
 
-def test_a_cap_is_the_scripted_driver() -> None:
+def test_the_scripted_cap_equals_a_constant_share() -> None:
     config = speeds(horizon_s=120.0)
     driver = make_driver("cap_0.6", config)
     with torch.no_grad():
-        ours = episode("twin", one_lane(), config, driver)
-    assert motion(ours) == motion(episode("twin", one_lane(), config, share_for_all(0.6)))
+        ours = episode("twin", one_lane(adoption=0.5), config, driver)
+    assert motion(ours) == motion(episode("twin", one_lane(adoption=0.5), config, constant(0.6)))
     free = make_driver("uncommanded", config)(TensorDict({"agents": TensorDict({"mask": torch.ones(3, dtype=bool)})}))
     assert free["agents", "action"].tolist() == [[1.0]] * 3
 
@@ -175,7 +143,7 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
         make_driver(name, speeds())
 
 
-def test_what_is_asked_for_is_said() -> None:
+def test_wrong_options_and_actions_are_refused() -> None:
     with pytest.raises(IzooError, match="one on either side"):
         EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
     with pytest.raises(IzooError, match=r"env\.action=speed"):
@@ -188,32 +156,30 @@ def test_what_is_asked_for_is_said() -> None:
         contextlib.closing(EcoDrivingEnv(config=speeds(), worker=0, simulator="twin")) as env,
         pytest.raises(IzooError, match="shares of the speed limit"),
     ):
-        env.step(share_for_all(0.5, parts=2)(env.reset(context=one_lane(), seed=1)))
+        env.step(constant(0.5, parts=2)(env.reset(context=one_lane(adoption=0.5), seed=1)))
 
 
-def test_speeds_below_the_least_share_are_the_least() -> None:
-    """What is below the bounds of the action is cut to them, as accelerations are."""
+def test_shares_below_the_minimum_are_raised_to_it() -> None:
     config = speeds(horizon_s=80.0)
-    low, lower = (motion(episode("twin", one_lane(), config, share_for_all(s))) for s in (0.1, 0.01))
+    low, lower = (motion(episode("twin", one_lane(adoption=0.5), config, constant(s))) for s in (0.1, 0.01))
     for ours, theirs in zip(low, lower, strict=True):
         assert ours.keys() == theirs.keys()
-        for number, place in theirs.items():
-            assert ours[number] == pytest.approx(place, abs=1e-3)
+        assert all(ours[number] == pytest.approx(place, abs=1e-3) for number, place in theirs.items())
 
 
 @pytest.mark.parametrize("decide", ["step", "vehicle"])
 @pytest.mark.parametrize("share", [0.0, -0.2, 1.2])
-def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float, decide: str) -> None:
+def test_shares_out_of_range_are_refused_unless_deferred(share: float, decide: str) -> None:
     with contextlib.closing(EcoDrivingEnv(config=speeds(decide=decide), worker=0, simulator="twin")) as env:
-        state = env.reset(context=one_lane(), seed=1)
+        state = env.reset(context=one_lane(adoption=0.5), seed=1)
         while not state["agents", "mask"].any():
-            state = env.step(share_for_all(0.5)(state))["next"]
+            state = env.step(constant(0.5)(state))["next"]
         with pytest.raises(IzooError, match=r"desired speeds of \[.*above 0 and up to 1"):
-            env.step(share_for_all(share)(state))
-        wrong = share_for_all(share)(state)
+            env.step(constant(share)(state))
+        wrong = constant(share)(state)
         wrong["agents", "defer"] = state["agents", "mask"]
         state = env.step(wrong)["next"].exclude(("agents", "reward"))
-        others = share_for_all(0.5)(state)
+        others = constant(0.5)(state)
         others["agents", "action"][~state["agents", "mask"]] = share
         others["agents", "defer"] = torch.zeros_like(state["agents", "mask"])
         env.step(others)
@@ -221,17 +187,16 @@ def test_a_speed_that_is_no_share_is_refused_where_it_is_asked_for(share: float,
 
 @pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
 @pytest.mark.parametrize("decide", ["step", "vehicle"])
-def test_a_speed_before_the_line_alone_leaves_everybody_alone_behind_it(simulator: str, decide: str) -> None:
+def test_with_a_speed_before_the_line_only_vehicles_behind_it_are_uncommanded(simulator: str, decide: str) -> None:
     both = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before", "speed_behind"))
     before = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before",))
 
     def one_behind(state: TensorDictBase) -> TensorDictBase:
-        share = share_for_all(0.5)(state)["agents", "action"]
-        state["agents", "action"] = torch.cat([share, torch.ones_like(share)], -1)
-        return state
+        share = constant(0.5)(state)["agents", "action"]
+        return set_action(state, torch.cat([share, torch.ones_like(share)], -1))
 
     expected, found = (
-        motion(episode(simulator, one_lane(), config, act))
-        for config, act in ((both, one_behind), (before, share_for_all(0.5)))
+        motion(episode(simulator, one_lane(adoption=0.5), config, act))
+        for config, act in ((both, one_behind), (before, constant(0.5)))
     )
     assert expected == found and any(expected)

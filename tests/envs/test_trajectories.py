@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pandas as pd
@@ -16,12 +17,11 @@ from izoo.errors import IzooError
 CONFIG = {"horizon_s": 120.0, "warmup_s": 5.0}
 
 
-def test_table_holds_every_vehicle_and_its_class_explains_its_emission(tmp_path: Path) -> None:
-    env = EcoDrivingEnv(procedural_context(inflow_vph_per_lane=600.0, grade=0.03), config=EnvConfig(**CONFIG))
-    try:
+def test_the_table_holds_every_vehicle_with_class_and_emission(tmp_path: Path) -> None:
+    with contextlib.closing(
+        EcoDrivingEnv(procedural_context(inflow_vph_per_lane=600.0, grade=0.03), config=EnvConfig(**CONFIG))
+    ) as env:
         rollout = env.rollout(1000, auto_reset=True)
-    finally:
-        env.close()
     table = pd.read_csv(write_trajectories(rollout, tmp_path / "trajectories.csv"))
     assert len(table) == int(rollout["next", "vehicles", "present"].sum()) > 100
     assert list(tmp_path.iterdir()) == [tmp_path / "trajectories.csv"]
@@ -34,47 +34,22 @@ def test_table_holds_every_vehicle_and_its_class_explains_its_emission(tmp_path:
     assert torch.allclose(0.5 * rate.double(), torch.tensor(table["emission_g"]), rtol=1e-3, atol=1e-4)
 
 
-def test_electric_vehicles_are_called_so(tmp_path: Path) -> None:
+def test_electric_vehicles_are_marked(tmp_path: Path) -> None:
     context = procedural_context(inflow_vph_per_lane=600.0).replace(engine="electric", adoption=0.3)
-    env = EcoDrivingEnv(context, config=EnvConfig(**CONFIG), simulator="twin")
-    try:
+    with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(**CONFIG), simulator="twin")) as env:
         table = trajectory_table(env.rollout(1000))
-    finally:
-        env.close()
     assert (table["fuel"] == "electric").equals(table["is_cv"])
     assert table["is_cv"].nunique() == 2 and (table.loc[table["is_cv"], "emission_g"] == 0.0).all()
 
 
-def test_trajectories_need_a_folder(tmp_path: Path) -> None:
-    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(**CONFIG), simulator="twin")
-    try:
-        rollout = env.rollout(3)
-    finally:
-        env.close()
-    with pytest.raises(IzooError, match="nowhere is no folder"):
-        write_trajectories(rollout, tmp_path / "nowhere" / "trajectories.csv")
-
-
-def test_rollout_without_vehicles_is_refused() -> None:
-    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(emit=(), **CONFIG))
-    try:
-        rollout = env.rollout(3)
-    finally:
-        env.close()
-    with pytest.raises(IzooError, match=r"put 'vehicles' into EnvConfig\.emit"):
-        write_trajectories(rollout, "unused.csv")
-
-
-@pytest.mark.parametrize("shape", [(64,), (63, 1), (64, 2)])
-def test_action_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
-    import torch
-
-    env = EcoDrivingEnv(procedural_context(), config=EnvConfig(emit=(), **CONFIG))
-    try:
-        state = env.reset()
-        state["agents"].batch_size = []
-        state["agents", "action"] = torch.zeros(shape)
-        with pytest.raises((IzooError, RuntimeError), match=r"\[64, 1\]|shape"):
-            env.step(state)
-    finally:
-        env.close()
+def test_vehicles_and_a_folder_are_needed(tmp_path: Path) -> None:
+    for emit, path, message in (
+        (("vehicles",), tmp_path / "nowhere" / "a.csv", "nowhere is not a folder"),
+        ((), tmp_path / "a.csv", r"put 'vehicles' into EnvConfig\.emit"),
+    ):
+        config = EnvConfig(emit=emit, **CONFIG)
+        with (
+            contextlib.closing(EcoDrivingEnv(procedural_context(), config=config, simulator="twin")) as env,
+            pytest.raises(IzooError, match=message),
+        ):
+            write_trajectories(env.rollout(3), path)

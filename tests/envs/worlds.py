@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -14,10 +15,11 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, SumoParallelEnv
 from izoo.envs.env import EcoDrivingBase
-from izoo.envs.mdp.metric_sums import APPROACH_METRICS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 
-UNHASHED = ("due", "dropped", "outside", "early", *(name for name in APPROACH_METRICS if name.startswith("cohort")))
-"""Metrics that are younger than the golden digests."""
+_COHORT = (name for name in APPROACH_METRICS if name.startswith("cohort"))
+UNHASHED = ("due", "dropped", "outside", "early", *_COHORT, *MOVEMENT_METRICS)
+"""Metrics that were added after the golden digests."""
 Driver = Callable[[TensorDictBase], TensorDictBase]
 
 
@@ -35,6 +37,26 @@ def crossing(**changes: Any) -> Context:
     return procedural_context(**(values | changes))
 
 
+def one_lane(**changes: Any) -> Context:
+    """An approach of one lane from leg A, on which the twin drives exactly as SUMO does."""
+    values = {"lane_count": 1, "phase_count": 1, "approach": "A", "inflow_vph_per_lane": 500.0, "offset_s": 2.0}
+    return procedural_context(**(values | changes))
+
+
+def cramped(lanes: int = 4, road_m: float = 40.0, source_m: float = 10.0) -> Context:
+    """Legs and sources too short for the lane changes that some vehicles need, and to stop at a red light."""
+    context = crossing(lane_count=lanes, lane_length_m=60.0)
+    spec = context.intersection
+    legs = tuple(
+        dataclasses.replace(leg, approach=dataclasses.replace(leg.approach, length_m=road_m)) if leg.approach else leg
+        for leg in spec.legs
+    )
+    ghosts = dataclasses.replace(spec.ghosts, straight_source_length_m=source_m, turning_source_length_m=source_m)
+    return context.replace(
+        intersection=dataclasses.replace(spec, name="cramped", source="osm", legs=legs, ghosts=ghosts)
+    )
+
+
 def short(**changes: Any) -> EnvConfig:
     """Settings of an episode of 55 s after 5 s of warm-up."""
     return EnvConfig(**({"horizon_s": 60.0, "warmup_s": 5.0} | changes))
@@ -44,8 +66,13 @@ def set_action(tensordict: TensorDictBase, action: torch.Tensor) -> TensorDictBa
     return tensordict.set(("agents", "action"), action)
 
 
+def constant(value: float, parts: int = 1) -> Driver:
+    """The same action for every CV."""
+    return lambda state: set_action(state, torch.full((*state["agents", "mask"].shape, parts), value))
+
+
 def defer(tensordict: TensorDictBase) -> TensorDictBase:
-    """Leave every CV to SUMO."""
+    """Leave every CV uncommanded."""
     mask = tensordict["agents", "mask"]
     tensordict["agents", "defer"] = torch.ones_like(mask)
     return set_action(tensordict, torch.zeros(*mask.shape, 1))
@@ -106,7 +133,7 @@ def episode(env: EcoDrivingBase, act: Driver = steer) -> TensorDict:
 
 
 def digest(frames: TensorDictBase) -> str:
-    """Hash what happened in steps ``[T]``: who was where and how fast, what was seen and paid, and the final counts."""
+    """Hash steps ``[T]``: positions, speeds, observations, rewards, and the final counts."""
     result = hashlib.sha256()
     for part in (frames, frames["next"]):
         vehicles = part["vehicles"]
@@ -131,6 +158,12 @@ def _feed(result: Any, value: torch.Tensor) -> None:
 def same(one: TensorDictBase, other: TensorDictBase) -> bool:
     """Whether two TensorDicts hold the same keys and numbers."""
     return bool((one == other).all())
+
+
+def places(vehicles: TensorDictBase) -> dict[int, tuple[float, float]]:
+    """Path position and speed of every vehicle by its number."""
+    columns = (vehicles[n][vehicles["present"]].tolist() for n in ("vehicle_number", "path_position_m", "speed_mps"))
+    return {number: (position, speed) for number, position, speed in zip(*columns, strict=True)}
 
 
 def process_of(env: SumoParallelEnv, index: int) -> int:

@@ -57,7 +57,9 @@ def test_with_demand_from_all_approaches_one_fall_zeroes_the_whole_intersection_
         return pd.DataFrame(rows)
 
     for demand, gated in (("all", [True, True, False]), ("one", [True, False, False])):
-        assert paper_form(table(demand), "ppo")[0]["gated"].tolist() == gated
+        found, aggregates = paper_form(table(demand), "ppo")
+        assert found["gated"].tolist() == gated and found["fell"].tolist() == [True, False, False]
+        assert aggregates["closed_by"] == (["x/1: A (9.0 vehicles, not 10.0)"] if demand == "all" else [])
 
 
 def test_approaches_without_a_figure_say_why() -> None:

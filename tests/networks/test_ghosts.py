@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from defusedxml import ElementTree
 
 from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import GhostSpec, IntersectionSpec, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.net.ghosts import ghost_program
-from tests.networks.worlds import run_sumo
+from tests.networks.worlds import saved_states
 
 
 def seconds(spec: IntersectionSpec, leg: str) -> list[str]:
@@ -47,16 +46,7 @@ def test_the_offset_delays_the_ghosts():
 @pytest.mark.parametrize("phase_count", [1, 2])
 def test_a_built_net_shows_the_main_signal_at_its_ghosts(phase_count, tmp_path):
     spec = procedural_intersection(1, phase_count, green_s=20.0, red_s=30.0, offset_s=2.0)
-    saves = "".join(
-        f'<timedEvent type="SaveTLSStates" source="{name}" dest="{name}.xml"/>' for name in ("TL", "A", "B")
-    )
-    (tmp_path / "save.add.xml").write_text(f"<additional>{saves}</additional>")
-    run = run_sumo(build_net(spec, tmp_path), tmp_path, "-a", "save.add.xml", "--end", "200")
-    assert run.returncode == 0, run.stderr
-    shown = {}
-    for name in ("TL", "A", "B"):
-        states = ElementTree.parse(tmp_path / f"{name}.xml").getroot()
-        shown[name] = {float(state.get("time")): state.get("state") for state in states}
+    shown = saved_states(build_net(spec, tmp_path), tmp_path, ("TL", "A", "B"), 200)
     per_leg = len(shown["TL"][0.0]) // 4
     for time_s in range(2, 198):
         for number, leg in enumerate("AB"):

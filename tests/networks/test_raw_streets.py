@@ -10,7 +10,7 @@ import pytest
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.osm.extract import build_from_osm
-from izoo.networks.osm.streets import read_streets
+from izoo.networks.osm.streets import Way, read_streets
 from izoo.networks.osm.tags import parse_speed, speed_limit
 from tests.networks.test_osm import Map, approach, crossing, way
 
@@ -101,28 +101,58 @@ def test_reversible_streets_are_named(faults: Path, tmp_path: Path) -> None:
     assert "taken as two-way, whatever their direction by time: West" in str(report)
 
 
+@pytest.mark.parametrize(
+    ("name", "lanes", "exit_lanes"),
+    [
+        ("bus_lane", ("s", "l"), 0),
+        ("bike_in_turn_lanes", ("r", "s", "l"), 0),
+        ("lanes_fwd_turn_only", ("rs", "s", "l"), 2),
+        ("dual_noleft_main", ("rs", "s"), 2),
+        ("no_exit", ("r",), None),
+        ("except_car", ("rsl",), None),
+        ("restriction_motorcar", ("rs",), None),
+        ("no_rtor", ("rsl",), None),
+        ("split_turn", ("rs", "l", "l"), None),
+    ],
+)
+def test_small_extracts(
+    faults: Path, tmp_path: Path, name: str, lanes: tuple[str, ...], exit_lanes: int | None
+) -> None:
+    build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
+    (spec,) = load_specs(tmp_path / "town")
+    assert approach(spec, "D").lanes == lanes
+    if exit_lanes is not None:
+        assert spec.leg("D").exit_lanes == exit_lanes and "lanes of D" not in spec.imputed
+    assert spec.right_on_red == (name != "no_rtor")
+
+
 def test_a_street_that_is_closed_to_cars_is_no_leg(faults: Path, tmp_path: Path) -> None:
     build_from_osm(faults / "osm" / "access_bus.osm", target=tmp_path / "town")
     (spec,) = load_specs(tmp_path / "town")
     assert [round(leg.bearing_deg) for leg in spec.legs] == [90, 180, 270]
 
 
+SPEEDS = {
+    **{"30 mph": 13.4112, "50": 50 / 3.6, "50 km/h": 50 / 3.6, "30mph; 20 mph": 13.4112, "walk": 7 / 3.6},
+    **dict.fromkeys(("DE:zone30", "DE:zone:30", "FR:zone30"), 30 / 3.6),
+    **{"GB:zone20": 20 * 0.44704, **dict.fromkeys(("none", "US:urban", "RO:urban", "signals", "999", None))},
+}
+
+
+@pytest.mark.parametrize("text", SPEEDS)
+def test_speed_limits(text: str | None) -> None:
+    assert parse_speed(text) == pytest.approx(SPEEDS[text])
+
+
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("street", "direction", "expected"),
     [
-        ("walk", 7 / 3.6),
-        ("DE:zone30", 30 / 3.6),
-        ("DE:zone:30", 30 / 3.6),
-        ("FR:zone30", 30 / 3.6),
-        ("GB:zone20", 20 * 0.44704),
-        ("RO:urban", None),
-        ("signals", None),
+        (way(maxspeed="50", maxspeed__backward="30"), 1, (50 / 3.6, False)),
+        (way(maxspeed="50", maxspeed__backward="30"), -1, (30 / 3.6, False)),
+        (way(maxspeed="signals"), 1, (35 * 0.44704, True)),
+        (way(zone__maxspeed="DE:30"), 1, (30 / 3.6, False)),
+        (way(maxspeed="50", maxspeed__type="DE:zone30"), 1, (50 / 3.6, False)),
     ],
 )
-def test_limits_in_words(text: str, expected: float | None) -> None:
-    assert parse_speed(text) == (None if expected is None else pytest.approx(expected))
-
-
-def test_a_zone_counts_where_no_limit_stands() -> None:
-    assert speed_limit(way(zone__maxspeed="DE:30"), 1) == (pytest.approx(30 / 3.6), False)
-    assert speed_limit(way(maxspeed="50", maxspeed__type="DE:zone30"), 1) == (pytest.approx(50 / 3.6), False)
+def test_which_limit_counts(street: Way, direction: int, expected: tuple[float, bool]) -> None:
+    assert speed_limit(street, direction) == pytest.approx(expected)

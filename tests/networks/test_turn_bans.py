@@ -124,21 +124,3 @@ def test_turns_on_red_are_forbidden_where_an_approach_forbids_them(tmp_path: Pat
     rule(plan, "no_right_turn_on_red", [WEST], "node 2", [SOUTH])
     spec = built(plan, tmp_path)
     assert not spec.right_on_red and "r" in "".join(approach(spec, "D").lanes)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("dual_noleft_main", ("rs", "s")),
-        ("no_exit", ("r",)),
-        ("except_car", ("rsl",)),
-        ("restriction_motorcar", ("rs",)),
-        ("no_rtor", ("rsl",)),
-        ("split_turn", ("rs", "l", "l")),
-    ],
-)
-def test_small_extracts(faults: Path, tmp_path: Path, name: str, expected: tuple[str, ...]) -> None:
-    build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
-    (spec,) = load_specs(tmp_path / "town")
-    assert approach(spec, "D").lanes == expected
-    assert spec.right_on_red == (name != "no_rtor")

@@ -90,3 +90,13 @@ def drive_everywhere(net: Path, road: RoadNet, folder: Path, *options: str) -> D
     warnings = [line for line in run.stderr.splitlines() if "emergency braking" not in line]
     arrived = len(ElementTree.parse(folder / "trips.xml").getroot()) if (folder / "trips.xml").exists() else 0
     return Drive(sent, arrived, warnings, folder)
+
+
+def saved_states(net: Path, folder: Path, signals: tuple[str, ...], end_s: int) -> dict[str, dict[float, str]]:
+    """State of each signal by simulated time, as SUMO shows it."""
+    events = "".join(f'<timedEvent type="SaveTLSStates" source="{name}" dest="{name}.xml"/>' for name in signals)
+    (folder / "save.add.xml").write_text(f"<additional>{events}</additional>")
+    run = run_sumo(net, folder, "-a", "save.add.xml", "--end", str(end_s))
+    assert run.returncode == 0, run.stderr
+    states = {name: ElementTree.parse(folder / f"{name}.xml").getroot() for name in signals}
+    return {name: {float(each.get("time")): each.get("state") for each in found} for name, found in states.items()}

@@ -8,14 +8,17 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 
-from izoo.algos.drivers.scripted import UncommandedDriver
+from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.contexts.context import Context
+from izoo.contexts.procedural import ProceduralSource
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
+from izoo.networks.net import build
 from izoo.results import evaluate_policy, read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.contexts_file import read_contexts
@@ -78,6 +81,15 @@ def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     assert done.stdout.count("begins") == 1
     assert "rows 6" in done.stdout
     assert "Traceback" not in done.stderr
+
+
+def test_the_nets_of_sumo_are_built_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(build, "convert", lambda name, *_: pytest.fail(f"{name} was built alone"))
+    sources = [ProceduralSource({"lane_count": 1, "phase_count": 1, "lane_length_m": m}) for m in (200, 300, 400)]
+    different = [source.sample(np.random.default_rng(0)) for source in sources]
+    played = evaluate_policy("uncommanded", different, [11], SHORT, baselines=(), workers=0, progress=False)
+    assert len(played) == len(list(tmp_path.rglob("*.net.xml"))) == 3
 
 
 def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cache: Path) -> None:

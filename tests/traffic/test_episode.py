@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import os
 import subprocess
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -100,7 +99,7 @@ def test_flow_is_capped_at_900_per_lane_and_lower_off_peak():
     assert len(off_peak) == pytest.approx(500 * 8 * 10 * 0.055 / 0.084, rel=0.02)
 
 
-def test_adoption_changes_only_who_is_controlled_and_cvs_are_nested():
+def test_adoption_changes_only_which_vehicles_are_controlled_and_cvs_are_nested():
     levels = [sample_traffic(make_context(adoption=a), ROAD, 3, 900.0) for a in (0.0, 0.1, 1 / 3, 0.75, 1.0)]
     human = levels[0]
     assert not human.is_cv.any() and levels[-1].is_cv.all()
@@ -189,7 +188,7 @@ def test_zero_demand_gives_an_empty_but_valid_route_file(tmp_path):
     assert list(ElementTree.parse(tmp_path / "r.rou.xml").getroot()) == []
 
 
-def test_route_file_says_what_the_arrays_say(tmp_path):
+def test_route_file_equals_the_arrays(tmp_path):
     traffic = sample_traffic(make_context(adoption=0.4), ROAD, 2, 300.0)
     write_routes(traffic, ROAD, tmp_path / "r.rou.xml")
     root = ElementTree.parse(tmp_path / "r.rou.xml").getroot()
@@ -215,18 +214,6 @@ def test_human_cvs_keep_a_type_of_their_own(tmp_path):
     write_routes(traffic, ROAD, tmp_path / "r.rou.xml")
     types = {node.get("type") for node in ElementTree.parse(tmp_path / "r.rou.xml").getroot().iter("vehicle")}
     assert types == {f"d{k}" for k in range(len(traffic))}
-
-
-def test_two_thousand_vehicles_are_written_in_tens_of_milliseconds(tmp_path):
-    traffic = sample_traffic(make_context(900.0, adoption=0.0), ROAD, 2, 1000.0)
-    assert len(traffic) > 1800
-    times = []
-    for _ in range(5):
-        begin = time.perf_counter()
-        write_routes(traffic, ROAD, tmp_path / "r.rou.xml")
-        times.append(time.perf_counter() - begin)
-    # The aim is 20 ms; the margin is for busy machines.
-    assert min(times) < 0.08
 
 
 @pytest.mark.parametrize("intersection", ["106", "37", "198"])

@@ -1,4 +1,4 @@
-"""How a run ends that cannot go on, and who may train in a folder: in real processes where the matter is processes."""
+"""How a run ends that cannot go on, and who may train in a folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,13 @@ import torch
 
 from izoo import files, train
 from izoo.conf.train_options import TrainConfig
-from izoo.console import exit_code, graceful_interrupt
+from izoo.console import exit_code
 from izoo.errors import IzooError, UnfinishedError
-from izoo.training import checkpoint, loggers, loop, run_folder
+from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
-from izoo.training.watchdog import Watch, open_counts
+from izoo.training.watchdog import StepWatch, open_counts
 from tests.test_console import LOST
-
-TOY = [
-    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[8]"),
-    *("algo.frames_per_batch=50", "algo.minibatch_rows=64", "evaluation.contexts=0", "validation.every_batches=0"),
-    *("checkpoint.every_batches=1", "collector=single", "total_frames=100"),
-]
+from tests.training.toy import TOY
 
 
 def frames_in(run_dir: Path) -> list[int]:
@@ -44,14 +38,10 @@ def one_line(capsys: pytest.CaptureFixture[str], *parts: str) -> None:
     assert len(lines) == 1 and all(part in lines[0] for part in parts), lines
 
 
-# -- one process per run -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
-    before = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file()}
     program = "import sys, pathlib; from izoo.training import run_folder\n"
     program += "with run_folder.owned(pathlib.Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", program, str(run_dir)]
@@ -59,7 +49,6 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
         assert other.stdout is not None and other.stdout.readline() == "mine\n"
         assert train.main([f"resume={run_dir}", "total_frames=150"]) == 2
         one_line(capsys, str(run_dir), "this run is being trained")
-        assert {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file()} == before
         other.communicate("")
     assert train.main([f"resume={run_dir}", "total_frames=150"]) == 0
     assert frames_in(run_dir) == [50, 100, 150]
@@ -76,39 +65,24 @@ def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> No
     assert (tmp_path / "run").is_dir()
 
 
-FOUND: dict[str, Callable[[Path], object]] = {
-    "nothing": lambda run_dir: None,
-    "a folder": lambda run_dir: run_dir.mkdir(),
-    "a folder of another mode": lambda run_dir: run_dir.mkdir(0o750),
-    "a link": lambda run_dir: (run_dir.with_name("far").mkdir(), run_dir.symlink_to("far")),
-}
-"""What lies where a run is to begin."""
-
-
-@pytest.mark.parametrize("others", [False, True])
-@pytest.mark.parametrize("found", FOUND)
-def test_a_start_that_fails_takes_back_its_own_alone(
-    found: str, others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("existed", "others"), [(False, False), (True, False), (True, True)])
+def test_a_start_that_fails_removes_only_its_own_files(
+    existed: bool, others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "run"
-    FOUND[found](run_dir)
-    before = os.lstat(run_dir) if found != "nothing" else None
+    if existed:
+        run_dir.mkdir()
 
     def refuse(*_: Any) -> None:
         if others:
             (run_dir / "notes.txt").write_text("theirs")
-            (run_dir / "checkpoints" / "theirs").mkdir()
         raise IzooError("the first batch cannot be collected.")
 
-    monkeypatch.setattr(loop, "BatchSource", refuse)
+    monkeypatch.setattr(run_state, "BatchSource", refuse)
     assert train.main([*TOY, "logger=tensorboard", f"run_dir={run_dir}"]) == 2
     one_line(capsys, "cannot be collected")
     left = {str(path.relative_to(run_dir)) for path in run_dir.rglob("*")}
-    assert left == ({"notes.txt", "checkpoints", "checkpoints/theirs"} if others else set())
-    assert run_dir.exists() == (others or before is not None)
-    if before is not None:
-        now = os.lstat(run_dir)
-        assert (now.st_ino, now.st_mode) == (before.st_ino, before.st_mode)
+    assert left == ({"notes.txt"} if others else set()) and run_dir.exists() == existed
 
 
 def test_runs_that_begin_in_one_second_have_folders_of_their_own(
@@ -116,30 +90,10 @@ def test_runs_that_begin_in_one_second_have_folders_of_their_own(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(run_folder.created(TrainConfig())) for _ in range(12)]
+        folders = [stack.enter_context(run_folder.created(TrainConfig())) for _ in range(3)]
         for folder in folders:
             (folder / run_folder.METRICS_FILE).touch()
-    assert len({*folders}) == 12 == len(list((tmp_path / "runs").iterdir()))
-
-
-@pytest.mark.parametrize("words", [["algo.hidden=[1000000,1000000]"], ["algo=ddpg", "algo.hidden=[1000000,1000000]"]])
-def test_networks_that_no_memory_holds_are_refused(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rest = [word for word in TOY if not word.startswith(("algo.hidden", "algo.minibatch"))]
-    assert train.main([*rest, *words, f"run_dir={tmp_path / 'run'}"]) == 2
-    one_line(capsys, "weights, more than")
-    assert not (tmp_path / "run").exists()
-
-
-# -- numbers that are not finite ---------------------------------------------------------------------------------------
-
-
-def test_finite_is_seen_through_containers() -> None:
-    good = {"a": [torch.ones(2), {"b": torch.arange(3)}], "c": 1.0, "d": "nan", "e": None}
-    assert is_finite(good)
-    for bad in (torch.tensor([1.0, torch.nan]), torch.tensor(torch.inf), float("nan")):
-        assert not is_finite({**good, "a": [bad]})
+    assert len({*folders}) == 3 == len(list((tmp_path / "runs").iterdir()))
 
 
 @pytest.mark.parametrize("what", ["weights", "loss"])
@@ -168,9 +122,6 @@ def test_training_stops_where_its_numbers_are_not_finite(
     assert train.main([f"resume={run_dir}"]) == 0
 
 
-# -- the disk ----------------------------------------------------------------------------------------------------------
-
-
 def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, suffix: str) -> None:
     """Let every file whose name ends so meet a full disk."""
     partial, real = tmp_path / "partial", files.partial_of
@@ -185,28 +136,22 @@ def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, suffix: str) -> None:
     monkeypatch.setattr(files, "partial_of", partial_of)
 
 
-def test_a_run_whose_last_weights_find_no_room_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
-    full(monkeypatch, tmp_path, ".pt")
-    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 1
-    one_line(capsys, "last weights could not be saved", "step-000000000100.pt", f"resume={run_dir}")
-    monkeypatch.undo()
-    assert train.main([f"resume={run_dir}"]) == 0
-    assert frames_in(run_dir) == [50, 100, 150, 200]
-
-
-def test_resuming_on_a_full_disk_is_one_sentence(
+def test_a_full_disk_is_one_sentence_and_the_run_goes_on_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, f"run_dir={run_dir}"]) == 0
     full(monkeypatch, tmp_path, run_folder.CONFIG_FILE)
-    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 1
+    assert train.main([f"resume={run_dir}", "total_frames=150"]) == 1
     one_line(capsys, "No space left on device", "step-000000000100.pt")
     assert run_folder.read_config(run_dir).total_frames == 100
+    monkeypatch.undo()
+    full(monkeypatch, tmp_path, ".pt")
+    assert train.main([f"resume={run_dir}", "total_frames=150"]) == 1
+    one_line(capsys, "last weights could not be saved", "step-000000000100.pt", f"resume={run_dir}")
+    monkeypatch.undo()
+    assert train.main([f"resume={run_dir}"]) == 0
+    assert frames_in(run_dir) == [50, 100, 150]
 
 
 def test_a_run_folder_that_is_removed_does_not_come_back(
@@ -239,9 +184,6 @@ def test_a_run_that_loses_its_output_trains_on(how: str, tmp_path: Path) -> None
         lose()
         assert process.wait(200) == 0
     assert frames_in(run_dir)[-1] == 400 == checkpoint.load(checkpoint.find(run_dir))["frames"]
-
-
-# -- loggers -----------------------------------------------------------------------------------------------------------
 
 
 class Logger:
@@ -303,103 +245,29 @@ def test_a_run_whose_helper_of_wandb_is_killed_goes_on(tmp_path: Path) -> None:
     assert frames_in(run_dir)[-1] == 400
 
 
-# -- Ctrl-C ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c() -> None:
-    def work() -> int:
-        with graceful_interrupt():
-            os.kill(os.getpid(), signal.SIGINT)
-            try:
-                os.kill(os.getpid(), signal.SIGINT)
-            except KeyboardInterrupt as error:
-                raise SystemError("returned a result with an exception set") from error
-        return 0
-
-    assert exit_code("train", work) == 130
-    with pytest.raises(SystemError), graceful_interrupt():  # without Ctrl-C it is a defect
-        raise SystemError("returned a result with an exception set")
-
-
-def test_ctrl_c_in_the_last_batch_is_not_swallowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A benchmark would begin its next job; the run itself is whole."""
-    run_dir, real = tmp_path / "run", Learner.update
-
-    def press(self: Learner, batch: Any, progress: float) -> dict[str, float]:
-        if progress > 0:
-            os.kill(os.getpid(), signal.SIGINT)
-        return real(self, batch, progress)
-
-    monkeypatch.setattr(Learner, "update", press)
-    assert train.main([*TOY, f"run_dir={run_dir}"]) == 130
-    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 100
-    monkeypatch.undo()
-    assert train.main([f"resume={run_dir}"]) == 0
-
-
-def test_ctrl_c_before_the_first_batch_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = loop.Session._learn
-
-    def press(self: loop.Session, interrupt: Any, sinks: Any) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        real(self, interrupt, sinks)
-
-    monkeypatch.setattr(loop.Session, "_learn", press)
-    assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 130
-    assert not (tmp_path / "run").exists()
-
-
-# -- processes that hang -----------------------------------------------------------------------------------------------
-
-
-def test_a_process_that_owes_steps_and_takes_none_is_ended() -> None:
-    """Those that have done their part, and those that still take steps, go on."""
-    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(3)]
-    watch = Watch(3, steps=10, patience_s=0.4)
-    counts = open_counts(watch.path, 3)
+def test_processes_that_take_no_step_are_ended_while_their_batch_is_awaited() -> None:
+    """All of them: one that is stopped keeps the batch from coming, and nobody can see which one it is."""
+    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(2)]
+    pids = [process.pid for process in sleepers]
+    watch = StepWatch(2, patience_s=0.4)
+    counts = open_counts(watch.path, 2)
     try:
-        counts[:] = 10
-        with watch.over([process.pid for process in sleepers]):  # everybody has done the first batch
-            time.sleep(0.1)
-        counts[0] = 20
-        with watch.over([process.pid for process in sleepers]):
-            for _ in range(8):
+        with watch.over(pids):  # the first batch may take longer
+            time.sleep(0.8)
+        assert not watch.ended
+        with watch.over(pids):
+            for _ in range(6):
                 counts[1] += 1
                 time.sleep(0.15)
-        assert watch.hung == [2]
-        assert [process.poll() for process in sleepers[:2]] == [None, None]
-        assert sleepers[2].wait(10) == -signal.SIGKILL
+            assert not watch.ended
+            assert [process.wait(10) for process in sleepers] == [-signal.SIGKILL] * 2
+        assert watch.ended
     finally:
         watch.close()
         for process in sleepers:
             process.kill()
             process.wait()
     assert not watch.path.exists()
-
-
-def test_processes_that_owe_no_step_and_hand_over_no_batch_are_all_ended() -> None:
-    """One that is stopped after its last step keeps the batch from coming, and nobody can see which one it is."""
-    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(2)]
-    watch = Watch(2, steps=10, patience_s=0.4)
-    counts = open_counts(watch.path, 2)
-    try:
-        counts[:] = 10
-        with watch.over([process.pid for process in sleepers]):
-            time.sleep(0.1)
-        counts[0] = 20
-        with watch.over([process.pid for process in sleepers]):
-            for _ in range(6):
-                counts[1] += 1
-                time.sleep(0.15)
-            assert not watch.withheld
-            counts[1] = 20
-            assert [process.wait(10) for process in sleepers] == [-signal.SIGKILL] * 2
-        assert watch.withheld and not watch.hung
-    finally:
-        watch.close()
-        for process in sleepers:
-            process.kill()
-            process.wait()
 
 
 @pytest.mark.slow

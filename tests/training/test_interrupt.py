@@ -1,4 +1,4 @@
-"""Ctrl-C while worker processes start: it reaches this process, late but surely, and none of them."""
+"""Ctrl-C and SIGTERM: a run is saved, its worker processes do not notice, and the exit code says so."""
 
 from __future__ import annotations
 
@@ -6,10 +6,20 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from izoo.console import graceful_interrupt, workers_ignore_interrupts
+from izoo import train
+from izoo.console import exit_code, graceful_interrupt, workers_ignore_interrupts
+from izoo.training import checkpoint
+from izoo.training.learner import Learner
+from izoo.training.loggers import MetricsTable
+from izoo.training.run_folder import METRICS_FILE
+from izoo.training.session import Session
+from tests.training.toy import TOY
 
 CHILD = "import sys; print('up', flush=True); sys.stdin.readline(); print('alive')"
 
@@ -21,7 +31,7 @@ def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[
         assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    assert "in good order" in capsys.readouterr().err
+    assert "saving the run" in capsys.readouterr().err
 
 
 def test_workers_do_not_see_interrupts() -> None:
@@ -50,3 +60,83 @@ def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("exit code 0\n", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "collector",
+    # The workers on SUMO ignore the signal; the processes of TorchRL's collector end, and the run is saved anyway.
+    ["single", "parallel", "multisync"],
+)
+def test_sigterm_saves_the_run(collector: str, tmp_path: Path) -> None:
+    """Sent twice and to every process of the run, as job schedulers do."""
+    run_dir = tmp_path / "run"
+    words = [word for word in TOY if not word.startswith(("collector", "total_frames", "checkpoint"))]
+    words += [f"collector={collector}", "total_frames=100000000", "checkpoint.every_batches=100000"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 200
+    while process.poll() is None and time.monotonic() < deadline and not MetricsTable.read(run_dir / METRICS_FILE).rows:
+        time.sleep(0.1)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    for pid in (*map(int, children), process.pid, process.pid):
+        os.kill(pid, signal.SIGTERM)
+    output, error = process.communicate(timeout=100)
+    assert process.returncode == 130 and "Traceback" not in error, error
+    assert error.strip().endswith("izoo train: stopped.") and "go on with: python -m izoo.train resume=" in output
+    learned = int(MetricsTable.read(run_dir / METRICS_FILE).rows[-1]["frames"])
+    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == learned
+    assert train.main([f"resume={run_dir}", f"total_frames={learned + 50}"]) == 0
+
+
+def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c() -> None:
+    def work() -> int:
+        with graceful_interrupt():
+            os.kill(os.getpid(), signal.SIGINT)
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt as error:
+                raise SystemError("returned a result with an exception set") from error
+        return 0
+
+    assert exit_code("train", work) == 130
+    with pytest.raises(SystemError), graceful_interrupt():  # without Ctrl-C it is a defect
+        raise SystemError("returned a result with an exception set")
+
+
+@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGTERM]])
+def test_a_signal_in_the_last_batch_is_not_swallowed(
+    signals: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A benchmark would begin its next job; the run itself is whole. Schedulers may send SIGTERM twice."""
+    run_dir, real = tmp_path / "run", Learner.update
+
+    def press(self: Learner, batch: Any, progress: float) -> dict[str, float]:
+        for number in signals if progress > 0 else ():
+            os.kill(os.getpid(), number)
+        return real(self, batch, progress)
+
+    monkeypatch.setattr(Learner, "update", press)
+    assert train.main([*TOY, f"run_dir={run_dir}"]) == 130
+    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 100
+    monkeypatch.undo()
+    assert train.main([f"resume={run_dir}"]) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_before_the_first_batch_leaves_nothing(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Session._learn
+
+    def press(self: Session, interrupt: Any) -> None:
+        os.kill(os.getpid(), number)
+        real(self, interrupt)
+
+    monkeypatch.setattr(Session, "_learn", press)
+    assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 130
+    assert not (tmp_path / "run").exists()

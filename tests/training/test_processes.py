@@ -18,7 +18,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule
@@ -26,6 +26,7 @@ from izoo.envs import EnvConfig
 from izoo.errors import IzooError
 from izoo.training import collectors
 from izoo.training.collectors import BatchSource
+from izoo.training.process_collector import worker_env
 from tests.envs.worlds import crossing
 
 STEPS = 50  # episodes take 70 steps, so that one ends within the second batch
@@ -61,8 +62,8 @@ def learn(policy: TensorDictModuleBase) -> None:
 
 def alone(worker: int, policy: TensorDictModuleBase) -> list[TensorDict]:
     """Collect what a worker should, in this process: two batches ``[STEPS]``, of old and new weights."""
-    env = collectors._worker_env(CONFIG, SCHEDULE, (), worker, CONFIG.num_workers)
-    collector = collectors._collector(env, policy, STEPS)
+    env = worker_env(CONFIG, SCHEDULE, (), worker)
+    collector = collectors.in_process(env, policy, STEPS)
     try:
         first = next(iter(collector)).clone()
         learn(policy)

@@ -16,26 +16,22 @@ from tensordict import TensorDictBase
 
 from izoo import train
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
+from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loop, run_folder
-from izoo.training.command_replay import EpisodePast, Pasts
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
+from izoo.training.environments import TrainingEnv, training_class
+from tests.training import toy
 
 TOY = [
-    *(
-        "contexts=pcg_easy",
-        "contexts.inflow_vph_per_lane=600",
-        "contexts.adoption=1.0",
-        "env.horizon_s=100",
-        "algo.hidden=[16]",
-    ),
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.adoption=1.0", "env.horizon_s=100"),
     *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=1"),
-    *("total_frames=1200", "validation.every_batches=0"),
+    *("total_frames=1200", "validation.every_batches=0", "algo.hidden=[16]"),
 ]
 """Episodes of 150 steps and batches of 100 or 200: runs are interrupted in the middle of episodes."""
 TWIN = ["simulator=twin", "num_envs=4", "twin.threads=2", "twin.compare_every=4"]
@@ -130,11 +126,11 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
         "validation.contexts=3",
         "validation.every_batches=0",
     ]
-    stored = compose_config("train", TrainConfig, words)
+    stored = compose_config(TrainConfig, words)
     run_folder.write_config(tmp_path, stored)
     given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
     names = frozenset(word.partition("=")[0] for word in given)
-    found, state, _ = loop._resumed(compose_config("train", TrainConfig, given), names, tmp_path)
+    found, state, _ = loop._resumed(compose_config(TrainConfig, given), names, tmp_path)
     assert state is None and found == run_folder.read_config(tmp_path)
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
@@ -157,7 +153,7 @@ def test_a_refused_resumption_leaves_the_run_as_it_was(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
-    run_folder.write_config(tmp_path, compose_config("train", TrainConfig, search))
+    run_folder.write_config(tmp_path, compose_config(TrainConfig, search))
     before = (tmp_path / run_folder.CONFIG_FILE).read_bytes()
     assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
     assert message in capsys.readouterr().err
@@ -170,7 +166,7 @@ SLOTS = 16
 
 
 def play(
-    env: TrainingParallelEnv, root: TensorDictBase, steps: int, generator: torch.Generator
+    env: EcoDrivingBase, root: TensorDictBase, steps: int, generator: torch.Generator
 ) -> tuple[TensorDictBase, TensorDictBase]:
     """Step with random commands; return the steps ``[2, T]`` and the state to act on next."""
     frames = []
@@ -185,13 +181,13 @@ def play(
 @pytest.mark.parametrize("steps", [40, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (150, 190))])
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
-    pasts = Pasts.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    histories = EpisodeHistories.fresh(2)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), steps, torch.Generator().manual_seed(3))
-    pasts.add(batch)
-    again = Pasts.from_state(pasts.state_dict())
-    assert [past.episode for past in again.pasts] == ([0, 1] if steps < 150 else [2, 3])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=again.pasts)
+    histories.add(batch)
+    again = EpisodeHistories.from_state(histories.state_dict())
+    assert [past.episode for past in again.histories] == ([0, 1] if steps < 150 else [2, 3])
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=again.histories)
     other = second.reset()
     for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
         assert torch.equal(root.get(key), other.get(key)), key
@@ -211,17 +207,17 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
 
 @pytest.mark.slow
 def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
-    pasts = Pasts.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    histories = EpisodeHistories.fresh(2)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
-    pasts.add(batch)
+    histories.add(batch)
     first.close()
-    young = Pasts.from_state([pasts.state_dict()[0], EpisodePast(7).state_dict()])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=young.pasts)
+    young = EpisodeHistories([histories.histories[0], EpisodeHistory(7)])
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=young.histories)
     other = second.reset()
     assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
     assert second._next_episode.tolist() == [2, 9]
-    alone = TrainingParallelEnv(2, contexts=DENSE, config=ENV, pasts=[EpisodePast(0), EpisodePast(7)])
+    alone = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
     assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
     second.close()
     alone.close()
@@ -231,7 +227,7 @@ def test_environments_whose_episodes_are_of_different_age_arrive_together() -> N
 def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
     """Of a single environment, or of one worker among several."""
     config = EnvConfig(horizon_s=60.0, num_agents=16, emit=("context",))
-    env = TrainingEnv(DENSE, config=config, worker=0, num_workers=num_workers, pasts=[EpisodePast(4)])
+    env = TrainingEnv(DENSE, config=config, worker=0, num_workers=num_workers, histories=[EpisodeHistory(4)])
     try:
         state = env.reset()
         assert state["context", "episode"].item() == 4
@@ -246,11 +242,47 @@ def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
 
 
 def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
-    past = EpisodePast(5, [torch.tensor([2])], [{"action": torch.tensor([0.5, 1.0])}])
-    script = past.unroll(4)
-    assert script.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
+    history = EpisodeHistory(5, torch.tensor([2]), {"action": torch.tensor([0.5, 1.0])})
+    assert history.at(0, torch.tensor([True, False, True, False]))["action"].tolist() == [0.5, 0.0, 1.0, 0.0]
     with pytest.raises(IzooError, match="episode 5 does not repeat itself: 1 controlled vehicles at step 0, 2 before"):
-        script.at(0, torch.tensor([True, False, False, False]))
+        history.at(0, torch.tensor([True, False, False, False]))
+
+
+@pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])
+def test_a_file_that_cannot_be_read_is_one_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={run_dir}"]) == 0
+    (run_dir / name).write_bytes(bytes(range(256)) * 4)
+    kept = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file() and path.suffix != ".yaml"}
+    assert train.main([f"resume={run_dir}", "total_frames=100"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("izoo train: cannot read ") and name in line
+    assert {path: path.read_bytes() for path in kept} == kept
+
+
+def test_a_run_that_was_moved_goes_on(tmp_path: Path) -> None:
+    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={tmp_path / 'run'}"]) == 0
+    moved = (tmp_path / "run").rename(tmp_path / "elsewhere")
+    assert train.main([f"resume={moved}", "total_frames=100"]) == 0
+    assert checkpoint.load(checkpoint.find(moved))["frames"] == 100
+    with pytest.raises(IzooError, match=r"is one checkpoint, so checkpoint=best chooses nothing"):
+        checkpoint.find(checkpoint.find(moved), "best")
+
+
+@pytest.mark.slow
+def test_states_of_the_twin_that_others_saved_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever they hold: compiled code would take them unchecked. The run itself goes on."""
+    run_dir, words = tmp_path / "run", [word for word in toy.TOY if not word.startswith("collector")]
+    assert train.main([*words, "simulator=twin", "num_envs=2", "twin.threads=1", f"run_dir={run_dir}"]) == 0
+    state = checkpoint.load(checkpoint.find(run_dir))
+    state["environments"]["packed"][0][5] ^= 0xFF
+    torch.save(state, checkpoint.find(run_dir))
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0
+    assert "saved the episodes in progress, left out here" in capsys.readouterr().out
+    assert train.main([f"resume={run_dir}", "total_frames=300"]) == 0
+    assert "left out" not in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -260,5 +292,5 @@ def test_another_number_of_workers_leaves_the_episodes_in_progress_out(tmp_path:
     assert train.main([f"resume={run_dir}", "total_frames=600", "num_workers=1"]) == 0
     state = checkpoint.load(checkpoint.find(run_dir))
     assert state["first_episode"] == 4, "two workers had reached the episodes 2 and 3"
-    assert [entry["episode"] for entry in state["pasts"]] == [1]
+    assert [entry["episode"] for entry in state["histories"]] == [1]
     assert run_folder.read_config(run_dir).num_workers == 1

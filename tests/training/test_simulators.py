@@ -15,7 +15,7 @@ from izoo.results.playing import Setup
 from izoo.results.rollout import evaluated
 from izoo.results.selection import EpisodeSeeds, choose_contexts
 from izoo.training import run_folder
-from izoo.training.validation import VALIDATION_SEED, held_out
+from izoo.training.validation_rollout import VALIDATION_SEED, held_out
 
 EASY = ["contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=60"]
 
@@ -57,21 +57,3 @@ def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytes
         assert evaluate.main([*words, f"simulator={simulator}", f"out={tmp_path / 'out'}"]) == 0
     assert "Evaluating glide on the twin" in capsys.readouterr().out
     assert read_table(tmp_path / "out").groupby("simulator").size().to_dict() == {"sumo": 3, "twin": 3}
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["num_envs=256"], "set num_workers, or simulator=twin"),
-        (["simulator=twin", "collector=multisync"], "collector=multisync is a way to step SUMO"),
-        (["simulator=twin", "twin.threads=0"], "twin.threads is 0"),
-        (["simulator=twin", "num_envs=0"], "num_envs is 0"),
-        (["simulator=twin", "env.gui=true"], "the twin has no window"),
-        (["simulator=cityflow"], "sumo, twin"),
-    ],
-)
-def test_what_the_twin_cannot_do_is_refused(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train.main([*EASY, *words, f"run_dir={tmp_path / 'run'}"]) == 2
-    assert message in capsys.readouterr().err and not (tmp_path / "run").exists()

@@ -91,8 +91,3 @@ def test_what_collects_is_the_policy_and_not_its_search(tmp_path: Path) -> None:
     assert train.main([*words, *search, f"run_dir={run_dir}"]) == 0
     config = CollectConfig(policy=str(run_dir), env=run_folder.read_config(run_dir).env)
     assert not make_policy(config).training
-
-
-def test_a_run_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main([*TOY, f"start={tmp_path / 'nothing'}", f"run_dir={tmp_path / 'run'}"]) == 2
-    assert "does not exist; give the folder of a training run" in capsys.readouterr().err

@@ -8,7 +8,6 @@ import json
 import os
 import resource
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,30 +18,23 @@ import pytest
 import torch
 
 from izoo import evaluate, train
-from izoo.cli.evaluate import resolve
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import PcgContexts
-from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.processes import start_process
+from izoo.processes import ChildProcess
 from izoo.results import read_table
 from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, run_folder, validation
-from izoo.training.validation import CONTEXTS, Validator, shown_worse
+from izoo.training.validation import Validator, shown_worse
+from izoo.training.validation_rollout import CONTEXTS, held_out
 
 TOY = [
-    *(
-        "contexts=pcg_easy",
-        "contexts.inflow_vph_per_lane=600",
-        "env.horizon_s=75",
-        "algo.hidden=[16]",
-        "contexts.lane_length_m=120",
-    ),
+    *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
     *("algo.frames_per_batch=200", "algo.minibatch_rows=64", "evaluation.contexts=0", "checkpoint.every_batches=5"),
-    *("validation.every_batches=3", "validation.contexts=1"),
+    *("validation.every_batches=3", "validation.contexts=1", "validation.seeds=1", "algo.hidden=[16]"),
 ]
 
 
@@ -76,10 +68,10 @@ def test_results_and_the_best_weights_are_kept(run_dir: Path) -> None:
 
 @pytest.mark.slow
 def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
-    words = [word for word in TOY if not word.startswith("validation.contexts")]
+    replaced = ("validation.contexts", "validation.seeds", "env.horizon_s", "contexts.inflow_vph_per_lane")
+    words = [word for word in TOY if not word.startswith(replaced)]
     words += ["validation.contexts=6", "validation.simulator=twin", "contexts.adoption=0.5", "env.horizon_s=120"]
-    replaced = ("env.horizon_s=75", "contexts.inflow_vph_per_lane=600")
-    words = [*(word for word in words if word not in replaced), "contexts.inflow_vph_per_lane=400..700"]
+    words += ["contexts.inflow_vph_per_lane=400..700"]
     assert train.main([*words, "collector=single", "total_frames=600", f"run_dir={tmp_path / 'run'}"]) == 0
     (row,) = rows(tmp_path / "run" / validation.VALIDATION_FILE)
     for name in ("co2_saved", "co2_saved_over_human", "delay_change_s"):
@@ -101,11 +93,10 @@ def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -
 def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> None:
     trained = run_folder.read_config(run_dir).env
     assert trained.horizon_s < EnvConfig().horizon_s
-    full = resolve(EvaluateConfig(run=str(run_dir)), frozenset()).env
-    whole = EnvConfig()
-    assert full == dataclasses.replace(trained, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s, drain_s=DRAIN_S)
-    told = EvaluateConfig(run=str(run_dir), env=EnvConfig(horizon_s=77.0))
-    assert resolve(told, frozenset({"env.horizon_s"})).env.horizon_s == 77.0
+    full, whole = evaluate.COMMAND.compose([f"run={run_dir}"]), EnvConfig()
+    changes = {"horizon_s": whole.horizon_s, "warmup_s": whole.warmup_s, "emit": whole.emit}
+    assert full.env == dataclasses.replace(trained, **changes, drain_s=DRAIN_S)
+    assert evaluate.COMMAND.compose([f"run={run_dir}", "env.horizon_s=77"]).env.horizon_s == 77.0
 
 
 def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) -> None:
@@ -134,7 +125,7 @@ def test_a_failed_validation_is_reported_once_and_training_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     validator = Validator(TrainConfig(), tmp_path)
-    path = checkpoint.save(tmp_path, 100, {"algorithm": {}, "features": 3}, keep=1)
+    path = checkpoint.save(tmp_path, 100, {"algorithm": {}}, keep=1)
     validator.submit(path)  # the folder has no config.yaml
     assert validator.busy
     validator.submit(path)  # weights that are being validated are not submitted again
@@ -148,12 +139,12 @@ def test_a_failed_validation_is_reported_once_and_training_goes_on(
 def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
     validator = Validator(TrainConfig(), tmp_path)
     for frames in (100, 200, 300):
-        validator.submit(checkpoint.save(tmp_path, frames, {"algorithm": {}, "features": 3}, keep=1))
+        validator.submit(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1))
     assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100, 300]
-    process = validator._process
-    assert process is not None
+    child = validator._child
+    assert child is not None
     validator.close()
-    assert process.poll() is not None
+    assert child.process.poll() is not None
     # A resumed run validates what was left: not what it will train anew, and the newest only.
     again = Validator(TrainConfig(), tmp_path, frames=250)
     assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100]
@@ -196,14 +187,11 @@ def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_
 
 def test_the_process_ends_with_the_run(run_dir: Path, tmp_path: Path) -> None:
     """Also where the run is killed: the socket to it closes."""
-    parent, child = socket.socketpair()
-    paths = f"{str(checkpoint.find(run_dir))!r}, {str(tmp_path / 'r')!r}"
-    call = f"from izoo.training.validation_worker import main; main({child.fileno()}, {paths})"
-    with child:
-        process = start_process(call, child.fileno())
-    parent.close()
+    paths = str(checkpoint.find(run_dir)), str(tmp_path / "r")
+    child = ChildProcess("izoo.training.validation_worker:main", *paths)
+    child.dismiss()
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    assert process.wait(30) == 1
+    assert child.process.wait(30) == 1
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1.0, "it imported PyTorch first"
     assert not (tmp_path / "r").exists()
 
@@ -229,7 +217,8 @@ def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    words = [*TOY, "total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
+    words = [word for word in TOY if not word.startswith("validation")]
+    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
     process = subprocess.Popen(
         [sys.executable, "-m", "izoo.train", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
@@ -244,12 +233,12 @@ def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
 
 
 def test_validation_uses_held_out_intersections_where_there_are_any() -> None:
-    source = validation.held_out(CityContexts(split="train"))
+    source = held_out(CityContexts(split="train"))
     assert isinstance(source, Scenarios)
     names = {source[k].intersection.name for k in range(0, len(source), 7)}
     trained = CityContexts(split="train").build()
     assert names.isdisjoint({trained[k].intersection.name for k in range(0, len(trained), 7)})  # type: ignore[index]
-    assert validation.held_out(PcgContexts(preset="easy")) is not None
+    assert held_out(PcgContexts(preset="easy")) is not None
 
 
 def told_apart(places: int, validations: int, loss: float, runs: int) -> float:

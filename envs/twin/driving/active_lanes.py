@@ -1,8 +1,8 @@
-"""The lanes with vehicles, in the order in which SUMO serves them.
+"""The active lanes, those with vehicles, in the order in which SUMO processes them.
 
-Lanes with neighbours come first, those that became busy last before the others; then the lanes without neighbours, in
-the order in which they became busy. Lane changing goes along this order: a driver who looks across the end of his edge
-sees the changes that were made on edges before it, and not yet those behind it.
+Lanes of edges with several lanes come first, the last activated one before the others; then the single lanes in the
+order of their activation. Lanes are changed in this order: a vehicle that looks past the end of its edge sees the
+changes made on edges before it in this order, but not those after it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from izoo.envs.twin.runtime.layout import (
 
 @compiled
 def activate(net, state, lane):  # type: ignore[no-untyped-def]
-    """Enter ``lane`` into the order, unless it is there."""
+    """Add ``lane`` to the active lanes, unless it is there."""
     active, clock = state.active, state.clock
     if active[lane, ACTIVE_NEXT] != NOT_ACTIVE:
         return
@@ -45,8 +45,8 @@ def activate(net, state, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def forget_empty(state):  # type: ignore[no-untyped-def]
-    """Take the lanes without vehicles out of the order."""
+def deactivate_empty(state):  # type: ignore[no-untyped-def]
+    """Remove the lanes without vehicles."""
     active, clock = state.active, state.clock
     lane = clock[ACTIVE_FIRST]
     while lane >= 0:
@@ -65,8 +65,8 @@ def forget_empty(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def activate_busy(net, state):  # type: ignore[no-untyped-def]
-    """Enter the lanes that vehicles came onto since, in the order of their rows."""
+def activate_occupied(net, state):  # type: ignore[no-untyped-def]
+    """Add the lanes that vehicles have come to since, in the order of their rows."""
     for lane in range(state.lanes.shape[0]):
         if state.lanes[lane, LANE_COUNT] > 0:
             activate(net, state, lane)

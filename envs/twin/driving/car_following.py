@@ -1,4 +1,4 @@
-"""Car following: the intelligent driver model in sub-steps, and the ways in which it brakes for points and limits.
+"""Car following: the intelligent driver model (IDM) in sub-steps, and braking for points and speed limits.
 
 Speeds in m/s, gaps in m, ``driver`` is a row of :attr:`~izoo.envs.twin.runtime.layout.TwinTraffic.floats`. Formulas:
 Treiber, Hennecke, Helbing (2000), discretised as SUMO does it (each found by probing, see the tests).
@@ -30,10 +30,10 @@ COMFORT_DECEL_MPS2 = 1.5
 
 @compiled
 def fourth_power(x):  # type: ignore[no-untyped-def]
-    """Return ``x ** 4``, in all but one of a thousand cases to the last bit as a C library's ``pow``, and faster.
+    """Return ``x ** 4``, in 99.9 % of cases bit for bit like a C library's ``pow``, and faster.
 
-    What rounding takes off each product is added again. The last bit counts where somebody was asked to be slower than
-    somebody else by just so much, and is then asked whether it is.
+    The rounding error of each product is added again. The last bit matters in lane changing, where a speed difference
+    is compared with the difference that was advised.
     """
     square = x * x
     power = square * square
@@ -42,9 +42,9 @@ def fourth_power(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed after one step behind a leader that keeps its speed.
+    """Return the speed (IDM) after one step behind a leader of constant speed.
 
-    ``min_gap`` is the standstill gap, 0 for points to stop at; ``gap`` comes without it.
+    ``min_gap`` is the standstill gap, 0 for a point to stop at; ``gap`` excludes it.
     """
     count = max(1, int(step_s / SUB_STEP_S + 0.5))
     gap = gap + min_gap
@@ -86,26 +86,26 @@ def stop_speed(driver, gap, speed, wish_mps, decel, step_s):  # type: ignore[no-
 def free_speed(driver, seen, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step on a free road with another limit ``seen`` ahead."""
     if speed <= limit_mps:
-        return limited(driver, seen, free_core(driver, speed, limit_mps, wish_mps, step_s), limit_mps)
+        return limit_ahead(driver, seen, unlimited_speed(driver, speed, limit_mps, wish_mps, step_s), limit_mps)
     secure = secure_gap(driver, limit_mps, 0.0)
-    return limited(driver, seen, idm_speed(driver, max(seen, secure), speed, 0.0, wish_mps, 0.0, step_s), limit_mps)
+    return limit_ahead(driver, seen, idm_speed(driver, max(seen, secure), speed, 0.0, wish_mps, 0.0, step_s), limit_mps)
 
 
 @compiled
-def free_core(driver, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed after one step towards a limit that is no lower than ``speed``, however far it is."""
+def unlimited_speed(driver, speed, limit_mps, wish_mps, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed after one step towards a limit that is no lower than ``speed``, at any distance."""
     return idm_speed(driver, FREE_GAP_M, speed, limit_mps, wish_mps, 0.0, step_s)
 
 
 @compiled
-def limited(driver, seen, speed, limit_mps):  # type: ignore[no-untyped-def]
-    """Return ``speed``, held to the limit where that begins so soon (m) that one would brake for it."""
+def limit_ahead(driver, seen, speed, limit_mps):  # type: ignore[no-untyped-def]
+    """Return ``speed``, capped at a limit that begins within the braking distance (``seen``, m)."""
     return min(speed, limit_mps) if seen < secure_gap(driver, limit_mps, 0.0) else speed
 
 
 @compiled
 def brake_gap(speed, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
-    """Return the way (m) to a standstill: braking begins after ``tau_s``, in whole steps."""
+    """Return the braking distance (m) in whole steps, after a reaction time of ``tau_s``."""
     loss = decel * step_s
     steps = int(speed / loss)
     return step_s * (steps * speed - loss * steps * (steps + 1) / 2) + speed * tau_s
@@ -113,7 +113,7 @@ def brake_gap(speed, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
 
 @compiled
 def safe_stop_speed(gap, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
-    """Return the highest speed (m/s) from which one can stop within ``gap`` by braking in whole steps."""
+    """Return the highest speed (m/s) from which a vehicle can stop within ``gap`` by braking in whole steps."""
     g = gap - EPS
     if g < 0.0:
         return 0.0
@@ -125,7 +125,7 @@ def safe_stop_speed(gap, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def least_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
+def min_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of comfortable braking."""
     decel = max(driver[DECEL], min(driver[EMERGENCY_DECEL], COMFORT_DECEL_MPS2))
     return max(0.0, speed - decel * step_s)
@@ -138,14 +138,14 @@ def desired_speed(net, state, v, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def most_speed(driver, speed, top, step_s):  # type: ignore[no-untyped-def]
+def max_speed(driver, speed, top, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of full acceleration, up to the vehicle's own maximum ``top``."""
     return min(speed + driver[MAX_ACCEL] * step_s, top)
 
 
 @compiled
 def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untyped-def]
-    """Return the least time (s) for ``way`` (m) when the speed goes evenly to ``arrival_speed`` and stays there."""
+    """Return the least time (s) for ``way`` (m) with even acceleration to ``arrival_speed``, then constant speed."""
     accel = driver[MAX_ACCEL] if arrival_speed >= speed else -driver[DECEL]
     time_s = (arrival_speed - speed) / accel
     changing = time_s * (arrival_speed + speed) * 0.5
@@ -155,14 +155,14 @@ def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untype
 
 
 @compiled
-def speed_after(way, speed, accel, top):  # type: ignore[no-untyped-def]
-    """Return the speed (m/s) after ``way`` m of even acceleration, up to the vehicle's own maximum ``top``."""
+def accelerated_speed(way, speed, accel, top):  # type: ignore[no-untyped-def]
+    """Return the speed (m/s) after ``way`` m of constant acceleration, up to the vehicle's own maximum ``top``."""
     return min(top, np.sqrt(2.0 * way * accel + speed * speed))
 
 
 @compiled
 def braked_speed(driver, way, speed, arrival_speed, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed (m/s) after ``way`` m if the driver begins to brake after ``tau``; 0 if he can stop before."""
+    """Return the speed (m/s) after ``way`` m if the driver brakes after ``tau``; 0 if it can stop before."""
     if way >= brake_gap(speed, driver[DECEL], driver[TAU], step_s):
         return 0.0
     braking_m = way - speed * driver[TAU]

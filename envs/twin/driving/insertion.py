@@ -1,13 +1,13 @@
-"""Vehicles that enter: who is due, who finds room, who waits, and whom SUMO drops."""
+"""Insertion of vehicles: which ones are due, enter, wait, or are dropped as in SUMO."""
 
 from __future__ import annotations
 
 from izoo.envs.twin.driving.car_following import brake_gap, free_speed, secure_gap, stop_speed
-from izoo.envs.twin.driving.lane_queues import back_on, last_on, place, tail_on
+from izoo.envs.twin.driving.lane_queues import insert_into_lane, last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import ALLWAY_STOP, EQUAL, MINOR, PRIORITY_GREEN, STOP, is_major
 from izoo.envs.twin.net.best_lanes import find_variant
-from izoo.envs.twin.net.conflicts import CONFLICT_KIND, CONFLICT_LANE, PARTING
+from izoo.envs.twin.net.conflicts import CONFLICT_KIND, CONFLICT_LANE, DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     ACCEL,
@@ -49,12 +49,12 @@ from izoo.envs.twin.runtime.layout import (
 
 ENTER, WAIT, DROP = range(3)
 ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
-"""What SUMO keeps free at the end of a lane for vehicles that must change by two lanes or more."""
+"""Room that SUMO reserves at the end of a lane for vehicles that must change by two lanes or more."""
 
 
 @compiled
 def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
-    """Insert whoever is due and finds room, per lane in the order of departure."""
+    """Insert the vehicles that are due where there is room, per lane in the order of departure."""
     ints, clock = state.ints, state.clock
     now_ms = clock[NOW_MS]
     count = traffic.ints.shape[0]
@@ -74,44 +74,44 @@ def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-de
         lane = net.source_lanes[k]
         v = state.waiting_first[lane]
         while v >= 0:
-            verdict = judge(net, traffic, state, v, lane, step_ms)
+            verdict = departure_verdict(net, traffic, state, v, lane, step_ms)
             if verdict == WAIT:
                 break
             state.waiting_first[lane] = state.waiting_next[v]
             if state.waiting_next[v] < 0:
                 state.waiting_last[lane] = -1
             if verdict == DROP:
-                # As in SUMO nobody else enters on this lane in this step.
+                # As in SUMO, no other vehicle enters on this lane in this step.
                 ints[v, STATUS] = DROPPED
                 break
-            enter(net, traffic, state, v, lane)
+            insert_vehicle(net, traffic, state, v, lane)
             v = state.waiting_first[lane]
 
 
 @compiled
-def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def]
-    """Return whether vehicle ``v`` enters ``lane`` with its speed of departure, waits or is dropped.
+def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def]
+    """Return whether vehicle ``v`` enters ``lane`` at its departure speed, waits or is dropped.
 
-    It looks as far ahead as it needs to stop. Vehicles and red lights that are too near make it wait; what will not
-    change is why SUMO drops a vehicle: a lane that does not lead on, a link that never has priority, a slow lane.
+    It looks ahead within its braking distance. It waits for vehicles and red lights that are too close; SUMO drops it
+    for obstacles that stay: a lane that does not continue the route, a link that never has priority, a slow lane.
     """
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
     start, speed = lane, driver[DEPART_SPEED]
     if state.ints[v, VARIANT] < 0:
-        # Once and for all, though the signals may change while it waits.
+        # Set once, although the signals may change while it waits.
         state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
-    wish = net.lane_floats[lane, LANE_LIMIT]
+    desired = net.lane_floats[lane, LANE_LIMIT]
     position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     seen = -position
     leader = state.lanes[lane, LANE_BACK]
     if leader < 0:
-        leader = tail_on(net, traffic, state, lane, v)
+        leader = last_tail(net, traffic, state, lane, v)
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
     verdict = ENTER
     while True:
         if leader >= 0:
-            gap = seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
+            gap = seen + rear_position(net, traffic, state, leader, lane) - driver[MIN_GAP]
             if gap < 0.0 or gap < secure_gap(driver, speed, state.floats[leader, SPEED]):
                 verdict = WAIT
                 break
@@ -119,7 +119,7 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
         if seen >= reach:
             break
         link = net.route_link[traffic.ints[v, ROUTE], lane]
-        stops = stop_speed(driver, seen, speed, wish, driver[DECEL], step_s) >= speed
+        stops = stop_speed(driver, seen, speed, desired, driver[DECEL], step_s) >= speed
         if link < 0:
             if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]] and not stops:
                 verdict = DROP
@@ -127,31 +127,32 @@ def judge(net, traffic, state, v, lane, step_ms):  # type: ignore[no-untyped-def
         letter = state.link_letter[link]
         if not is_major(letter):
             if not stops:
-                verdict = DROP if _never_major(net, link, letter) else WAIT
+                verdict = DROP if _never_has_priority(net, link, letter) else WAIT
             break
         lane = net.link_ints[link, LINK_NEXT]
-        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], wish, step_s) < speed:
+        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], desired, step_s) < speed:
             verdict = DROP
             break
         onward = net.route_link[traffic.ints[v, ROUTE], lane]
         if net.lane_ints[lane, LANE_INSIDE] and _is_crossed(net, state, onward):
             verdict = WAIT
             break
-        leader = last_on(net, traffic, state, lane, v)
-    if verdict == ENTER and _changes_too_late(net, traffic, state, v, start, position, step_s):
+        leader = last_vehicle(net, traffic, state, lane, v)
+    if verdict == ENTER and _too_fast_for_lane_changes(net, traffic, state, v, start, position, step_s):
         verdict = DROP
     return verdict
 
 
 @compiled
 def _is_crossed(net, state, link):  # type: ignore[no-untyped-def]
-    """Return whether anybody is on a way that crosses or merges with the one that ``link`` ends.
+    """Return whether a vehicle is on a way that crosses or merges with the one that ``link`` ends.
 
-    Ways of roads that exclude each other count as well, though they may lie side by side.
+    Ways of mutually exclusive links count as well, even if they lie side by side.
     """
     first = net.conflict_first[link]
     for row in range(first, first + net.conflict_count[link]):
-        if net.conflict_ints[row, CONFLICT_KIND] != PARTING and _is_busy(state, net.conflict_ints[row, CONFLICT_LANE]):
+        kind, lane = net.conflict_ints[row, CONFLICT_KIND], net.conflict_ints[row, CONFLICT_LANE]
+        if kind != DIVERGING and _is_busy(state, lane):
             return True
     entry = net.link_ints[link, LINK_ENTRY]
     first = net.link_ints[entry, LINK_FIRST_FOE]
@@ -168,11 +169,11 @@ def _is_busy(state, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
+def _too_fast_for_lane_changes(net, traffic, state, v, lane, position, step_s):  # type: ignore[no-untyped-def]
     """Return whether vehicle ``v`` would be too fast on ``lane`` to change by two lanes or more before its end.
 
-    SUMO asks it where the vehicle will be after one step. Where even the room for changing has begun by then it is too
-    late to ask, and the vehicle enters.
+    SUMO checks this at the position after one step. If the reserved room has begun by then, it does not check, and the
+    vehicle enters.
     """
     variant = state.ints[v, VARIANT]
     offset = net.best_offset[variant, lane]
@@ -188,8 +189,8 @@ def _changes_too_late(net, traffic, state, v, lane, position, step_s):  # type: 
 
 
 @compiled
-def _never_major(net, link, letter):  # type: ignore[no-untyped-def]
-    """Return whether ``link``, which shows ``letter`` now, will never let vehicles pass that cannot stop."""
+def _never_has_priority(net, link, letter):  # type: ignore[no-untyped-def]
+    """Return whether ``link``, which shows ``letter`` now, never has priority."""
     if letter in (MINOR, EQUAL, STOP, ALLWAY_STOP):
         return True
     program = net.link_ints[link, LINK_PROGRAM]
@@ -203,11 +204,11 @@ def _never_major(net, link, letter):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def enter(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
+def insert_vehicle(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Put vehicle ``v`` on the road."""
     floats, driver = state.floats, traffic.floats[v]
     floats[v, POSITION] = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
     floats[v, SPEED], floats[v, ACCEL] = driver[DEPART_SPEED], 0.0
     state.ints[v, STATUS] = DRIVING
-    place(state, v, lane)
+    insert_into_lane(state, v, lane)
     state.clock[ON_ROAD] += 1

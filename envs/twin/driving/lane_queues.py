@@ -1,4 +1,4 @@
-"""Who is before whom: the vehicles of each lane in order, and the lanes that tails are still on."""
+"""The vehicles of each lane in order, and the lanes that their tails are still on."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from izoo.envs.twin.runtime.layout import (
 
 
 @compiled
-def place(state, v, lane):  # type: ignore[no-untyped-def]
-    """Enter vehicle ``v`` into the order of ``lane`` by its position, behind others at the same place."""
+def insert_into_lane(state, v, lane):  # type: ignore[no-untyped-def]
+    """Insert vehicle ``v`` into the queue of ``lane`` by its position, behind others at the same position."""
     ints, lanes = state.ints, state.lanes
     position = state.floats[v, POSITION]
-    # From upstream: who comes onto a lane is mostly its last vehicle.
+    # From upstream, because a vehicle that comes to a lane is mostly its last.
     ahead, behind = lanes[lane, LANE_BACK], -1
     while ahead >= 0 and state.floats[ahead, POSITION] < position:
         behind = ahead
@@ -44,8 +44,8 @@ def place(state, v, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def take_out(state, v):  # type: ignore[no-untyped-def]
-    """Take vehicle ``v`` out of the order of its lane."""
+def remove_from_lane(state, v):  # type: ignore[no-untyped-def]
+    """Remove vehicle ``v`` from the queue of its lane."""
     ints, lanes = state.ints, state.lanes
     lane, ahead, behind = ints[v, LANE], ints[v, AHEAD], ints[v, BEHIND]
     if ahead >= 0:
@@ -61,8 +61,8 @@ def take_out(state, v):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def drop_tail(state, v):  # type: ignore[no-untyped-def]
-    """Take the tail of vehicle ``v`` off all lanes."""
+def clear_tail(state, v):  # type: ignore[no-untyped-def]
+    """Remove the tail of vehicle ``v`` from all lanes."""
     for k in range(state.ints[v, TAIL_LANES]):
         lane = state.tail_lane[v, k]
         count = state.lanes[lane, LANE_TAILS]
@@ -75,10 +75,10 @@ def drop_tail(state, v):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
+def set_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
     """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes in its ``tail_lane`` as it reaches.
 
-    Where the tables have no room for it, that is counted: see
+    If the tables have no room for it, that is counted: see
     :func:`izoo.envs.twin.runtime.episode_setup.TwinRun.finish`.
     """
     rest = traffic.floats[v, LENGTH] - state.floats[v, POSITION]
@@ -98,7 +98,7 @@ def lay_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def back_on(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
+def rear_position(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Return the position (m) of the rear bumper of vehicle ``v`` on ``lane``, its own or one that its tail is on."""
     back = state.floats[v, POSITION] - traffic.floats[v, LENGTH]
     if state.ints[v, LANE] == lane:
@@ -112,29 +112,29 @@ def back_on(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def last_on(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
+def last_vehicle(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
     """Return the vehicle furthest upstream on ``lane``, else one whose tail is on it; -1 where there is none.
 
     Args:
-        but: a vehicle that does not count.
+        but: a vehicle to leave out.
     """
     last = state.lanes[lane, LANE_BACK]
     if last == but and last >= 0:
         last = state.ints[last, AHEAD]
     if last >= 0:
         return last
-    return tail_on(net, traffic, state, lane, but)
+    return last_tail(net, traffic, state, lane, but)
 
 
 @compiled
-def tail_on(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
+def last_tail(net, traffic, state, lane, but):  # type: ignore[no-untyped-def]
     """Return the vehicle whose tail is on ``lane`` and reaches furthest back; -1 where there is none."""
     found, nearest = -1, 0.0
     for j in range(state.lanes[lane, LANE_TAILS]):
         v = state.tails[lane, j]
         if v == but:
             continue
-        front = back_on(net, traffic, state, v, lane) + traffic.floats[v, LENGTH]
+        front = rear_position(net, traffic, state, v, lane) + traffic.floats[v, LENGTH]
         if found < 0 or front < nearest:
             found, nearest = v, front
     return found

@@ -1,18 +1,18 @@
-"""From plans to places: who may pass which link, the speed that follows, and the way that is driven."""
+"""From plans to positions: which links may be passed, the resulting speed, and the move."""
 
 from __future__ import annotations
 
 import math
 
-from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, least_speed, most_speed, stop_speed
-from izoo.envs.twin.driving.lane_queues import drop_tail, lay_tail, take_out
+from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, max_speed, min_speed, stop_speed
+from izoo.envs.twin.driving.lane_queues import clear_tail, remove_from_lane, set_tail
 from izoo.envs.twin.driving.link_planning import SPEED_EPS
 from izoo.envs.twin.driving.tolerances import EPS, POSITION_EPS, STANDING_MPS, VISIBILITY_M
 from izoo.envs.twin.driving.traffic_lights import OFF_YELLOW, RED, YELLOW
-from izoo.envs.twin.junction.right_of_way import lose_turn, may_pass, note_request, pass_link, slows_before
+from izoo.envs.twin.junction.right_of_way import lose_right_of_way, may_pass, note_request, pass_link, slows_before
 from izoo.envs.twin.lane_change.blinkers import blinkers
-from izoo.envs.twin.lane_change.cooperation import advise
-from izoo.envs.twin.lane_change.downstream_occupancy import look_behind_junction
+from izoo.envs.twin.lane_change.cooperation import advised_speed
+from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
@@ -54,19 +54,19 @@ from izoo.envs.twin.runtime.layout import (
 
 @compiled
 def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
-    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow, and the least to get over one.
+    """Return the highest speed (m/s) that the links ahead of vehicle ``v`` allow, and the least to clear one.
 
-    Notes whether it has to wait, and that it loses its turn in a junction where it does not ask to go on.
+    Records whether it has to wait, and that it loses its right of way in a junction where it does not request to go on.
     """
     step_s = step_ms / 1000.0
     driver = traffic.floats[v]
     speed = state.floats[v, SPEED]
     comfortable = brake_gap(speed, driver[DECEL], 0.0, step_s)
-    fastest = most_speed(driver, speed, state.floats[v, TOP_SPEED], step_s)
+    fastest = max_speed(driver, speed, state.floats[v, TOP_SPEED], step_s)
     safe = fastest
     needed = needed_wait = needed_m = 0.0
     needed_can_brake = waits = False
-    slowest = least_speed(driver, speed, step_s)
+    slowest = min_speed(driver, speed, step_s)
     first = state.ints[v, FIRST_ITEM]
     for item in range(first, first + state.ints[v, ITEMS]):
         values, numbers = state.item_floats[item], state.item_ints[item]
@@ -75,7 +75,7 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             safe = values[ITEM_WAIT]
             waits = waits or (link >= 0 and safe < speed)
             if link >= 0:
-                lose_turn(net, state, v, link)
+                lose_right_of_way(net, state, v, link)
             break
         letter = state.link_letter[link]
         can_brake = distance > comfortable
@@ -102,15 +102,15 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
             safe, waits = values[ITEM_WAIT], True
             break
     if safe + EPS < needed:
-        # It would not get past the minor link: it stays before it, if it can.
+        # It would not clear the minor link: it stops before it, if it can.
         if safe >= speed:
             if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
-            wish = desired_speed(net, state, v, state.ints[v, LANE])
-            stop = stop_speed(driver, needed_m, speed, wish, driver[DECEL], step_s)
+            desired = desired_speed(net, state, v, state.ints[v, LANE])
+            stop = stop_speed(driver, needed_m, speed, desired, driver[DECEL], step_s)
             safe, waits = min(safe, max(slowest, stop)), True
-        # Who goes on shall not be held up by lane changes.
+        # A vehicle that goes on is not slowed for lane changes.
         needed = 0.0 if waits and safe < speed else min(needed, safe)
     state.ints[v, HAS_TO_WAIT] = waits
     return safe, needed
@@ -118,17 +118,17 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
 
 @compiled
 def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[no-untyped-def]
-    """Return the speed of the coming step within the vehicle's limits, and note the one without a command."""
+    """Return the speed of the coming step within the vehicle's limits, and record the one without a command."""
     step_s = step_ms / 1000.0
     floats, driver = state.floats, traffic.floats[v]
     speed = floats[v, SPEED]
     hardest = max(0.0, speed - driver[EMERGENCY_DECEL] * step_s)
-    slowest = least_speed(driver, speed, step_s)
-    fastest = most_speed(driver, speed, floats[v, TOP_SPEED], step_s)
+    slowest = min_speed(driver, speed, step_s)
+    fastest = max_speed(driver, speed, floats[v, TOP_SPEED], step_s)
     limit = desired_speed(net, state, v, state.ints[v, LANE])
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
-    result = advise(net, traffic, state, v, low, high, high, step_s)
+    result = advised_speed(net, traffic, state, v, low, high, high, step_s)
     if result > 0.0:
         result = max(result, needed)
     if result < SPEED_EPS * step_s:
@@ -142,10 +142,10 @@ def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[n
 
 @compiled
 def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-untyped-def]
-    """Decide on the speed of vehicle ``v`` and drive; return how many vehicles have left their lane by now.
+    """Set the speed of vehicle ``v`` and move it; return how many vehicles have left their lane so far.
 
     Args:
-        moved: ``[N]`` work space; the first ``count`` are those who have left their lane and are in no order.
+        moved: ``[N]`` working memory; the first ``count`` have left their lane and are in no queue.
     """
     step_s = step_ms / 1000.0
     floats, ints = state.floats, state.ints
@@ -160,18 +160,18 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
     floats[v, POSITION] += speed * step_s
     lane, has_left = ints[v, LANE], False
     if floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH]:
-        take_out(state, v)
+        remove_from_lane(state, v)
         lane = advance(net, traffic, state, v)
         has_left = True
     elif ints[v, TAIL_LANES] > 0:
         kept = ints[v, TAIL_LANES]
-        drop_tail(state, v)
-        lay_tail(net, traffic, state, v, kept)
+        clear_tail(state, v)
+        set_tail(net, traffic, state, v, kept)
     on_exit = net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[traffic.ints[v, ROUTE]]
     if on_exit and floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH] - POSITION_EPS:
         if not has_left:
-            take_out(state, v)
-        drop_tail(state, v)
+            remove_from_lane(state, v)
+        clear_tail(state, v)
         ints[v, STATUS] = ARRIVED
         state.clock[ON_ROAD] -= 1
     elif has_left:
@@ -184,13 +184,13 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
 
 @compiled
 def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
-    """Take vehicle ``v``, past the end of its lane, along its route; return the lane that it comes to.
+    """Move vehicle ``v``, past the end of its lane, along its route; return the lane that it comes to.
 
-    At the end of a lane that leads nowhere, or at a red light, it stands at once.
+    At the end of a lane that does not continue the route, or at a red light, it stops at once.
     """
     floats, ints = state.floats, state.ints
     lane, kept = ints[v, LANE], ints[v, TAIL_LANES]
-    drop_tail(state, v)
+    clear_tail(state, v)
     while floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH]:
         link = net.best_link[ints[v, VARIANT], lane]
         if link < 0 or state.link_letter[link] == RED:
@@ -207,6 +207,6 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
         if not net.lane_ints[lane, LANE_INSIDE]:
             ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
     ints[v, LANE] = lane
-    look_behind_junction(net, state, state.lane_room_before, v, lane)
-    lay_tail(net, traffic, state, v, kept)
+    remember_downstream_occupancy(net, state, state.lane_room_before, v, lane)
+    set_tail(net, traffic, state, v, kept)
     return lane

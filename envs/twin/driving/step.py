@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.envs.mdp.commands import TOP_SPEED_MPS
-from izoo.envs.twin.driving.active_lanes import activate_busy, forget_empty
+from izoo.envs.twin.driving.active_lanes import activate_occupied, deactivate_empty
 from izoo.envs.twin.driving.insertion import insert_vehicles
-from izoo.envs.twin.driving.lane_queues import place
+from izoo.envs.twin.driving.lane_queues import insert_into_lane
 from izoo.envs.twin.driving.link_planning import plan, register_approaches
 from izoo.envs.twin.driving.movement import drive
-from izoo.envs.twin.driving.traffic_lights import begin_signals, show_signals
+from izoo.envs.twin.driving.traffic_lights import reset_signals, update_signals
 from izoo.envs.twin.junction.keep_clear import keep_clear
-from izoo.envs.twin.lane_change.cooperation import forget_advice
-from izoo.envs.twin.lane_change.execution import change_lanes, take_commands
+from izoo.envs.twin.lane_change.cooperation import clear_advice
+from izoo.envs.twin.lane_change.execution import change_lanes, read_lane_command
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     ACTIVE_FIRST,
@@ -59,11 +59,11 @@ from izoo.envs.twin.runtime.scratch import Desk, Shapes, zeros
 
 
 def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> TwinState:
-    """Return the state at the beginning of an episode, with nobody on the road.
+    """Return the state at the beginning of an episode, without vehicles on the road.
 
     Args:
-        net, traffic: what is played.
-        desk: whose working memory is used; by default its own.
+        net, traffic: of the episode.
+        desk: working memory; by default its own.
     """
     lanes, links, programs, count = len(net.lane_ints), len(net.link_ints), len(net.program_ints), len(traffic.ints)
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
@@ -107,7 +107,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
     state.lanes[:, [LANE_FRONT, LANE_BACK]] = -1
     state.active[:, ACTIVE_NEXT] = NOT_ACTIVE
     state.clock[[ACTIVE_FIRST, ACTIVE_LAST]] = -1
-    begin_signals(net, state)
+    reset_signals(net, state)
     return state
 
 
@@ -117,13 +117,13 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
 
     Args:
         net_at, traffic_at, state_at: addresses of the directories, see :mod:`izoo.envs.twin.runtime.compiled`.
-        ranges: what to fetch meanwhile (:mod:`izoo.envs.twin.runtime.prefetch`).
+        ranges: memory to prefetch (:mod:`izoo.envs.twin.runtime.prefetch`).
     """
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
-    show_signals(net, state, step_ms)
+    update_signals(net, state, step_ms)
     state.clock[ITEM_TOTAL] = 0
-    activate_busy(net, state)
-    forget_empty(state)
+    activate_occupied(net, state)
+    deactivate_empty(state)
     lines = lines_for_each(ranges, state.clock[ON_ROAD])
     for lane in range(state.lane_room_before.shape[0]):
         state.lane_room_before[lane] = 0.0
@@ -133,7 +133,7 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
         in_front_m = 0.0
         while v >= 0:
             fetch_some(ranges, lines)
-            take_commands(net, state, v, step_ms)
+            read_lane_command(net, state, v, step_ms)
             plan(net, traffic, state, v, step_ms)
             keep_clear(net, traffic, state, v, in_front_m, step_ms / 1000.0)
             in_front_m += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
@@ -148,16 +148,16 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
             behind = state.ints[v, BEHIND]
             count = drive(net, traffic, state, v, state.moved, count, step_ms)
             v = behind
-    forget_empty(state)
+    deactivate_empty(state)
     for k in range(count):
         v = state.moved[k]
-        place(state, v, state.ints[v, LANE])
-    activate_busy(net, state)
+        insert_into_lane(state, v, state.ints[v, LANE])
+    activate_occupied(net, state)
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
         v = state.lanes[lane, LANE_FRONT]
         while v >= 0:
-            forget_advice(state, v)
+            clear_advice(state, v)
             v = state.ints[v, BEHIND]
         lane = state.active[lane, ACTIVE_NEXT]
     change_lanes(net, traffic, state, step_ms)

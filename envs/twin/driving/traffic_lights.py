@@ -1,4 +1,4 @@
-"""What every link shows now."""
+"""Signals: the letter that every link shows."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from izoo.envs.twin.runtime.layout import (
 RED, YELLOW, OFF_YELLOW = ord("r"), ord("y"), ord("Y")
 GREEN, PRIORITY_GREEN = ord("g"), ord("G")
 MINOR, EQUAL, STOP, ALLWAY_STOP = ord("m"), ord("="), ord("s"), ord("w")
-"""Letters of links, which their signal shows or which are their own where there is none."""
+"""Letters of links: shown by their signal, or their own where there is none."""
 UPPER_CASE, LOWER_CASE = ord("A"), ord("a")
 
 
 @compiled
-def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
-    """Set the letters of all signals to those of the coming step: SUMO begins it with every switch that falls in it."""
+def update_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
+    """Set the letters of all signals for the coming step; as in SUMO, all switches within it come at its begin."""
     now_ms = state.clock[NOW_MS] + step_ms - 1
     for program in range(net.program_ints.shape[0]):
         if now_ms < state.program_switch_ms[program]:
@@ -48,15 +48,15 @@ def show_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
             state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
 
 
-def begin_signals(net: TwinNet, state: TwinState) -> None:
-    """Begin an episode: links without a signal show their own state for ever."""
+def reset_signals(net: TwinNet, state: TwinState) -> None:
+    """Begin an episode: links without a signal show their own state permanently."""
     own = net.link_ints[:, LINK_PROGRAM] < 0
     state.link_letter[own] = net.link_ints[own, LINK_STATE]
     state.program_switch_ms[:] = -1
 
 
 @compiled
-def stops_all(letter):  # type: ignore[no-untyped-def]
+def is_red_or_yellow(letter):  # type: ignore[no-untyped-def]
     """Whether a link that shows ``letter`` is red or yellow."""
     return letter in (RED, YELLOW, OFF_YELLOW)
 

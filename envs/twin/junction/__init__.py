@@ -1,1 +1,1 @@
-"""Driving through a junction on the twin: foes, leaders, right of way, keeping clear."""
+"""Driving through a junction on the twin: foes, leaders, right of way, keep clear."""

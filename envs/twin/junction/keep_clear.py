@@ -1,11 +1,11 @@
-"""Keeping junctions clear: a vehicle asks for a link only where it will find room behind the junction."""
+"""Keep clear: a vehicle requests a link only if there is room beyond the junction."""
 
 from __future__ import annotations
 
 import math
 
 from izoo.envs.twin.driving.car_following import brake_gap
-from izoo.envs.twin.driving.lane_queues import last_on
+from izoo.envs.twin.driving.lane_queues import last_vehicle
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
@@ -38,13 +38,13 @@ from izoo.envs.twin.runtime.layout import (
 
 @compiled
 def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-untyped-def]
-    """Take back the requests of vehicle ``v`` for links behind which it would have to stand inside the junction.
+    """Withdraw the requests of vehicle ``v`` for links beyond which it would have to stop inside the junction.
 
     Args:
-        in_front_m: room that the vehicles before it on its lane need.
+        in_front_m: room needed by the vehicles ahead of it on its lane.
     """
     first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
-    stands = _measure(net, traffic, state, v, in_front_m, step_s)
+    stands = _measure_space(net, traffic, state, v, in_front_m, step_s)
     for item in range(first + count - 1, first, -1):
         if not _leaves(net, state, item):
             state.item_floats[item - 1, ITEM_SPACE] = min(state.item_floats[item - 1, ITEM_SPACE], 0.0)
@@ -60,7 +60,7 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
         link = state.item_ints[item, ITEM_LINK]
         if link < 0 or state.item_floats[item, ITEM_SPACE] >= need:
             continue
-        # Where nobody crosses a vehicle may stand inside, if it asks to leave.
+        # Where no link crosses, a vehicle may stop inside, if it requests to leave.
         if net.link_ints[link, LINK_FOES] > 0 or (item + 1 < first + count and not _leaves(net, state, item + 1)):
             blocked = item
             break
@@ -80,14 +80,14 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
 
 @compiled
 def _leaves(net, state, item):  # type: ignore[no-untyped-def]
-    """Whether a vehicle that passed the link of the item before would ask to leave the junction by that of ``item``."""
+    """Whether a vehicle past the link of the item before would request to leave the junction by that of ``item``."""
     link, onward = state.item_ints[item - 1, ITEM_LINK], state.item_ints[item, ITEM_LINK]
     return net.link_ints[link, LINK_VIA] < 0 or onward < 0 or state.item_ints[item, ITEM_REQUEST] == 1
 
 
 @compiled
-def _measure(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-untyped-def]
-    """Write the room (m) up to the first who stands behind each link; return whether anybody stands there."""
+def _measure_space(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-untyped-def]
+    """Write the room (m) up to the first stopped vehicle beyond each link; return whether there is one."""
     first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
     space = -in_front_m
     stopped = False
@@ -106,16 +106,16 @@ def _measure(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-unt
             if inside == state.ints[v, LANE]:
                 space += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
         elif inside >= 0:
-            room, found = _room(net, traffic, state, inside, v, step_s)
+            room, found = _free_space(net, traffic, state, inside, v, step_s)
             space += room
             stopped = stopped or found
         else:
-            last = last_on(net, traffic, state, lane, -1)
+            last = last_vehicle(net, traffic, state, lane, -1)
             if last < 0 or last == v:
                 if net.lane_floats[lane, LANE_LENGTH] > traffic.floats[v, LENGTH] or net.link_ints[link, LINK_FOES] > 0:
                     space += net.lane_floats[lane, LANE_LENGTH]
             else:
-                room, found = _room(net, traffic, state, lane, v, step_s)
+                room, found = _free_space(net, traffic, state, lane, v, step_s)
                 space += room
                 stopped = found or state.ints[last, HAS_TO_WAIT] == 1
         state.item_floats[item, ITEM_SPACE] = space
@@ -123,8 +123,8 @@ def _measure(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-unt
 
 
 @compiled
-def _room(net, traffic, state, lane, v, step_s):  # type: ignore[no-untyped-def]
-    """Return the room (m) on ``lane`` up to the first who stands there, less what moving vehicles need, and if any."""
+def _free_space(net, traffic, state, lane, v, step_s):  # type: ignore[no-untyped-def]
+    """Return the room (m) on ``lane`` up to the first stopped vehicle, less that of moving ones; if there is one."""
     taken = 0.0
     u = state.lanes[lane, LANE_BACK]
     while u >= 0:

@@ -1,25 +1,25 @@
-"""Whom inside a junction a driver who looks to a lane takes for its leader: on ways in conflict with that lane's."""
+"""Leaders inside a junction: vehicles on ways in conflict with a vehicle's own way or that of a neighbouring lane."""
 
 from __future__ import annotations
 
 import math
 
 from izoo.envs.twin.driving.car_following import desired_speed, follow_speed, stop_speed
-from izoo.envs.twin.driving.lane_queues import back_on
+from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import RED
-from izoo.envs.twin.junction.foes import gap_before, is_before_wait
+from izoo.envs.twin.junction.foes import Encounter, gap_to_foe, is_before_wait
 from izoo.envs.twin.net.conflicts import (
-    CONFLICT_BEHIND,
-    CONFLICT_FOE_BEHIND,
     CONFLICT_FOE_SIZE,
+    CONFLICT_FOE_TO_END,
     CONFLICT_KIND,
     CONFLICT_LANE,
     CONFLICT_SIZE,
+    CONFLICT_TO_END,
     CROSSING,
+    DIVERGING,
     MERGING,
     NOWHERE,
-    PARTING,
 )
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
@@ -42,9 +42,9 @@ from izoo.envs.twin.runtime.layout import (
 
 @compiled
 def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # type: ignore[no-untyped-def]
-    """Return who inside the junction would hold ``v`` up most if it went on by ``link``, or -1, and the gap (m).
+    """Return the vehicle inside the junction that would restrict ``v`` most by ``link``, or -1, and the gap (m).
 
-    Where ``link`` is that of a lane beside, it does not matter who goes first.
+    For the link of a neighbouring lane, precedence does not matter.
 
     Args:
         distance_m: from the front of ``v``, whatever its lane, to ``link``.
@@ -54,7 +54,7 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
     found, found_gap, least = -1, 0.0, math.inf
     ahead = net.link_ints[link, LINK_FROM]
     inside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1
-    # From before the junction nobody inside counts while the signal is red.
+    # Before a red signal, vehicles inside the junction do not count.
     if not inside and state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED:
         return found, found_gap
     beside = (
@@ -73,8 +73,8 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
             else:
                 w = state.tails[lane, k]
                 k += 1
-            counts, _, gap = gap_before(net, traffic, state, v, w, link, row, distance_m, step_s)
-            if beside and (not counts or net.conflict_ints[row, CONFLICT_KIND] == PARTING):
+            counts, _, gap = gap_to_foe(net, traffic, state, v, w, Encounter(link, row, distance_m), step_s)
+            if beside and (not counts or net.conflict_ints[row, CONFLICT_KIND] == DIVERGING):
                 in_the_way, gap_beside = _gap_beside(net, traffic, state, v, w, row, distance_m)
                 if in_the_way:
                     counts, gap = True, gap_beside
@@ -96,25 +96,25 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
 
 @compiled
 def _gap_beside(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-untyped-def]
-    """Return whether ``w`` would be in the way of ``v`` on a lane beside, whoever goes first, and how far it is.
+    """Return whether ``w`` would be in the way of ``v`` on a neighbouring lane, whatever the precedence, and the gap.
 
-    On ways that part, and on ways that cross, it is until one of the two rears is past the conflict.
+    On diverging and on crossing ways it is, until the rear of one of the two is past the conflict.
 
     Returns:
-        Whether it is; the gap (m) less the standstill gap, below 0 also where the two would be abreast.
+        Whether it is; the gap (m) less the standstill gap, below 0 also if the two would be side by side.
     """
     kind, lane = net.conflict_ints[row, CONFLICT_KIND], net.conflict_ints[row, CONFLICT_LANE]
-    foe_behind = net.conflict_floats[row, CONFLICT_FOE_BEHIND]
-    if w == v or foe_behind == NOWHERE:
+    foe_to_end = net.conflict_floats[row, CONFLICT_FOE_TO_END]
+    if w == v or foe_to_end == NOWHERE:
         return False, 0.0
     size = foe_size = 0.0
     if kind == CROSSING:
         size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_BEHIND]
-    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_behind - back_on(net, traffic, state, w, lane)
+    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_TO_END]
+    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_to_end - rear_position(net, traffic, state, w, lane)
     if kind != MERGING and (to_conflict + size + traffic.floats[v, LENGTH] <= 0.0 or back_left + foe_size <= 0.0):
         return False, 0.0
-    if kind == PARTING:
+    if kind == DIVERGING:
         return True, -1.0
     if lane == state.ints[v, LANE] or (state.ints[w, LANE] == lane and state.ints[w, WILL_PASS] == 0):
         return False, 0.0

@@ -1,7 +1,7 @@
-"""Right of way: gaps between vehicles that approach a junction or wait inside, red lights, and stops.
+"""Right of way: gap acceptance at links, red lights, and stops.
 
 The rules were found by probing SUMO with two and three vehicles that meet (see the tests); ``sumo --link-output`` and
-``getJunctionFoes`` print what they are fed with.
+``getJunctionFoes`` print their inputs.
 """
 
 from __future__ import annotations
@@ -48,28 +48,28 @@ from izoo.envs.twin.runtime.layout import (
 )
 
 MARGIN_MS = 1000
-"""Time that lies between the passages of two vehicles in conflict."""
+"""Least time between the passages of two vehicles in conflict."""
 IMPATIENT_AFTER_MS = 180_000.0
 NEVER_LATER_S = 30.0
 """Delay of a vehicle that would stop instead of passing."""
 
 
 @compiled
-def is_lingering(net, state, link):  # type: ignore[no-untyped-def]
-    """Whether those on the way before ``link`` came into the junction by a signal that is red now."""
+def entered_on_red(net, state, link):  # type: ignore[no-untyped-def]
+    """Whether vehicles on the way before ``link`` entered the junction by a signal that is red now."""
     return state.link_letter[net.link_ints[link, LINK_ENTRY]] == RED
 
 
 @compiled
 def is_protected(net, state, link):  # type: ignore[no-untyped-def]
-    """Whether ``link`` is a waiting point behind a signal that gives priority now: nobody need wait there."""
+    """Whether ``link`` is a waiting point behind a signal that gives priority now, so that vehicles need not wait."""
     entry = net.link_ints[link, LINK_ENTRY]
     return entry != link and net.link_ints[entry, LINK_PROGRAM] >= 0 and is_major(state.link_letter[entry])
 
 
 @compiled
 def slows_before(net, state, link):  # type: ignore[no-untyped-def]
-    """Whether a vehicle slows down before ``link`` until it sees all who may come: not behind a yellow signal."""
+    """Whether a vehicle slows down before ``link`` until it sees all foes: not behind a yellow signal."""
     if is_major(state.link_letter[link]) or is_protected(net, state, link):
         return False
     entry = net.link_ints[link, LINK_ENTRY]
@@ -78,7 +78,7 @@ def slows_before(net, state, link):  # type: ignore[no-untyped-def]
 
 @compiled
 def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
-    """Note that the front of vehicle ``v`` passed ``link`` in this step."""
+    """Record that the front of vehicle ``v`` passed ``link`` in this step."""
     ints = state.ints
     inside_before = net.lane_ints[net.link_ints[link, LINK_FROM], LANE_INSIDE] == 1
     inside_after = net.lane_ints[net.link_ints[link, LINK_NEXT], LANE_INSIDE] == 1
@@ -87,15 +87,15 @@ def pass_link(net, state, v, link):  # type: ignore[no-untyped-def]
         ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = now_ms
     if inside_after and (inside_before or not net.link_ints[link, LINK_CONT]):
         ints[v, CONFLICT_MS] = now_ms
-        # Who had lost its turn has one again.
+        # A vehicle that had lost its right of way has it again.
         ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], now_ms)
     if not inside_after:
         ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
 
 
 @compiled
-def lose_turn(net, state, v, link):  # type: ignore[no-untyped-def]
-    """Take the turn of ``v``, which does not ask to pass ``link``, if it and the link are inside the same junction."""
+def lose_right_of_way(net, state, v, link):  # type: ignore[no-untyped-def]
+    """Take the right of way from ``v``, which does not request ``link``, if both are inside the same junction."""
     lane, before = state.ints[v, LANE], net.link_ints[link, LINK_FROM]
     inside = net.lane_ints[lane, LANE_INSIDE] == 1 and net.lane_ints[before, LANE_INSIDE] == 1
     if inside and net.lane_ints[lane, LANE_JUNCTION] == net.lane_ints[before, LANE_JUNCTION]:
@@ -104,7 +104,7 @@ def lose_turn(net, state, v, link):  # type: ignore[no-untyped-def]
 
 @compiled
 def note_request(net, state, v):  # type: ignore[no-untyped-def]
-    """Note whether vehicle ``v``, if it is inside a junction now, asked to pass the link at the end of its lane."""
+    """Record whether vehicle ``v``, if inside a junction, requested to pass the link at the end of its lane."""
     lane = state.ints[v, LANE]
     if net.lane_ints[lane, LANE_INSIDE] == 0:
         return
@@ -128,7 +128,7 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
         return True
     if letter == STOP and state.ints[v, STOOD_FOR] != link and state.ints[v, WAITING_MS] == 0:
         return False
-    # Who was let pass after standing may go on; who was not must stand again.
+    # A vehicle that stopped and was not allowed to pass must stop again.
     state.ints[v, STOOD_FOR] = -1
     if net.wait_count[link] > 0:
         first = net.wait_first[link]
@@ -151,11 +151,11 @@ def _blocks(net, traffic, state, item, foe_link, step_ms):  # type: ignore[no-un
     foe = state.link_first[foe_link]
     link, v = state.item_ints[item, ITEM_LINK], state.item_ints[item, ITEM_VEHICLE]
     merging = net.link_ints[link, LINK_TO] == net.link_ints[foe_link, LINK_TO]
-    # Who lingers inside the junction does not wait for those who stand.
-    lingers = net.link_ints[link, LINK_ENTRY] != link and is_lingering(net, state, link)
+    # A vehicle left over inside the junction does not wait for stopped ones.
+    left_over = net.link_ints[link, LINK_ENTRY] != link and entered_on_red(net, state, link)
     while foe >= 0:
         w = state.item_ints[foe, ITEM_VEHICLE]
-        no_foe = w == v or (lingers and state.floats[w, SPEED] <= STANDING_MPS)
+        no_foe = w == v or (left_over and state.floats[w, SPEED] <= STANDING_MPS)
         if not no_foe and state.item_ints[foe, ITEM_REQUEST] and _meets(traffic, state, item, foe, merging, step_ms):
             return True
         foe = state.item_ints[foe, ITEM_NEXT]
@@ -164,14 +164,14 @@ def _blocks(net, traffic, state, item, foe_link, step_ms):  # type: ignore[no-un
 
 @compiled
 def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-untyped-def]
-    """Return whether the passages of two items come too close; ``merging`` if both lead to one lane."""
+    """Return whether the passages of two items are too close in time; ``merging`` if both lead to one lane."""
     own, other = state.item_ints[item], state.item_ints[foe]
     v, w = own[ITEM_VEHICLE], other[ITEM_VEHICLE]
     arrival, leave = own[ITEM_ARRIVAL_MS], own[ITEM_LEAVE_MS]
     if other[ITEM_LEAVE_MS] < arrival:
         return merging and (
             arrival - other[ITEM_LEAVE_MS] < MARGIN_MS
-            or _unsafe(
+            or _unsafe_merge(
                 state.item_floats[foe, ITEM_LEAVE_SPEED],
                 traffic.floats[w, DECEL],
                 state.item_floats[item, ITEM_ARRIVAL_SPEED],
@@ -181,17 +181,17 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
     foe_arrival, foe_speed = float(other[ITEM_ARRIVAL_MS]), state.item_floats[foe, ITEM_BRAKED_SPEED]
     impatience = min(1.0, state.ints[v, WAITING_MS] / IMPATIENT_AFTER_MS)
     if impatience > 0.0 and foe_arrival > arrival:
-        # The foe is taken to come at an even speed, and to brake from when the vehicle is there.
+        # The foe is assumed to approach at constant speed, and to brake when the vehicle arrives.
         now = state.clock[NOW_MS] - step_ms
         foe_speed = state.item_floats[foe, ITEM_DISTANCE] / (0.001 * (foe_arrival - now))
         way = 0.001 * (foe_arrival - arrival) * foe_speed
         steps = (arrival - now) // step_ms
         room = state.item_floats[foe, ITEM_DISTANCE] - 0.001 * steps * step_ms * foe_speed
-        braking_s, foe_speed = _braking_for(way, room, foe_speed, impatience * traffic.floats[w, DECEL])
+        braking_s, foe_speed = _braked_arrival(way, room, foe_speed, impatience * traffic.floats[w, DECEL])
         braked = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
         foe_arrival += impatience * (braked - foe_arrival)
     if foe_arrival > leave + MARGIN_MS:
-        return merging and _unsafe(
+        return merging and _unsafe_merge(
             state.item_floats[item, ITEM_LEAVE_SPEED],
             traffic.floats[v, DECEL],
             foe_speed,
@@ -201,12 +201,12 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
 
 
 @compiled
-def _braking_for(way, room, speed, decel):  # type: ignore[no-untyped-def]
-    """Return in what time (s) and how fast (m/s) a vehicle arrives that brakes for someone who has waited for long.
+def _braked_arrival(way, room, speed, decel):  # type: ignore[no-untyped-def]
+    """Return the arrival time (s) and speed (m/s) of a vehicle that brakes for one that has waited for long.
 
     Args:
-        way: to drive (m). room: the same, but from the last whole step before it brakes, to see whether it could stop.
-        speed: at its begin. decel: how hard it brakes.
+        way: distance (m). room: the same from the last whole step before it brakes, to check whether it could stop.
+        speed: initial speed. decel: its deceleration.
     """
     if speed * speed <= 2.0 * decel * room:
         return NEVER_LATER_S, 0.0
@@ -215,6 +215,6 @@ def _braking_for(way, room, speed, decel):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _unsafe(leader_mps, leader_decel, follower_mps, follower_decel):  # type: ignore[no-untyped-def]
+def _unsafe_merge(leader_mps, leader_decel, follower_mps, follower_decel):  # type: ignore[no-untyped-def]
     """Return whether a follower at the same place would need more room to stop than its leader."""
     return leader_mps * leader_mps / leader_decel <= follower_mps * follower_mps / follower_decel

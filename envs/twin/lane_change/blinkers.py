@@ -1,4 +1,4 @@
-"""Which way a vehicle blinks: where it wants to change to, or turns soon."""
+"""Blinkers: the side to which a vehicle wants to change, or turns soon."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from izoo.envs.twin.runtime.layout import CHANGE_STATE, LANE, LANE_LENGTH, LINK_
 _RIGHT, _LEFT = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
-"""A vehicle blinks before a turn that it would reach so soon at its desired speed."""
+"""A vehicle blinks before a turn that it reaches within this time at its desired speed."""
 _MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING
 _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 
@@ -19,14 +19,14 @@ _LEFT_TURNS, _RIGHT_TURNS = tuple(map(ord, "lLt")), tuple(map(ord, "rR"))
 def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     """Return the blinkers of vehicle ``v``, which has just moved and not changed lanes since.
 
-    What it wished for after the step before comes first; nobody blinks to keep right. Who would go both ways blinks to
-    the left where it is about speed alone, otherwise to the right.
+    Requests of the step before come first, except keeping right, for which vehicles do not blink. With requests to both
+    sides it blinks to the left if those are for speed alone, otherwise to the right.
     """
-    wishes = state.ints[v, CHANGE_STATE]
-    rightward, leftward = wishes & RIGHTWARD, wishes & LEFTWARD
-    if leftward and not (rightward and wishes & _MORE_THAN_SPEED):
+    state_bits = state.ints[v, CHANGE_STATE]
+    rightward, leftward = state_bits & RIGHTWARD, state_bits & LEFTWARD
+    if leftward and not (rightward and state_bits & _MORE_THAN_SPEED):
         return _LEFT
-    if rightward and not wishes & RIGHT_KEEPING:
+    if rightward and not state_bits & RIGHT_KEEPING:
         return _RIGHT
     lane = state.ints[v, LANE]
     left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]

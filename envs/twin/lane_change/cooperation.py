@@ -1,7 +1,7 @@
-"""Speeds that lane changing advises for the next step: to the vehicle that wants to change and to those around it.
+"""Cooperation: speeds advised for the next step to the vehicle that wants to change lanes and to its neighbours.
 
-After a vehicle moved, others that were served before it, and then it itself, leave advice; :func:`advise` weighs it
-when the vehicle moves next, and :func:`forget_advice` clears it then.
+After the moves of a step, vehicles add advice for each other and for themselves; :func:`advised_speed` evaluates it
+when the vehicle moves next, and :func:`clear_advice` clears it then.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from izoo.envs.twin.driving.car_following import (
     brake_gap,
     desired_speed,
     follow_speed,
-    least_speed,
-    most_speed,
+    max_speed,
+    min_speed,
     secure_gap,
     stop_speed,
 )
@@ -59,19 +59,19 @@ from izoo.envs.twin.runtime.layout import (
 )
 
 OVERTAKING_MPS = 10.0 / 3.6
-"""Speed difference with which somebody who lets others in expects to be overtaken."""
+"""Speed difference at which a follower that lets another vehicle in is passed, or passes it."""
 _FALLING_BEHIND_MPS2 = 7.0 / 3.6
 _DAWDLING_MPS2 = 1.0
 _CONGESTED_MPS = 60.0 / 3.6
 _RAMP_M = 200.0
-"""A road that is shorter may be a ramp; seen between 118 and 268 m."""
+"""A shorter road may be a ramp; the bound lies between 118 and 268 m."""
 _PATIENCE_MS = 5000
-"""A leader that has stood for longer is passed."""
+"""A leader that has stood for longer may be passed."""
 
 
 @compiled
-def forget_advice(state, v):  # type: ignore[no-untyped-def]
-    """Clear what was advised for the move that ``v`` has made; call it before lanes are changed."""
+def clear_advice(state, v):  # type: ignore[no-untyped-def]
+    """Clear the advice for the move that ``v`` has made, before lanes are changed."""
     state.ints[v, ADVICES] = 0
     state.ints[v, CHANGE_STATE] = 0
     state.floats[v, LEFT_SPACE] = 0.0
@@ -80,7 +80,7 @@ def forget_advice(state, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def clear_memories(state, v):  # type: ignore[no-untyped-def]
-    """Forget what lane changing remembers from step to step: after a change, and on a road of one lane."""
+    """Clear the lane-changing memories: after a change, and on a road of one lane."""
     floats = state.floats
     floats[v, BLOCKER_LENGTH] = 0.0
     floats[v, SPEED_GAIN] = floats[v, SPEED_GAIN_RIGHT] = floats[v, KEEP_RIGHT] = floats[v, LOOK_AHEAD_SPEED] = 0.0
@@ -88,7 +88,7 @@ def clear_memories(state, v):  # type: ignore[no-untyped-def]
 
 @compiled
 def add_advice(state, v, speed):  # type: ignore[no-untyped-def]
-    """Advise ``v`` to take ``speed`` (m/s) in the next step; of too many the highest is forgotten."""
+    """Advise ``v`` to take ``speed`` (m/s) in the next step; with too many advices the highest is dropped."""
     count = state.ints[v, ADVICES]
     if count < MAX_ADVICES:
         state.advice[v, count] = speed
@@ -102,31 +102,32 @@ def add_advice(state, v, speed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _asked_mps2(state, v, k, step_s):  # type: ignore[no-untyped-def]
-    """Return the acceleration (m/s^2) to the ``k``-th speed that ``v`` was advised.
+def _advised_accel_mps2(state, v, k, step_s):  # type: ignore[no-untyped-def]
+    """Return the acceleration (m/s^2) to the ``k``-th speed advised to ``v``.
 
-    SUMO keeps advice so. Going there and back may cost the last bit, which decides whether braking is too hard.
+    SUMO stores advice as accelerations. The conversion may change the last bit, which decides whether braking is too
+    hard.
     """
     return (state.advice[v, k] - state.floats[v, SPEED]) / step_s
 
 
 @compiled
-def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed in ``[low, high]`` (m/s) for the coming step, ``wish`` where nobody advises otherwise."""
+def advised_speed(net, traffic, state, v, low, desired, high, step_s):  # type: ignore[no-untyped-def]
+    """Return the speed in ``[low, high]`` (m/s) for the coming step, ``desired`` without advice."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    best, advised = wish, False
+    best, advised = desired, False
     blocker = state.floats[v, BLOCKER_LENGTH]
     if blocker != 0.0:
         space = state.floats[v, LEFT_SPACE] - blocker - POSITION_EPS
         if space > 0.0:
-            # Leave room for the one who must cross over.
+            # Leave room for the vehicle that must cross over.
             limit = desired_speed(net, state, v, state.ints[v, LANE])
             safe = stop_speed(driver, space, speed, limit, driver[DECEL], step_s)
             high = min(high, safe)
-            if safe < wish:
+            if safe < desired:
                 best, advised = max(low, safe), True
     for k in range(state.ints[v, ADVICES]):
-        advice = speed + _asked_mps2(state, v, k, step_s) * step_s
+        advice = speed + _advised_accel_mps2(state, v, k, step_s) * step_s
         if low <= advice <= high:
             best, advised = min(best, advice), True
     if advised:
@@ -134,28 +135,28 @@ def advise(net, traffic, state, v, low, wish, high, step_s):  # type: ignore[no-
     flags = state.ints[v, CHANGE_STATE]
     if flags & WANTS_CHANGE and flags & BLOCKED:
         if flags & STRATEGIC:
-            return (high + wish) * 0.5
+            return (high + desired) * 0.5
         if flags & COOPERATIVE:
             if flags & BLOCKED_BY_LEADER:
-                return (low + wish) * 0.5
+                return (low + desired) * 0.5
             if flags & BLOCKED_BY_FOLLOWER:
-                return (high + wish) * 0.5
+                return (high + desired) * 0.5
     if flags & BLOCKS_LEADER:
-        return (high + wish) * 0.5
+        return (high + desired) * 0.5
     if net.edge_ints[net.lane_ints[state.ints[v, LANE], LANE_EDGE], EDGE_LANES] == 1:
         clear_memories(state, v)
-    return wish
+    return desired
 
 
 @compiled
 def is_congested(state, v):  # type: ignore[no-untyped-def]
-    """Whether ``v`` is too slow for the rules of motorways."""
+    """Whether ``v`` is too slow for the rules on passing on the right."""
     return state.floats[v, SPEED] < _CONGESTED_MPS
 
 
 @compiled
 def slow_for_blocked(net, traffic, state, v, blocked, flags, step_s):  # type: ignore[no-untyped-def]
-    """Let ``v`` slow down for a vehicle ahead, on the lane beside, that must come over; return the state bits."""
+    """Slow ``v`` down for a blocked vehicle ahead on the neighbouring lane that must change; return the state bits."""
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
     gap = state.floats[blocked, POSITION] - traffic.floats[blocked, LENGTH] - state.floats[v, POSITION]
     gap -= driver[MIN_GAP]
@@ -177,7 +178,7 @@ def reserve_room(net, traffic, state, v, blocker, counter, step_s):  # type: ign
     if _can_reserve(traffic, state, v, room, step_s):
         floats[v, BLOCKER_LENGTH] = max(room + traffic.floats[v, MIN_GAP], floats[v, BLOCKER_LENGTH])
         return
-    # There is no room for the blocker: it shall leave some.
+    # There is no room for the blocker: the blocker leaves room.
     own = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     if _can_reserve(traffic, state, blocker, own, step_s) or floats[blocker, LEFT_SPACE] > floats[v, LEFT_SPACE]:
         floats[blocker, BLOCKER_LENGTH] = max(own + traffic.floats[blocker, MIN_GAP], floats[blocker, BLOCKER_LENGTH])
@@ -190,47 +191,48 @@ def _can_reserve(traffic, state, v, room, step_s):  # type: ignore[no-untyped-de
 
 
 @compiled
-def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remaining_s, step_s):  # type: ignore[no-untyped-def]
-    """Fall back behind, or pass, a ``leader`` on the wanted lane; return the speed (m/s) aimed at, -1 to pass it."""
+def inform_leader(net, traffic, state, v, around, blocked, leftward, remaining_s, step_s):  # type: ignore[no-untyped-def]
+    """Fall back behind the leader on the target lane, or pass it; return the planned speed (m/s), -1 to pass."""
+    leader, gap = around.target_leader, around.target_leader_gap
     driver, speed, floats = traffic.floats[v], state.floats[v, SPEED], state.floats
     limit = desired_speed(net, state, v, state.ints[v, LANE])
     left = floats[v, LEFT_SPACE] - floats[v, BLOCKER_LENGTH]
     planned = min(speed, stop_speed(driver, left, speed, limit, driver[DECEL], step_s))
     for k in range(state.ints[v, ADVICES]):
-        accel = _asked_mps2(state, v, k, step_s)
+        accel = _advised_accel_mps2(state, v, k, step_s)
         if accel >= -driver[DECEL]:
             planned = min(planned, speed + accel * step_s)
     if leader < 0:
         return planned
-    other = floats[leader, SPEED]
+    leader_mps = floats[leader, SPEED]
     # The leader may go on braking, or begin to brake a little.
-    pessimistic = other + min(floats[leader, ACCEL], -_DAWDLING_MPS2) * step_s
+    pessimistic = leader_mps + min(floats[leader, ACCEL], -_DAWDLING_MPS2) * step_s
     target = follow_speed(driver, gap + (pessimistic - planned) * step_s, speed, pessimistic, limit, step_s)
     if not blocked & BLOCKED_BY_LEADER:
         add_advice(state, v, target)
         return min(target, planned)
-    faster = planned - other
-    way = gap + traffic.floats[leader, LENGTH] + traffic.floats[leader, MIN_GAP] + driver[LENGTH]
-    way += secure_gap(traffic.floats[leader], other, speed)
+    faster = planned - leader_mps
+    passing_m = gap + traffic.floats[leader, LENGTH] + traffic.floats[leader, MIN_GAP] + driver[LENGTH]
+    passing_m += secure_gap(traffic.floats[leader], leader_mps, speed)
     flag = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
     state.ints[leader, CHANGE_STATE] |= flag | BLOCKS_LEADER
-    if speed == other == 0.0 and state.ints[leader, WAITING_MS] > _PATIENCE_MS and left >= way:
-        # Nobody who stands waits for somebody who stands for long: it goes past, if both fit before the lane's end.
+    if speed == leader_mps == 0.0 and state.ints[leader, WAITING_MS] > _PATIENCE_MS and left >= passing_m:
+        # A stopped vehicle passes a leader that has stood for long, if both fit before the lane's end.
         room = driver[LENGTH] + driver[MIN_GAP] + traffic.floats[leader, LENGTH] + traffic.floats[leader, MIN_GAP]
         if floats[v, LEFT_SPACE] >= room:
             return -1.0
     if not (
         faster < EPS
         or (leftward and not is_congested(state, v))
-        or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < way
-        or faster * remaining_s < way
+        or left - brake_gap(speed, driver[DECEL], driver[TAU], step_s) < passing_m
+        or faster * remaining_s < passing_m
     ):
         if state.ints[leader, WAITING_MS] <= _PATIENCE_MS:
-            add_advice(state, leader, other)
+            add_advice(state, leader, leader_mps)
         return -1.0
     target = max(target, max(0.0, speed - driver[DECEL] * step_s))
     if net.lane_ints[state.ints[v, LANE], LANE_INSIDE]:
-        # Nobody stops inside a junction to fall behind.
+        # It does not stop inside a junction to fall behind.
         target = max(target, driver[MAX_ACCEL] * step_s)
     if target >= speed:
         add_advice(state, v, target)
@@ -242,71 +244,70 @@ def inform_leader(net, traffic, state, v, leader, gap, blocked, leftward, remain
 
 
 @compiled
-def inform_follower(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, follower, gap, blocked, leftward, remaining_s, planned, step_s
-):
-    """Ask a ``follower`` on the wanted lane to let ``v`` in, or to pass it."""
+def inform_follower(net, traffic, state, v, around, blocked, leftward, remaining_s, planned, step_s):  # type: ignore[no-untyped-def]
+    """Ask the follower on the target lane to let ``v`` in, or to pass it."""
+    follower, gap = around.target_follower, around.target_follower_gap
     if follower < 0:
         return
     driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    helper, other = traffic.floats[follower], state.floats[follower, SPEED]
+    helper, follower_mps = traffic.floats[follower], state.floats[follower, SPEED]
     limit = desired_speed(net, state, follower, state.ints[follower, LANE])
     flags = WANTED_LEFTWARD if leftward else WANTED_RIGHTWARD
     if not blocked & BLOCKED_BY_FOLLOWER:
         if blocked & BLOCKED_BY_LEADER:
             state.ints[follower, CHANGE_STATE] |= flags
             top = state.floats[follower, TOP_SPEED]
-            add_advice(state, follower, _speed_staying_behind(helper, gap, other, planned, limit, top, step_s))
+            add_advice(state, follower, _speed_staying_behind(helper, gap, follower_mps, planned, limit, top, step_s))
         return
     state.ints[follower, CHANGE_STATE] |= flags | BLOCKS_FOLLOWER
-    # Whether one that was asked to drop back by so much in the last step is that much slower, rounding decides.
-    if planned - other >= OVERTAKING_MPS:
-        needed = secure_gap(helper, other, planned)
-        if (needed - gap) / remaining_s < planned - other:
-            add_advice(state, follower, max(other, planned - OVERTAKING_MPS))
+    # A follower that was asked for this difference in the last step has it up to rounding, which decides here.
+    if planned - follower_mps >= OVERTAKING_MPS:
+        needed = secure_gap(helper, follower_mps, planned)
+        if (needed - gap) / remaining_s < planned - follower_mps:
+            add_advice(state, follower, max(follower_mps, planned - OVERTAKING_MPS))
             return
-    braked = max(0.0, other - helper[DECEL] * step_s)
-    braked_1s = max(0.0, other - helper[DECEL])
+    braked = max(0.0, follower_mps - helper[DECEL] * step_s)
+    braked_1s = max(0.0, follower_mps - helper[DECEL])
     faster = planned - braked_1s
     opened = gap + faster
     secure = secure_gap(helper, braked_1s, planned)
     if opened > 0.0 and opened >= secure:
-        add_advice(state, follower, _speed_behind(helper, gap, other, planned, braked, limit, step_s))
+        add_advice(state, follower, _speed_behind(helper, gap, follower_mps, planned, braked, limit, step_s))
     elif faster > 0.0 and faster * remaining_s > secure - opened + POSITION_EPS:
         add_advice(state, follower, braked)
     elif not leftward and not is_congested(state, follower):
         add_advice(state, follower, max(braked, OVERTAKING_MPS))
     else:
-        # On a short road, which may be a ramp, one lets others on the left by; elsewhere a faster one brakes, so far
+        # On a short road, which may be a ramp, followers on the left pass; elsewhere a faster follower brakes, so far
         # that later ones can help and that it still passes.
         short = leftward and net.lane_floats[state.ints[v, LANE], LANE_LENGTH] < _RAMP_M
-        yields = other > speed and not short
-        passing = max(braked if yields else other, speed + OVERTAKING_MPS)
+        yields = follower_mps > speed and not short
+        passing = max(braked if yields else follower_mps, speed + OVERTAKING_MPS)
         add_advice(state, follower, passing)
-        if not yields or other - helper[DECEL] * remaining_s > speed:
-            # It takes its time to pass: the changer waits for it.
+        if not yields or follower_mps - helper[DECEL] * remaining_s > speed:
+            # It passes slowly: the changing vehicle waits for it.
             way = gap + driver[LENGTH] + driver[MIN_GAP] + helper[LENGTH] + secure_gap(driver, planned, passing)
             add_advice(state, v, max(passing - way / remaining_s, speed - driver[DECEL] * step_s))
 
 
 @compiled
 def _speed_staying_behind(helper, gap, speed, planned, limit, top, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed with which a follower that does not block yet goes on not to: faster only if there is room.
+    """Return the speed with which a follower does not become a blocker: it accelerates only if there is room.
 
-    It keeps its speed where the gap is secure after the step, and otherwise slows down as much as it comfortably can.
+    It keeps its speed if the gap is secure after the step, and otherwise brakes comfortably.
     """
-    left = gap + (planned - most_speed(helper, speed, top, step_s)) * step_s
+    left = gap + (planned - max_speed(helper, speed, top, step_s)) * step_s
     faster = follow_speed(helper, left, speed, planned, limit, step_s)
     if faster >= speed:
         return faster
     left = gap + (planned - speed) * step_s
     if left >= secure_gap(helper, speed, planned):
         return speed
-    return max(least_speed(helper, speed, step_s), follow_speed(helper, left, speed, planned, limit, step_s))
+    return max(min_speed(helper, speed, step_s), follow_speed(helper, left, speed, planned, limit, step_s))
 
 
 @compiled
 def _speed_behind(helper, gap, speed, planned, least, limit, step_s):  # type: ignore[no-untyped-def]
-    """Return the speed with which a follower leaves room for somebody who goes on with ``planned``."""
+    """Return the speed with which a follower leaves room for a vehicle that goes on with ``planned``."""
     first = max(least, max(0.0, follow_speed(helper, gap + planned * step_s, speed, planned, limit, step_s)))
     return max(least, follow_speed(helper, gap + (planned - first) * step_s, speed, planned, limit, step_s))

@@ -1,12 +1,20 @@
-"""Whether a driver wants to change to a neighbouring lane, and why: SUMO's model LC2013 with its default parameters.
+"""The lane-change decision of SUMO's model LC2013, with its default parameters, for a vehicle and a neighbouring lane.
 
-In this order: changes that the route needs soon, staying for the route's sake, commands, helping others, speed, keeping
-right, and the route at leisure. The model: Erdmann, Lane-changing model in SUMO (2014); details by probing.
+The model distinguishes four motivations (Erdmann, "Lane-changing model in SUMO", 2014), considered in this order:
+
+1. *strategic*: the route needs the change soon, or forbids it;
+2. *cooperative*: to make room for another vehicle;
+3. *tactical*: to gain speed;
+4. the *obligation to keep right*.
+
+A commanded change comes between the first and the second. Details that the paper leaves open were found by probing.
+The *target lane* is the neighbouring lane under consideration.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +28,7 @@ from izoo.envs.twin.lane_change.cooperation import (
     reserve_room,
     slow_for_blocked,
 )
-from izoo.envs.twin.lane_change.downstream_occupancy import room_taken
+from izoo.envs.twin.lane_change.downstream_occupancy import downstream_occupancy
 from izoo.envs.twin.lane_change.flags import (
     BLOCKS_FOLLOWER,
     COMMANDED,
@@ -69,29 +77,49 @@ from izoo.envs.twin.runtime.layout import (
     VARIANT,
 )
 
-_FORGETTING = 0.1
+_LOOK_AHEAD_DECAY_PER_S = 0.1
 _LOOK_AHEAD_S = 10.0
 _LOOK_AHEAD_LEFT = 2.0
 _URGENCY = 2.0
 _CROSSING_ROOM_RIGHT_M, _CROSSING_ROOM_LEFT_M = 20.0, 40.0
 _TURN_LANE_M = 200.0
 _MOTORWAY_MPS = 80.0 / 3.6
-_LEAST_GAIN_SPEED_MPS = 10.0
+_MIN_GAIN_SPEED_MPS = 10.0
 _RIGHT_DISCOUNT_MPS = 5.0 / 3.6
 _LEFT_THRESHOLD, _RIGHT_THRESHOLD = 0.2, 2.0
 _KEEP_RIGHT_S, _ACCEPTANCE_S = 5.0, 7.0
 _REMAINING_S = 20.0
 _FORESIGHT_S = 8.0
 _MEMORY_UNIT = 1e-7
-"""Memories of speed gain are cut to multiples of it, towards 0."""
+"""Memories of speed gain are truncated to multiples of it."""
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
-"""Values of ``CHANGE_MODE``: as SUMO has it; what the route needs, and commands."""
+"""Values of ``CHANGE_MODE``: SUMO's default; only strategic and commanded changes."""
+
+
+class Change(NamedTuple):
+    """A change under consideration.
+
+    Attributes:
+        side: -1 right, 1 left.
+        offset: lanes from the own lane to the best lane (positive: to the left); ``side`` where both lanes are best.
+        to_best: whether the change is towards the best lane.
+        look_ahead_m: distance within which a strategic change is urgent, per lane to change.
+        overtakes_left: whether to change left because a slower vehicle on the left must not be passed on the right.
+        speed_cap_mps: speed that this rule leaves on the own lane.
+    """
+
+    side: int
+    offset: int
+    to_best: bool
+    look_ahead_m: float
+    overtakes_left: bool
+    speed_cap_mps: float
 
 
 @compiled
-def obey(net, state, v, flags):  # type: ignore[no-untyped-def]
-    """Let a commanded lane overrule the wishes in ``flags``, and the mode forbid some; return the new state bits."""
+def apply_request(net, state, v, flags):  # type: ignore[no-untyped-def]
+    """Let a commanded lane override the requests in ``flags``, and the mode forbid some; return the new state bits."""
     request = 0
     if state.ints[v, CHANGE_UNTIL_MS] >= state.clock[NOW_MS]:
         lane, target = state.ints[v, LANE], state.ints[v, CHANGE_TARGET]
@@ -109,33 +137,31 @@ def obey(net, state, v, flags):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_granted(net, state, v, request):  # type: ignore[no-untyped-def]
-    return obey(net, state, v, request) == request
+def _is_permitted(net, state, v, request):  # type: ignore[no-untyped-def]
+    return apply_request(net, state, v, request) == request
 
 
 @compiled
-def want(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, side, leader, gap, beside, beside_gap, follower, follower_gap, blocked, step_s
-):
-    """Return the state bits of the wish to change to ``side`` (-1 right, 1 left), ``blocked`` left out.
+def decide_lane_change(net, traffic, state, v, side, around, blocked, step_s):  # type: ignore[no-untyped-def]
+    """Return the state bits of the request to change to ``side`` (-1 right, 1 left), without the blocking bits.
 
     Args:
-        leader, gap: of the own lane (-1: none; m); beside, beside_gap and follower, follower_gap: of the other lane.
-        blocked: bits of what stands against the change.
+        around: the :class:`~izoo.envs.twin.lane_change.neighbours.Neighbours` for this change.
+        blocked: bits of the vehicles that block the change.
     """
     floats, ints, driver = state.floats, state.ints, traffic.floats[v]
     lane, variant = ints[v, LANE], ints[v, VARIANT]
-    other = lane + side
+    target = lane + side
     position, speed = floats[v, POSITION], floats[v, SPEED]
     limit = desired_speed(net, state, v, lane)
     right = side < 0
-    own_offset = net.best_offset[variant, lane]
-    offset = own_offset
-    if offset == 0 and net.best_offset[variant, other] == 0:
+    best_offset = net.best_offset[variant, lane]
+    offset = best_offset
+    if offset == 0 and net.best_offset[variant, target] == 0:
         offset = side
-    length, other_length = net.best_length[variant, lane], net.best_length[variant, other]
+    length, target_length = net.best_length[variant, lane], net.best_length[variant, target]
     toward = RIGHTWARD if right else LEFTWARD
-    counter = LEFTWARD if right else RIGHTWARD
+    opposite = LEFTWARD if right else RIGHTWARD
     to_best = offset * side > 0
 
     flags = ints[v, CHANGE_STATE] & KEPT
@@ -145,192 +171,178 @@ def want(  # type: ignore[no-untyped-def]
     if first_blocked >= 0 and first_blocked != last_blocked:
         flags = slow_for_blocked(net, traffic, state, v, first_blocked, flags, step_s)
 
+    # The look-ahead speed rises at once and decays slowly, so that a short stop does not shorten the look-ahead.
     if speed > floats[v, LOOK_AHEAD_SPEED]:
         floats[v, LOOK_AHEAD_SPEED] = speed
     else:
-        memory = 1.0 - _FORGETTING * step_s
+        memory = 1.0 - _LOOK_AHEAD_DECAY_PER_S * step_s
         floats[v, LOOK_AHEAD_SPEED] = max(0.0, memory * floats[v, LOOK_AHEAD_SPEED] + (1.0 - memory) * speed)
-    ahead_speed = floats[v, LOOK_AHEAD_SPEED]
-    needed = ahead_speed * _LOOK_AHEAD_S * (1.0 if right else _LOOK_AHEAD_LEFT)
-    needed += 2.0 * (driver[LENGTH] + driver[MIN_GAP])
+    look_ahead_speed = floats[v, LOOK_AHEAD_SPEED]
+    look_ahead_m = look_ahead_speed * _LOOK_AHEAD_S * (1.0 if right else _LOOK_AHEAD_LEFT)
+    look_ahead_m += 2.0 * (driver[LENGTH] + driver[MIN_GAP])
 
-    own_jam = state.changer_density[lane] + room_taken(net, state, v, lane)
-    other_jam = state.changer_density[other] + room_taken(net, state, v, other)
+    own_occupation = state.changer_density[lane] + downstream_occupancy(net, state, v, lane)
+    target_occupation = state.changer_density[target] + downstream_occupancy(net, state, v, target)
     best = lane + offset
-    best_jam = (
-        own_jam
+    best_occupation = (
+        own_occupation
         if offset == 0
-        else other_jam
+        else target_occupation
         if offset == side
-        else state.changer_density[best] + room_taken(net, state, v, best)
+        else state.changer_density[best] + downstream_occupancy(net, state, v, best)
     )
-    usable = length - position - best_jam
-    other_left = max(0.0, other_length - position - max(own_jam, other_jam))
-    avoiding, cap = False, limit
-    if to_best and offset == own_offset and usable / abs(offset) < needed:
+    usable_m = length - position - best_occupation
+    target_left_m = max(0.0, target_length - position - max(own_occupation, target_occupation))
+    overtakes_left, speed_cap = False, limit
+    if to_best and offset == best_offset and usable_m / abs(offset) < look_ahead_m:
         flags |= toward | STRATEGIC | URGENT
     else:
-        if beside >= 0 and not right and not is_congested(state, v):
-            avoiding, cap = _fall_behind(traffic, state, v, beside, beside_gap, limit, step_s)
-        if (not to_best and other_left / (abs(offset) + 2) < needed) or (
+        if around.target_leader >= 0 and not right and not is_congested(state, v):
+            overtakes_left, speed_cap = _stay_behind_left_leader(
+                traffic, state, v, around.target_leader, around.target_leader_gap, limit, step_s
+            )
+        if (not to_best and target_left_m / (abs(offset) + 2) < look_ahead_m) or (
             offset == 0
-            and (other_left * 2.0 < needed or (net.best_open[variant, other] and other_length < _TURN_LANE_M))
+            and (
+                target_left_m * 2.0 < look_ahead_m or (net.best_open[variant, target] and target_length < _TURN_LANE_M)
+            )
         ):
             flags |= STAY | STRATEGIC
 
-    flags = obey(net, state, v, flags)
-    if flags & counter:
-        flags &= ~(COMMANDED | counter | URGENT)
+    flags = apply_request(net, state, v, flags)
+    if flags & opposite:
+        flags &= ~(COMMANDED | opposite | URGENT)
     if flags & STAY:
         return flags
+    change = Change(side, offset, to_best, look_ahead_m, overtakes_left, speed_cap)
     if flags & URGENT:
-        _prepare_urgent(
-            net, traffic, state, v, right, to_best, offset, length - position, beside, beside_gap, follower,
-            follower_gap, blocked, flags, step_s,
-        )  # fmt: skip
+        _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flags, step_s)
         return flags
-    if right and offset == 0 and net.lane_floats[lane, LANE_LIMIT] > _MOTORWAY_MPS and ahead_speed > STANDING_MPS:
+    if right and offset == 0 and net.lane_floats[lane, LANE_LIMIT] > _MOTORWAY_MPS and look_ahead_speed > STANDING_MPS:
         return flags | STAY | STRATEGIC
-    return _want_freely(
-        net,
-        traffic,
-        state,
-        v,
-        side,
-        flags,
-        offset,
-        to_best,
-        leader,
-        gap,
-        beside,
-        beside_gap,
-        avoiding,
-        cap,
-        needed,
-        step_s,
-    )
+    return _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
 
 
 @compiled
-def _fall_behind(traffic, state, v, beside, gap, limit, step_s):  # type: ignore[no-untyped-def]
+def _stay_behind_left_leader(traffic, state, v, leader, gap, limit, step_s):  # type: ignore[no-untyped-def]
     """Do not pass a slower vehicle on its right where that is forbidden.
 
     Returns:
-        Whether to go left instead, and the speed (m/s) that is left on the own lane.
+        Whether to overtake it on the left instead, and the speed (m/s) that is left on the own lane.
     """
-    driver, speed, other = traffic.floats[v], state.floats[v, SPEED], state.floats[beside, SPEED]
-    slower = speed - other
+    driver, speed, leader_speed = traffic.floats[v], state.floats[v, SPEED], state.floats[leader, SPEED]
+    slower = speed - leader_speed
     if slower <= 0.0:
         return False, limit
-    safe = max(follow_speed(driver, gap, speed, other, limit, step_s), speed - driver[DECEL] * step_s)
+    safe = max(follow_speed(driver, gap, speed, leader_speed, limit, step_s), speed - driver[DECEL] * step_s)
     if state.floats[v, SPEED_GAIN] < _LEFT_THRESHOLD:
-        # It brakes hard only once it would rather go left.
-        safe = max(safe, other)
+        # It brakes hard only once it would rather change left.
+        safe = max(safe, leader_speed)
     add_advice(state, v, safe)
-    later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, other, limit, step_s)
+    later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, leader_speed, limit, step_s)
     if later >= safe:
         return False, safe
-    state.floats[v, SPEED_GAIN] += step_s * slower / max(limit, _LEAST_GAIN_SPEED_MPS)
+    state.floats[v, SPEED_GAIN] += step_s * slower / max(limit, _MIN_GAIN_SPEED_MPS)
     return True, safe
 
 
 @compiled
-def _prepare_urgent(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, right, to_best, offset, left_m, beside, beside_gap, follower, follower_gap, blocked, flags,
-    step_s,
-):  # fmt: skip
-    """Make room for an urgent change: reserve some for those who cross over, and tell leader and follower."""
-    floats, lane = state.floats, state.ints[v, LANE]
-    is_open = net.best_open[state.ints[v, VARIANT], lane]
-    if to_best and abs(offset) > 1 and is_open and not net.lane_ints[lane, LANE_INSIDE]:
+def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flags, step_s):  # type: ignore[no-untyped-def]
+    """Reserve room for vehicles that cross over, and inform the target lane's leader and follower."""
+    floats, lane, right = state.floats, state.ints[v, LANE], change.side < 0
+    variant = state.ints[v, VARIANT]
+    left_m = net.best_length[variant, lane] - floats[v, POSITION]
+    is_open = net.best_open[variant, lane]
+    if change.to_best and abs(change.offset) > 1 and is_open and not net.lane_ints[lane, LANE_INSIDE]:
         reserve = _CROSSING_ROOM_RIGHT_M if right else _CROSSING_ROOM_LEFT_M
         floats[v, BLOCKER_LENGTH] = max(reserve, floats[v, BLOCKER_LENGTH])
     floats[v, LEFT_SPACE] = left_m
-    counter = LEFTWARD if right else RIGHTWARD
+    opposite = LEFTWARD if right else RIGHTWARD
     first_blocked = state.changer[lane, CHANGER_FIRST_BLOCKED]
-    if first_blocked != beside:
-        reserve_room(net, traffic, state, v, first_blocked, counter, step_s)
-    reserve_room(net, traffic, state, v, beside, counter, step_s)
+    if first_blocked != around.target_leader:
+        reserve_room(net, traffic, state, v, first_blocked, opposite, step_s)
+    reserve_room(net, traffic, state, v, around.target_leader, opposite, step_s)
     if flags & COMMANDED:
         remaining_s = (state.ints[v, CHANGE_UNTIL_MS] - state.clock[NOW_MS]) / 1000.0
     else:
-        remaining_s = max(step_s, left_m / max(floats[v, LOOK_AHEAD_SPEED], EPS) / abs(offset) / _URGENCY)
-    planned = inform_leader(net, traffic, state, v, beside, beside_gap, blocked, not right, remaining_s, step_s)
+        remaining_s = max(step_s, left_m / max(floats[v, LOOK_AHEAD_SPEED], EPS) / abs(change.offset) / _URGENCY)
+    planned = inform_leader(net, traffic, state, v, around, blocked, not right, remaining_s, step_s)
     if planned >= 0.0:
-        inform_follower(
-            net, traffic, state, v, follower, follower_gap, blocked, not right, remaining_s, planned, step_s
-        )
+        inform_follower(net, traffic, state, v, around, blocked, not right, remaining_s, planned, step_s)
 
 
 @compiled
-def _want_freely(  # type: ignore[no-untyped-def]
-    net, traffic, state, v, side, flags, offset, to_best, leader, gap, beside, beside_gap, avoiding, cap, needed,
-    step_s,
-):  # fmt: skip
-    """Return the state bits of a wish that the route does not press for."""
-    floats = state.floats
+def _discretionary_change(net, traffic, state, v, change, around, flags, step_s):  # type: ignore[no-untyped-def]
+    """Return the state bits of a request that the route does not press for: cooperation, speed gain, keeping right."""
+    floats, driver = state.floats, traffic.floats[v]
     lane, variant = state.ints[v, LANE], state.ints[v, VARIANT]
-    other, right = lane + side, side < 0
+    target, right = lane + change.side, change.side < 0
     toward = RIGHTWARD if right else LEFTWARD
     speed = floats[v, SPEED]
-    limit, other_limit = desired_speed(net, state, v, lane), desired_speed(net, state, v, other)
-    other_length = net.best_length[variant, other]
-    allowed = other_length / (abs(offset) + 1) > needed
+    limit, target_limit = desired_speed(net, state, v, lane), desired_speed(net, state, v, target)
+    target_length = net.best_length[variant, target]
+    allowed = target_length / (abs(change.offset) + 1) > change.look_ahead_m
 
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
     own = state.ints[v, CHANGE_STATE]
-    if own & BLOCKS_FOLLOWER and own & wanted and (to_best or allowed):
+    if own & BLOCKS_FOLLOWER and own & wanted and (change.to_best or allowed):
         request = flags | toward | COOPERATIVE | URGENT
-        if _is_granted(net, state, v, request):
+        if _is_permitted(net, state, v, request):
             return request
 
-    chasing = _accelerates(state, leader) or _accelerates(state, beside)
+    leader, leader_gap = around.leader, around.leader_gap
+    target_leader, target_gap = around.target_leader, around.target_leader_gap
+    chasing = _accelerates(state, leader) or _accelerates(state, target_leader)
     length = net.best_length[variant, lane]
-    here = min(limit, cap, _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s))
-    there = min(other_limit, _anticipate(traffic, state, v, beside, beside_gap, other_length, limit, chasing, step_s))
-    gain = (there - here) / max(there, _LEAST_GAIN_SPEED_MPS)
-    lasting = other_length / max(0.1, speed) > _REMAINING_S
+    here = _anticipated_speed(traffic, state, v, leader, leader_gap, length, limit, chasing, step_s)
+    here = min(limit, change.speed_cap_mps, here)
+    there = _anticipated_speed(traffic, state, v, target_leader, target_gap, target_length, limit, chasing, step_s)
+    there = min(target_limit, there)
+    gain = (there - here) / max(there, _MIN_GAIN_SPEED_MPS)
+    lasting = target_length / max(0.1, speed) > _REMAINING_S
     if right:
         if here - _RIGHT_DISCOUNT_MPS > there:
-            floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] * math.pow(0.5, step_s))
+            floats[v, SPEED_GAIN_RIGHT] = _truncate(floats[v, SPEED_GAIN_RIGHT] * math.pow(0.5, step_s))
         else:
-            floats[v, SPEED_GAIN_RIGHT] = _cut(floats[v, SPEED_GAIN_RIGHT] + step_s * gain)
+            floats[v, SPEED_GAIN_RIGHT] = _truncate(floats[v, SPEED_GAIN_RIGHT] + step_s * gain)
             share = limit / net.lane_floats[lane, LANE_LIMIT]
-            _grow_keep_right(traffic, state, v, limit, share, other_length, beside, beside_gap, step_s)
+            floats[v, KEEP_RIGHT] -= _keep_right_growth(
+                driver, state, speed, limit, share, target_length, target_leader, target_gap, step_s
+            )
             if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
-                if _is_granted(net, state, v, request):
+                if _is_permitted(net, state, v, request):
                     return request
         if floats[v, SPEED_GAIN_RIGHT] > _RIGHT_THRESHOLD and lasting:
             request = flags | toward | SPEED_GAINING
-            if _is_granted(net, state, v, request):
+            if _is_permitted(net, state, v, request):
                 return request
     else:
         if here > there:
-            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] * math.pow(0.5, step_s))
+            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] * math.pow(0.5, step_s))
         elif here == there:
-            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] * math.pow(0.8, step_s))
+            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] * math.pow(0.8, step_s))
         else:
-            floats[v, SPEED_GAIN] = _cut(floats[v, SPEED_GAIN] + step_s * gain)
-        if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or avoiding) and lasting:
+            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] + step_s * gain)
+        if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or change.overtakes_left) and lasting:
             request = flags | toward | SPEED_GAINING
-            if _is_granted(net, state, v, request):
+            if _is_permitted(net, state, v, request):
                 return request
     if (
-        to_best
-        and offset == net.best_offset[variant, lane]
+        change.to_best
+        and change.offset == net.best_offset[variant, lane]
         and gain >= 0.0
         and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
     ):
         request = flags | toward | STRATEGIC
-        if _is_granted(net, state, v, request):
+        if _is_permitted(net, state, v, request):
             return request
     return flags
 
 
 @compiled
-def _cut(memory):  # type: ignore[no-untyped-def]
-    """Return a memory of speed gain as it is kept."""
+def _truncate(memory):  # type: ignore[no-untyped-def]
+    """Return a memory of speed gain in whole units."""
     return np.trunc(memory * (1.0 / _MEMORY_UNIT)) * _MEMORY_UNIT
 
 
@@ -340,11 +352,11 @@ def _accelerates(state, leader):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s):  # type: ignore[no-untyped-def]
+def _anticipated_speed(traffic, state, v, leader, gap, length, limit, chasing, step_s):  # type: ignore[no-untyped-def]
     """Return the speed (m/s) that a lane allows, behind a leader or to stop at its end.
 
-    Safe even if the leader brakes hard; where one of the leaders accelerates (``chasing``), what the own model of car
-    following makes of it within a second.
+    It is safe even if the leader brakes hard; where one of the leaders accelerates (``chasing``), it is the speed of
+    the car-following model within a second.
     """
     driver = traffic.floats[v]
     if chasing:
@@ -360,14 +372,13 @@ def _anticipate(traffic, state, v, leader, gap, length, limit, chasing, step_s):
 
 
 @compiled
-def _grow_keep_right(traffic, state, v, limit, share, other_length, beside, gap, step_s):  # type: ignore[no-untyped-def]
-    """Grow the wish to keep right by the share of time for which one could go there at full speed."""
-    driver, speed = traffic.floats[v], state.floats[v, SPEED]
+def _keep_right_growth(driver, state, speed, limit, share, target_length, leader, gap, step_s):  # type: ignore[no-untyped-def]
+    """Return the growth of the obligation to keep right: by the time at full speed that the target lane offers."""
     acceptance_s = _ACCEPTANCE_S * share * max(1.0, speed)
-    full = max(0.0, other_length - brake_gap(limit, driver[DECEL], driver[TAU], step_s))
-    full_s = min(acceptance_s, full / limit)
-    if beside >= 0 and state.floats[beside, SPEED] < limit:
-        other = state.floats[beside, SPEED]
-        full = max(0.0, min(full, gap - secure_gap(driver, limit, other)))
-        full_s = min(full_s, full / (limit - other))
-    state.floats[v, KEEP_RIGHT] -= _RIGHT_THRESHOLD * step_s * (full_s / acceptance_s) / _KEEP_RIGHT_S
+    full_m = max(0.0, target_length - brake_gap(limit, driver[DECEL], driver[TAU], step_s))
+    full_s = min(acceptance_s, full_m / limit)
+    if leader >= 0 and state.floats[leader, SPEED] < limit:
+        leader_speed = state.floats[leader, SPEED]
+        full_m = max(0.0, min(full_m, gap - secure_gap(driver, limit, leader_speed)))
+        full_s = min(full_s, full_m / (limit - leader_speed))
+    return _RIGHT_THRESHOLD * step_s * (full_s / acceptance_s) / _KEEP_RIGHT_S

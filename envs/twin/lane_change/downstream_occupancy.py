@@ -1,5 +1,4 @@
-"""How full the roads are that a driver will come to, as far as changing lanes asks
-(:mod:`~izoo.envs.twin.lane_change.decision`)."""
+"""How much of the lanes downstream is occupied, for the decision to change lanes."""
 
 from __future__ import annotations
 
@@ -16,13 +15,13 @@ from izoo.envs.twin.runtime.layout import (
 
 
 @compiled
-def look_behind_junction(net, state, lane_room, v, lane):  # type: ignore[no-untyped-def]
-    """Let ``v``, which comes to ``lane`` inside a junction, remember how full the roads behind it are.
+def remember_downstream_occupancy(net, state, lane_room, v, lane):  # type: ignore[no-untyped-def]
+    """Store the downstream occupancy for ``v``, which comes to ``lane``, if that is inside a junction.
 
-    On other lanes nothing happens. It does not look again before it comes to another lane.
+    It is not updated before the vehicle comes to another lane.
 
     Args:
-        lane_room: ``[L]`` how full each lane is, in m.
+        lane_room: ``[L]`` occupancy of each lane, m.
     """
     edge = net.lane_ints[lane, LANE_EDGE]
     lanes = net.edge_ints[edge, EDGE_LANES]
@@ -30,23 +29,23 @@ def look_behind_junction(net, state, lane_room, v, lane):  # type: ignore[no-unt
         return
     first = net.edge_ints[edge, EDGE_FIRST_LANE]
     for k in range(min(lanes, MAX_LANES_SEEN)):
-        state.room_seen[v, k] = _room_taken_now(net, lane_room, state.ints[v, VARIANT], first + k)
+        state.room_seen[v, k] = _occupancy_now(net, lane_room, state.ints[v, VARIANT], first + k)
 
 
 @compiled
-def room_taken(net, state, v, lane):  # type: ignore[no-untyped-def]
-    """Return the road (m) that vehicles take up on the lanes behind ``lane`` along the route of ``v``.
+def downstream_occupancy(net, state, v, lane):  # type: ignore[no-untyped-def]
+    """Return the occupancy (m) of the lanes beyond ``lane`` along the route of ``v``, junctions left out.
 
-    Lanes inside junctions are left out. Who is inside of one goes by what was there when it came to its lane.
+    For a vehicle inside a junction it is that of when the vehicle came to its lane.
     """
     index = net.lane_ints[lane, LANE_INDEX]
     if net.lane_ints[lane, LANE_INSIDE] and index < MAX_LANES_SEEN:
         return state.room_seen[v, index]
-    return _room_taken_now(net, state.lane_room, state.ints[v, VARIANT], lane)
+    return _occupancy_now(net, state.lane_room, state.ints[v, VARIANT], lane)
 
 
 @compiled
-def _room_taken_now(net, lane_room, variant, lane):  # type: ignore[no-untyped-def]
+def _occupancy_now(net, lane_room, variant, lane):  # type: ignore[no-untyped-def]
     taken = 0.0
     lane = net.best_road[variant, lane]
     while lane >= 0:

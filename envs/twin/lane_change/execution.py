@@ -1,13 +1,13 @@
-"""Lane changing: per edge, from the vehicle furthest downstream to the last, each seeing the changes made before it."""
+"""Lane changes of a step: per edge, vehicle by vehicle from downstream, each seeing the changes made before it."""
 
 from __future__ import annotations
 
 from izoo.envs.twin.driving.active_lanes import activate
 from izoo.envs.twin.driving.car_following import secure_gap
-from izoo.envs.twin.driving.lane_queues import drop_tail, lay_tail, place, take_out
-from izoo.envs.twin.lane_change.cooperation import clear_memories, forget_advice
-from izoo.envs.twin.lane_change.decision import obey, want
-from izoo.envs.twin.lane_change.downstream_occupancy import look_behind_junction
+from izoo.envs.twin.driving.lane_queues import clear_tail, insert_into_lane, remove_from_lane, set_tail
+from izoo.envs.twin.lane_change.cooperation import clear_advice, clear_memories
+from izoo.envs.twin.lane_change.decision import apply_request, decide_lane_change
+from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.lane_change.flags import (
     BLOCKED,
     LEFT_FOLLOWER_BLOCKS,
@@ -19,7 +19,7 @@ from izoo.envs.twin.lane_change.flags import (
     RIGHTWARD,
     URGENT,
 )
-from izoo.envs.twin.lane_change.neighbours import follower_beside, leader_beside, leader_beyond
+from izoo.envs.twin.lane_change.neighbours import Neighbours, follower_on_lane, leader_beyond, leader_on_lane
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     ACTIVE_FIRST,
@@ -57,8 +57,8 @@ from izoo.envs.twin.runtime.layout import (
 
 
 @compiled
-def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
-    """Turn the commanded change of this step into a lane to be on, as ``vehicle.changeLaneRelative`` does."""
+def read_lane_command(net, state, v, step_ms):  # type: ignore[no-untyped-def]
+    """Turn the commanded change of this step into a target lane, as ``vehicle.changeLaneRelative`` does."""
     change = state.ints[v, CHANGE_COMMAND]
     if change == 0:
         return
@@ -71,7 +71,7 @@ def take_commands(net, state, v, step_ms):  # type: ignore[no-untyped-def]
 
 @compiled
 def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
-    """Let the vehicles of every edge with several lanes change, all vehicles having moved and been prepared."""
+    """Change lanes on every edge with several lanes, after all vehicles have moved."""
     _measure_room(traffic, state)
     lane = state.clock[ACTIVE_FIRST]
     while lane >= 0:
@@ -95,7 +95,7 @@ def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
 
 @compiled
 def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
-    """Sum up what the vehicles of each lane take of its length."""
+    """Compute the occupancy of each lane: the vehicles' lengths and standstill gaps."""
     for lane in range(state.lane_room.shape[0]):
         state.lane_room[lane] = 0.0
     lane = state.clock[ACTIVE_FIRST]
@@ -109,7 +109,7 @@ def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def change_on_edge(net, traffic, state, edge, step_s):  # type: ignore[no-untyped-def]
-    """Let the vehicles of one edge change."""
+    """Change lanes on one edge."""
     first = net.edge_ints[edge, EDGE_FIRST_LANE]
     end = first + net.edge_ints[edge, EDGE_LANES]
     total = 0
@@ -128,98 +128,97 @@ def change_on_edge(net, traffic, state, edge, step_s):  # type: ignore[no-untype
                 lane = k
         v = state.changer[lane, CHANGER_NEXT]
         state.changer[lane, CHANGER_NEXT] = state.ints[v, BEHIND]
-        now_on = _decide(net, traffic, state, v, lane, step_s)
+        now_on = _consider_change(net, traffic, state, v, lane, step_s)
         state.changer_density[now_on] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
 
 
 @compiled
-def _decide(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
-    """Let ``v`` look to the right, then to the left, and change where it wants to and may; return its lane."""
-    leader, gap = leader_beside(net, traffic, state, v, lane, step_s)
+def _consider_change(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
+    """Consider a change to the right, then to the left; execute it if it is wanted and not blocked; return the lane."""
+    leader, gap = leader_on_lane(net, traffic, state, v, lane, step_s)
     rightward = leftward = 0
     if net.lane_ints[lane, LANE_RIGHT] >= 0:
-        rightward = _check(net, traffic, state, v, lane - 1, leader, gap, step_s)
+        rightward = _evaluate_change(net, traffic, state, v, lane - 1, leader, gap, step_s)
         if rightward & RIGHTWARD and not rightward & BLOCKED:
-            _change(net, traffic, state, v, lane - 1)
+            _execute_change(net, traffic, state, v, lane - 1)
             return lane - 1
         if rightward & RIGHTWARD and rightward & URGENT:
-            _note_blocked(state, v, lane - 1)
+            _record_blocked(state, v, lane - 1)
     if net.lane_ints[lane, LANE_LEFT] >= 0:
         advices = state.ints[v, ADVICES]
-        leftward = _check(net, traffic, state, v, lane + 1, leader, gap, step_s)
+        leftward = _evaluate_change(net, traffic, state, v, lane + 1, leader, gap, step_s)
         if leftward & LEFTWARD and not leftward & BLOCKED:
-            _change(net, traffic, state, v, lane + 1)
+            _execute_change(net, traffic, state, v, lane + 1)
             return lane + 1
         if leftward & LEFTWARD and leftward & URGENT:
-            _note_blocked(state, v, lane + 1)
+            _record_blocked(state, v, lane + 1)
         if rightward & RIGHTWARD:
-            # Who would rather go right does not slow down for the left.
+            # With a wish to the right, the speeds advised for the left are dropped.
             state.ints[v, ADVICES] = advices
     state.ints[v, CHANGE_STATE] = rightward | leftward
     return lane
 
 
 @compiled
-def _note_blocked(state, v, lane):  # type: ignore[no-untyped-def]
-    """Show ``v`` to those behind it on the lane that it must change to."""
+def _record_blocked(state, v, lane):  # type: ignore[no-untyped-def]
+    """Make the blocked ``v`` known to vehicles behind it on the lane that it must change to."""
     state.changer[lane, CHANGER_LAST_BLOCKED] = v
     if state.changer[lane, CHANGER_FIRST_BLOCKED] < 0:
         state.changer[lane, CHANGER_FIRST_BLOCKED] = v
 
 
 @compiled
-def _check(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[no-untyped-def]
-    """Return the state bits of changing to the neighbouring ``lane``: what is in the way, and what is wanted."""
+def _evaluate_change(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[no-untyped-def]
+    """Return the state bits for a change to the target ``lane``: what blocks it, and whether it is wanted."""
     right = lane < state.ints[v, LANE]
     by_leader = RIGHT_LEADER_BLOCKS if right else LEFT_LEADER_BLOCKS
     by_follower = RIGHT_FOLLOWER_BLOCKS if right else LEFT_FOLLOWER_BLOCKS
-    beside, beside_gap = leader_beside(net, traffic, state, v, lane, step_s)
-    follower, follower_gap = follower_beside(net, traffic, state, v, lane)
+    target_leader, target_gap = leader_on_lane(net, traffic, state, v, lane, step_s)
+    follower, follower_gap = follower_on_lane(net, traffic, state, v, lane)
     speed, blocked = state.floats[v, SPEED], 0
     if follower >= 0:
         if follower_gap < 0.0:
             blocked |= by_follower | OVERLAPS
         elif follower_gap < secure_gap(traffic.floats[follower], state.floats[follower, SPEED], speed):
             blocked |= by_follower
-    if beside >= 0:
-        if beside_gap < 0.0:
+    if target_leader >= 0:
+        if target_gap < 0.0:
             blocked |= by_leader | OVERLAPS
-        elif beside_gap < secure_gap(traffic.floats[v], speed, state.floats[beside, SPEED]):
+        elif target_gap < secure_gap(traffic.floats[v], speed, state.floats[target_leader, SPEED]):
             blocked |= by_leader
-    flags = blocked | want(
-        net, traffic, state, v, -1 if right else 1, leader, gap, beside, beside_gap, follower, follower_gap, blocked,
-        step_s,
-    )  # fmt: skip
+    around = Neighbours(leader, gap, target_leader, target_gap, follower, follower_gap)
+    wish = decide_lane_change(net, traffic, state, v, -1 if right else 1, around, blocked, step_s)
+    flags = blocked | wish
     if not blocked and flags & (RIGHTWARD | LEFTWARD):
-        # Who may change looks once more, past whoever leads there, for others who would hold it up more.
+        # Before it changes, it also checks for a vehicle beyond the leader that restricts it more.
         other, other_gap = leader_beyond(net, traffic, state, v, lane, False, step_s)
-        passed_over = other >= 0 and other != beside
-        if passed_over and other_gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
+        is_beyond = other >= 0 and other != target_leader
+        if is_beyond and other_gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
             flags |= by_leader
-    return obey(net, state, v, flags)
+    return apply_request(net, state, v, flags)
 
 
 @compiled
-def _change(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
-    """Move ``v`` to ``lane``, beside its own, with its tail, and clear its memories."""
+def _execute_change(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
+    """Move ``v`` with its tail to the neighbouring ``lane``, and clear its memories."""
     ints = state.ints
     room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
     state.lane_room[ints[v, LANE]] -= room
     state.lane_room[lane] += room
     tails = ints[v, TAIL_LANES]
-    drop_tail(state, v)
-    take_out(state, v)
-    place(state, v, lane)
-    look_behind_junction(net, state, state.lane_room, v, lane)
+    clear_tail(state, v)
+    remove_from_lane(state, v)
+    insert_into_lane(state, v, lane)
+    remember_downstream_occupancy(net, state, state.lane_room, v, lane)
     if tails > 0:
-        _lay_tail_behind(net, traffic, state, v, lane, tails)
-    forget_advice(state, v)
+        _set_tail_after_change(net, traffic, state, v, lane, tails)
+    clear_advice(state, v)
     clear_memories(state, v)
 
 
 @compiled
-def _lay_tail_behind(net, traffic, state, v, lane, count):  # type: ignore[no-untyped-def]
-    """Put the tail on the lanes before the new one that belong to the edges that it was on."""
+def _set_tail_after_change(net, traffic, state, v, lane, count):  # type: ignore[no-untyped-def]
+    """Put the tail on the lanes that lead to the new one, on the edges that it was on."""
     known, before = 0, lane
     for k in range(min(count, MAX_TAIL_LANES)):
         edge = net.lane_ints[state.tail_lane[v, k], LANE_EDGE]
@@ -230,8 +229,8 @@ def _lay_tail_behind(net, traffic, state, v, lane, count):  # type: ignore[no-un
                 found = candidate
                 break
         if found < 0:
-            # No way leads from there to the new lane: the tail stays where it was.
+            # No link leads from there to the new lane: the tail stays where it was.
             found = state.tail_lane[v, k]
         state.tail_lane[v, known] = before = found
         known += 1
-    lay_tail(net, traffic, state, v, known)
+    set_tail(net, traffic, state, v, known)

@@ -9,7 +9,7 @@ LEFT_LEADER_BLOCKS, LEFT_FOLLOWER_BLOCKS, RIGHT_LEADER_BLOCKS, RIGHT_FOLLOWER_BL
 OVERLAPS = 8192
 BLOCKS_LEADER, BLOCKS_FOLLOWER = 1 << 16, 1 << 17
 WANTED_RIGHTWARD, WANTED_LEFTWARD = 1 << 18, 1 << 19
-"""Another vehicle that wants to change to the right (left) asked for room."""
+"""Another vehicle that wants to change to the right (left) asks for room."""
 BLOCKS_BEHIND, BLOCKS_BEHIND_STANDING = 1 << 26, 1 << 27
 
 BLOCKED = LEFT_LEADER_BLOCKS | LEFT_FOLLOWER_BLOCKS | RIGHT_LEADER_BLOCKS | RIGHT_FOLLOWER_BLOCKS | OVERLAPS | (1 << 14)
@@ -19,4 +19,4 @@ REASONS = STRATEGIC | COOPERATIVE | SPEED_GAINING | RIGHT_KEEPING | COMMANDED
 WANTS_CHANGE = LEFTWARD | RIGHTWARD | URGENT
 WANTS_CHANGE_OR_STAY = WANTS_CHANGE | STAY
 KEPT = ~0xFFFF
-"""Bits that others set in this step, which an own decision keeps."""
+"""Bits set by other vehicles in this step, which the vehicle's own decision keeps."""

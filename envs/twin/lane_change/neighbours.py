@@ -1,18 +1,19 @@
-"""Whom a lane change concerns: leaders and followers on the lanes of an edge, and beyond its ends."""
+"""Neighbours of a lane-changing vehicle: leaders and followers on the lanes of an edge, and beyond its ends."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, secure_gap
-from izoo.envs.twin.driving.lane_queues import back_on, last_on, tail_on
+from izoo.envs.twin.driving.lane_queues import last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.junction.leaders import leader_in_conflict
-from izoo.envs.twin.net.conflicts import CONFLICT_BEHIND, CONFLICT_FOE_BEHIND, CONFLICT_KIND, CONFLICT_LANE, PARTING
+from izoo.envs.twin.net.conflicts import CONFLICT_FOE_TO_END, CONFLICT_KIND, CONFLICT_LANE, CONFLICT_TO_END, DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     AHEAD,
@@ -53,18 +54,34 @@ _MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32
 
 
-def incoming_lanes(link_ints: np.ndarray, lane_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[L + 1]`` starts and the links by which vehicles come onto each lane, both int32."""
+class Neighbours(NamedTuple):
+    """Vehicles around a vehicle that considers a change to the target lane (-1: none), and the gaps to them.
+
+    Gaps are in m, less the standstill gap of the follower.
+    """
+
+    leader: int
+    leader_gap: float
+    target_leader: int
+    target_leader_gap: float
+    target_follower: int
+    target_follower_gap: float
+
+
+def incoming_links_of(link_ints: np.ndarray, lane_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[L + 1]`` starts and the links that lead to each lane, both int32."""
     target = link_ints[:, LINK_NEXT]
     order = np.argsort(target, kind="stable").astype(np.int32)
     return np.searchsorted(target[order], np.arange(lane_count + 1)).astype(np.int32), order
 
 
-def mark_changing(edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.ndarray, link_ints: np.ndarray) -> None:
+def mark_lane_changing(
+    edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.ndarray, link_ints: np.ndarray
+) -> None:
     """Set ``EDGE_CHANGES``: 1 on edges on which vehicles may change lanes.
 
-    Inside junctions that is where all lanes are equally long and none is behind a minor link without signal. Lanes that
-    begin at the same lane are no neighbours there.
+    Inside junctions these are edges whose lanes are equally long and not behind a minor link without signal. There,
+    lanes that begin at the same lane are not neighbours.
     """
     edge_ints[:, EDGE_CHANGES] = edge_ints[:, EDGE_LANES] > 1
     for edge in np.flatnonzero((edge_ints[:, EDGE_INSIDE] == 1) & (edge_ints[:, EDGE_LANES] > 1)):
@@ -79,8 +96,8 @@ def mark_changing(edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.
 
 
 @compiled
-def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
-    """Return who would lead ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
+def leader_on_lane(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
+    """Return the leader of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
     floats = state.floats
     if lane == state.ints[v, LANE]:
         leader = state.ints[v, AHEAD]
@@ -91,18 +108,18 @@ def leader_beside(net, traffic, state, v, lane, step_s):  # type: ignore[no-unty
     if leader >= 0:
         return leader, floats[leader, POSITION] - traffic.floats[leader, LENGTH] - front - min_gap
     if state.lanes[lane, LANE_TAILS] > 0:
-        leader = tail_on(net, traffic, state, lane, v)
+        leader = last_tail(net, traffic, state, lane, v)
         if leader >= 0:
-            return leader, back_on(net, traffic, state, leader, lane) - front - min_gap
+            return leader, rear_position(net, traffic, state, leader, lane) - front - min_gap
     return leader_beyond(net, traffic, state, v, lane, True, step_s)
 
 
 @compiled
 def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignore[no-untyped-def]
-    """Look for a leader past the end of ``lane``, as far as the brakes reach, also past red lights.
+    """Search for a leader past the end of ``lane`` within the braking distance, also past red lights.
 
     Args:
-        nearest: take the first one that is found; otherwise the one that would hold ``v`` up most.
+        nearest: take the first one; otherwise the one that restricts ``v`` most.
 
     Returns:
         The vehicle, or -1; the gap (m, less the standstill gap).
@@ -111,7 +128,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
     variant = state.ints[v, VARIANT]
     reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
     seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    wish = desired_speed(net, state, v, state.ints[v, LANE])
+    desired = desired_speed(net, state, v, state.ints[v, LANE])
     found, found_gap, least = -1, 0.0, math.inf
     while seen <= reach or net.lane_ints[lane, LANE_INSIDE]:
         link = net.best_link[variant, lane]
@@ -120,9 +137,9 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
         lane = net.link_ints[link, LINK_NEXT]
         for on_lane in range(2):
             if on_lane:
-                leader, gap = last_on(net, traffic, state, lane, v), 0.0
+                leader, gap = last_vehicle(net, traffic, state, lane, v), 0.0
                 if leader >= 0:
-                    gap = seen + back_on(net, traffic, state, leader, lane) - driver[MIN_GAP]
+                    gap = seen + rear_position(net, traffic, state, leader, lane) - driver[MIN_GAP]
             else:
                 leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
             if leader < 0:
@@ -131,7 +148,7 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
                 return leader, gap
             safe = 0.0
             if gap >= 0.0:
-                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], wish, step_s)
+                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], desired, step_s)
             if safe < least:
                 found, found_gap, least = leader, gap, safe
         limit = desired_speed(net, state, v, lane)
@@ -142,18 +159,18 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
 
 
 @compiled
-def follower_beside(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
-    """Return who would follow ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the follower's own)."""
+def follower_on_lane(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
+    """Return the follower of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less its standstill gap)."""
     back = state.floats[v, POSITION] - traffic.floats[v, LENGTH]
     follower = state.changer[lane, CHANGER_NEXT]
     if follower >= 0:
         return follower, back - state.floats[follower, POSITION] - traffic.floats[follower, MIN_GAP]
-    return _follower_before(net, traffic, state, v, lane, back)
+    return _follower_upstream(net, traffic, state, v, lane, back)
 
 
 @compiled
-def _braking_way(net, traffic, state, lane):  # type: ignore[no-untyped-def]
-    """Return how far (m) SUMO looks back beyond ``lane``: what its worst vehicle so far needs to stop there."""
+def _search_distance(net, traffic, state, lane):  # type: ignore[no-untyped-def]
+    """Return how far (m) SUMO searches upstream of ``lane``: the braking distance of the worst vehicle type so far."""
     limit = net.lane_floats[lane, LANE_LIMIT]
     row = traffic.fleet.shape[0] - 1
     while row > 0 and traffic.fleet[row, FLEET_FROM_MS] > state.clock[NOW_MS]:
@@ -163,54 +180,54 @@ def _braking_way(net, traffic, state, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _follower_before(net, traffic, state, v, lane, back):  # type: ignore[no-untyped-def]
-    """Look on all ways that lead to ``lane`` for the follower that lacks most of its secure gap."""
+def _follower_upstream(net, traffic, state, v, lane, back):  # type: ignore[no-untyped-def]
+    """Search all lanes that lead to ``lane`` for the follower with the largest shortfall of its secure gap."""
     queue = state.changer_queue
     ways = state.changer_way
     count = 0
-    if back < _braking_way(net, traffic, state, lane):
+    if back < _search_distance(net, traffic, state, lane):
         count = _enqueue(net, queue, ways, 0, lane, 0.0)
     done, found, found_gap, worst = 0, -1, 0.0, 0.0
     while done < count:
         link, way = queue[done], ways[done]
         done += 1
         before = net.link_ints[link, LINK_FROM]
-        follower, gap, covered = _first_on(net, traffic, state, v, before, link, way, back)
+        follower, gap, covered = _first_upstream(net, traffic, state, v, before, link, way, back)
         if follower >= 0:
             lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
-        # Who came by the same lane counts until its rear is where the ways have parted, while the rear of ``v`` is
-        # beside that way, less than the length of ``v`` past that place.
+        # A vehicle from the same lane counts until its rear is where the ways have diverged, as long as the rear of
+        # ``v`` is less than the length of ``v`` past that place.
         rear_left = net.lane_floats[before, LANE_LENGTH] - back - way
         first = net.conflict_first[link]
         rows = net.conflict_count[link] if rear_left > 0.0 else 0
         for row in range(first, first + rows):
-            if net.conflict_ints[row, CONFLICT_KIND] != PARTING:
+            if net.conflict_ints[row, CONFLICT_KIND] != DIVERGING:
                 continue
-            if rear_left + traffic.floats[v, LENGTH] < net.conflict_floats[row, CONFLICT_BEHIND]:
+            if rear_left + traffic.floats[v, LENGTH] < net.conflict_floats[row, CONFLICT_TO_END]:
                 continue
             beside = net.conflict_ints[row, CONFLICT_LANE]
-            parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_BEHIND]
+            parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_TO_END]
             for k in range(-1, state.lanes[beside, LANE_TAILS]):
                 follower = state.lanes[beside, LANE_FRONT] if k < 0 else state.tails[beside, k]
                 if follower < 0 or follower == v:
                     continue
-                rear = back_on(net, traffic, state, follower, beside)
+                rear = rear_position(net, traffic, state, follower, beside)
                 if rear < parting:
                     gap = way - rear - traffic.floats[follower, LENGTH] + back - traffic.floats[follower, MIN_GAP]
                     other = state.floats[follower, SPEED]
                     lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
                     if found < 0 or lacking > worst:
                         found, found_gap, worst = follower, gap, lacking
-        if not covered and way + back < _braking_way(net, traffic, state, before):
+        if not covered and way + back < _search_distance(net, traffic, state, before):
             count = _enqueue(net, queue, ways, count, before, way)
     return found, found_gap
 
 
 @compiled
 def _enqueue(net, queue, ways, count, lane, way):  # type: ignore[no-untyped-def]
-    """Append the links that lead to ``lane``, each with the way back to the begin of the lane that it leaves."""
+    """Append the links that lead to ``lane``, each with the distance to the begin of the lane that it leaves."""
     for k in range(net.incoming_start[lane], net.incoming_start[lane + 1]):
         if count >= _MAX_LANES_BEHIND:
             break
@@ -222,16 +239,16 @@ def _enqueue(net, queue, ways, count, lane, way):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no-untyped-def]
-    """Return the vehicle on ``lane`` that is first to come, its gap to a back bumper at ``back``, and who is behind.
+def _first_upstream(net, traffic, state, v, lane, link, way, back):  # type: ignore[no-untyped-def]
+    """Return the vehicle furthest downstream on ``lane``, and its gap to a rear bumper at ``back``.
 
     Returns:
-        The vehicle or -1; its gap (m); whether those behind it on that way do not count.
+        The vehicle or -1; its gap (m); whether the search ends there on this way.
     """
     if state.lanes[lane, LANE_TAILS] > 0:
-        other = tail_on(net, traffic, state, lane, v)
+        other = last_tail(net, traffic, state, lane, v)
         if other >= 0:
-            # Its front has gone on: beside ``v`` or past it, and nobody counts behind it; or another way.
+            # Its front is beside ``v`` or past it, and the search ends; or it went another way.
             edge = net.lane_ints[state.ints[v, LANE], LANE_EDGE]
             if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == edge:
                 return -1, 0.0, True
@@ -247,6 +264,6 @@ def _first_on(net, traffic, state, v, lane, link, way, back):  # type: ignore[no
     gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
     clear_of_it = back + way >= net.lane_floats[lane, LANE_LENGTH]
     if clear_of_it and not is_major(state.link_letter[link]) and state.floats[first, SPEED] < STANDING_MPS:
-        # Who stands on a minor road does not block, unless the rear is still beside that road.
+        # A vehicle that stands on a minor road does not block, unless the rear of ``v`` is still beside that road.
         gap = max(gap, 0.0)
     return first, gap, True

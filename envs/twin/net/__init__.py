@@ -1,1 +1,1 @@
-"""What the twin reads of a net before an episode: lanes, links, conflicts, routes."""
+"""The twin's tables of a net: lanes, links, conflicts, routes."""

@@ -1,8 +1,8 @@
-"""Best lanes: how far each lane leads along a route, and how many lanes a driver should change.
+"""Best lanes: how far each lane continues along a route, and how many lanes a driver should change.
 
-SUMO computes them anew when a vehicle enters an edge. Where several lanes lead equally far, those whose links show
-priority (``G``) in that moment are preferred to the others (``g``), and a lane without priority counts as if it ended.
-So a route has *variants*: its tables for each pattern of priorities that the signals can show. Mostly there is one.
+SUMO computes them whenever a vehicle enters an edge. Of lanes that continue equally far, those whose links show
+priority (``G``) at that time are preferred to the others (``g``), and a lane without priority counts as if it ended. So
+a route has *variants*: one table for each pattern of priorities that the signals can show. Most routes have one.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ class BestTables(NamedTuple):
 
     Attributes:
         variant_first, variant_count: ``[R]`` int32, the variants of each route.
-        variant_links: ``[R, MAX_CHECKED_LINKS]`` int32, the links whose priorities tell the variants of a route apart.
+        variant_links: ``[R, MAX_CHECKED_LINKS]`` int32, the links whose priorities distinguish the variants of a route.
         variant_group: ``[R, MAX_CHECKED_LINKS]`` int32, links of one group leave one edge; only differences within a
             group count.
         variant_bits: ``[X]`` int64, bit ``k`` is 1 where link ``k`` has priority and another of its group has not.
-        best_length: ``[X, L]`` float64, length in m of the lane and of what can be driven on from it without change;
+        best_length: ``[X, L]`` float64, length (m) that can be driven from the lane's begin without a change;
             of inside lanes: of the lane behind the junction.
-        best_offset: ``[X, L]`` int32, lanes to change (positive: to the left) to the lane that leads furthest.
-        best_link: ``[X, L]`` int32, the link by which it goes on; -1 where there is none, or the route ends.
-        best_open: ``[X, L]`` bool: the lane at which the way ends (the route's end, or no way on) has links.
+        best_offset: ``[X, L]`` int32, lanes to change (positive: to the left) to the best lane.
+        best_link: ``[X, L]`` int32, the link to continue by; -1 if there is none, or the route ends.
+        best_open: ``[X, L]`` bool: the lane at which the way ends (the route's end, or a dead end) has links.
         best_road: ``[X, L]`` int32, the lane behind the junction to which that link leads; -1 where there is none.
     """
 
@@ -69,7 +69,7 @@ class BestTables(NamedTuple):
 
 
 class NetTables(NamedTuple):
-    """What is needed of a net, as in :class:`~izoo.envs.twin.runtime.layout.TwinNet`."""
+    """The tables of a net that are needed here, as in :class:`~izoo.envs.twin.runtime.layout.TwinNet`."""
 
     lane_floats: np.ndarray
     lane_ints: np.ndarray
@@ -130,7 +130,7 @@ def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int
     choices: list[list[tuple[bool, ...]]] = []
     for number, (edge, after) in enumerate(itertools.pairwise(edges)):
         links = net.links_between(edge, after)
-        seen = dict.fromkeys(_normal(bits) for bits in _shown(net, links))
+        seen = dict.fromkeys(_relevant_bits(bits) for bits in _shown(net, links))
         if len(seen) < 2 and not any(any(pattern) for pattern in seen):
             continue
         checked += [(link, number) for link in links]
@@ -144,8 +144,8 @@ def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int
     return checked, [tuple(itertools.chain(*parts)) for parts in itertools.product(*choices)]
 
 
-def _normal(bits: Sequence[bool]) -> tuple[bool, ...]:
-    """Priority of all is as good as priority of none."""
+def _relevant_bits(bits: Sequence[bool]) -> tuple[bool, ...]:
+    """Return the pattern, or none at all if all links have priority, which is the same."""
     return tuple(bits) if any(bits) and not all(bits) else (False,) * len(bits)
 
 
@@ -190,7 +190,7 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
                 continue
             # The longest, then the one with fewest changes ahead, then the rightmost.
             target, link[lane] = min(onward, key=lambda way: (-length[way[0]], abs(offset[way[0]]), way[0]))
-            # A neighbour that leads further, one change away, counts as one's own.
+            # A lane that continues further, one change away, counts like the own one.
             near = length[target] == connected and abs(offset[target]) < 2
             length[lane] += longest if near else length[target]
             offset[lane], is_open[lane] = offset[target], is_open[target]
@@ -202,7 +202,7 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
 
 
 def _roads_behind(net: NetTables, link: np.ndarray) -> np.ndarray:
-    """Return the next lane outside of junctions on the way on from every lane, -1 where there is none, ``[L]``."""
+    """Return the next lane outside of junctions from every lane, -1 if there is none, ``[L]``."""
     onward = np.where(link < 0, -1, net.link_ints[link, LINK_NEXT])
     inside = net.lane_ints[:, LANE_INSIDE] == 1
     while (between := (onward >= 0) & inside[onward]).any():
@@ -220,7 +220,7 @@ def _inside_lanes(net: NetTables, way: int) -> list[int]:
 
 
 def _describe_inside(net: NetTables, target: int, lanes: Sequence[int], tables: tuple[np.ndarray, ...]) -> None:
-    """Inside a junction the lane behind it counts, as far as the changes stay within the inside edge."""
+    """Describe lanes inside a junction like the lane behind it, with offsets within the inside edge."""
     length, offset, link, is_open = tables
     for lane in lanes:
         siblings = net.lanes_of(int(net.lane_ints[lane, LANE_EDGE]))
@@ -231,7 +231,7 @@ def _describe_inside(net: NetTables, target: int, lanes: Sequence[int], tables: 
 def _point_to_best(
     lanes: range, net: NetTables, priority: dict[int, bool], tables: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> None:
-    """Set the offsets of an edge's lanes to the best of them, of equals to the nearest."""
+    """Set the offsets of an edge's lanes to the nearest of the best lanes."""
     length, offset, link = tables
 
     def rank(lane: int) -> tuple[float, int, int]:
@@ -253,7 +253,7 @@ def _point_to_best(
 
 @compiled
 def find_variant(net, state, route):  # type: ignore[no-untyped-def]
-    """Return the variant of ``route`` that the links' present letters ask for."""
+    """Return the variant of ``route`` for the letters that the links show now."""
     first, count = net.variant_first[route], net.variant_count[route]
     if count == 1:
         return first

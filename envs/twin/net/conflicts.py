@@ -1,8 +1,8 @@
-"""Where the ways through a junction cross, merge and part: read from the net once, for the links that vehicles wait at.
+"""Where the ways through a junction cross, merge and diverge, tabulated once per net.
 
 A *way* is a lane inside a junction. A conflict of one way with another begins at some distance before the own way's end
-and has a length; both follow from the shapes of the two lanes, as found by asking SUMO for the distances of vehicles to
-their junction foes over many pairs of ways (see the tests).
+and has a length. Both follow from the shapes of the two lanes, by rules found from the distances of vehicles to their
+junction foes that SUMO reports for many pairs of ways (see the tests).
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from izoo.envs.twin.runtime.layout import (
     LINK_VIA,
 )
 
-CROSSING, MERGING, PARTING = range(3)
+CROSSING, MERGING, DIVERGING = range(3)
 """Values of ``CONFLICT_KIND``: the ways cross; lead to one lane; come from one lane."""
 
 CONFLICT_LANE, CONFLICT_ENTRY, CONFLICT_KIND, CONFLICT_YIELDS, CONFLICT_FOE_YIELDS, CONFLICT_FOE_WAITS = range(6)
 """Columns of :attr:`Conflicts.ints`: the other way; the link by which vehicles enter it; kind; 1 where the own entry
 link yields to that link; 1 where that link yields to the own; 1 where the other way ends at a waiting point."""
 
-CONFLICT_BEHIND, CONFLICT_SIZE, CONFLICT_FOE_BEHIND, CONFLICT_FOE_SIZE, CONFLICT_RADIUS = range(5)
+CONFLICT_TO_END, CONFLICT_SIZE, CONFLICT_FOE_TO_END, CONFLICT_FOE_SIZE, CONFLICT_RADIUS = range(5)
 """Columns of :attr:`Conflicts.floats` (m): from the begin of the conflict to the end of the own way; length of the
 conflict on it; the same on the other way (:data:`NOWHERE` where that way ends before the own); radius of the own turn,
-0 on straight ways and in sharp right turns, where SUMO does without."""
+0 on straight ways and in sharp right turns, where SUMO does not use it."""
 
 NOWHERE = 10000.0
-PARTED_M = 2.5
+APART_M = 2.5
 """Two ways that come from one lane, or lead to one, are in conflict up to this distance between them."""
-_PARTED_BEFORE_M = 0.1
-"""Ways that are :data:`PARTED_M` apart at least so far before a waiting point are not in conflict behind it."""
+_APART_BEFORE_M = 0.1
+"""Ways that are :data:`APART_M` apart at least this far before a waiting point are not in conflict behind it."""
 _LEAST_SINE = 0.2
 
 
@@ -65,7 +65,7 @@ class Conflicts(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """What is known of the lanes when conflicts are sought: tables of the twin's net, shapes and widths."""
+    """Input of the search for conflicts: tables of the twin's net, shapes and widths of lanes."""
 
     lane_floats: np.ndarray
     lane_ints: np.ndarray
@@ -111,10 +111,10 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
             first[row] = len(rows)
             for other in dict.fromkeys([*crossed, *siblings]):
                 foe = entry_of[other]
-                if foe != entry and not _have_parted_before(ways, lanes_of, entry, lane, foe, other):
+                if foe != entry and not _diverge_before(ways, lanes_of, entry, lane, foe, other):
                     conflict = _conflict(ways, lanes_of, entry, lane, foe, other)
                     ints, floats = conflict
-                    crosses = floats[CONFLICT_BEHIND] > 0.0 or floats[CONFLICT_FOE_BEHIND] == NOWHERE
+                    crosses = floats[CONFLICT_TO_END] > 0.0 or floats[CONFLICT_FOE_TO_END] == NOWHERE
                     if crosses or ints[CONFLICT_KIND] != CROSSING:
                         rows.append(conflict)
             count[row] = len(rows) - first[row]
@@ -148,7 +148,7 @@ def _link_behind(ways: Ways, lane: int) -> int:
 
 
 def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[list[int], list[int]]]:
-    """Return, by the way behind each waiting point, the lanes whose vehicles it lets pass, and the ways in conflict."""
+    """Return, by the way behind each waiting point, the lanes that it yields to, and the ways in conflict."""
 
     def rows(names: str | None) -> list[int]:
         return [lane_rows[name] for name in (names or "").split() if name in lane_rows]
@@ -190,12 +190,12 @@ def _conflict(
     waits = not last_foe
     yields = foe in ways.responses.get(entry, ())
     if links[entry, LINK_FROM] == links[foe, LINK_FROM]:
-        kind = PARTING
-        own, theirs = _parting(ways, lanes_of, entry, lane, foe, other)
+        kind = DIVERGING
+        own, theirs = _divergence(ways, lanes_of, entry, lane, foe, other)
         sizes = ways.width_m[other], ways.width_m[lane]
     elif last and last_foe and links[entry, LINK_TO] == links[foe, LINK_TO]:
         kind = MERGING
-        own, theirs = _together(ways, lane, other, at_begin=False)
+        own, theirs = _overlap(ways, lane, other, at_begin=False)
         sizes = ways.width_m[other], ways.width_m[lane]
     else:
         kind = CROSSING
@@ -205,12 +205,12 @@ def _conflict(
         if own > 0.0 and theirs == 0.0 and not _intersections(ways.shapes[lane], ways.shapes[other]):
             own_road, their_road = (ways.lane_ints[links[row, LINK_FROM], LANE_EDGE] for row in (entry, foe))
             if own_road == their_road:
-                # Beside a way of the same road it only comes to an end there: no conflict.
+                # It only ends beside a way of the same road: no conflict.
                 own = theirs = 0.0
             else:
                 theirs = NOWHERE
         elif own == theirs == 0.0 and last and waits and yields and links[entry, LINK_TO] == links[foe, LINK_TO]:
-            # Before its waiting point somebody who will merge.
+            # The foe is before its waiting point and will merge.
             theirs = NOWHERE
     foe_yields = entry in ways.responses.get(foe, ())
     radius = _radius(ways, lanes_of, entry)
@@ -229,7 +229,7 @@ def _radius(ways: Ways, lanes_of: dict[int, list[int]], entry: int) -> float:
 
 
 def _lengths(shape: np.ndarray) -> np.ndarray:
-    """Return the way ``[n]`` along a shape to each of its points, seen from above."""
+    """Return the horizontal distance ``[n]`` along a shape to each of its points."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shape[:, :2], axis=0), axis=1))])
 
 
@@ -244,7 +244,7 @@ def _drawn_m(ways: Ways, lane: int) -> float:
 
 
 def _intersections(one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
-    """Return ``(way along one, way along other, sine of the angle)`` of each crossing of two shapes."""
+    """Return ``(distance along one, distance along other, sine of the angle)`` of each crossing of two shapes."""
     found = []
     along_one, along_other = _lengths(one), _lengths(other)
     for i, (a, b) in enumerate(itertools.pairwise(one[:, :2])):
@@ -288,7 +288,7 @@ def _nearest_end(shape: np.ndarray, foe: np.ndarray) -> tuple[float, float, floa
 
 
 def _nearest(shape: np.ndarray, point: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Return the way along ``shape`` to its place nearest to ``point``, the distance, and the direction there."""
+    """Return the distance along ``shape`` to its point nearest to ``point``, that from it, and the direction there."""
     best = (0.0, np.inf, np.array([1.0, 0.0]))
     along = _lengths(shape)
     for i, (a, b) in enumerate(itertools.pairwise(shape[:, :2])):
@@ -303,15 +303,15 @@ def _nearest(shape: np.ndarray, point: np.ndarray) -> tuple[float, float, np.nda
     return best
 
 
-def _parting(
+def _divergence(
     ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
 ) -> tuple[float, float]:
-    """Return how far before the ends of two ways that come from one lane they have parted."""
+    """Return how far before their ends two ways from one lane have diverged."""
     own, theirs = lanes_of[entry], lanes_of[foe]
     if lane == own[0] and other == theirs[0]:
-        return _together(ways, lane, other, at_begin=True)
-    # Ways behind a waiting point count as never parting: up to the end of the shorter. Two such are taken to begin side
-    # by side, whatever the ways before them.
+        return _overlap(ways, lane, other, at_begin=True)
+    # Ways behind a waiting point count as never diverging: up to the end of the shorter. Two such ways are assumed to
+    # begin side by side.
     behind = lane != own[0] and other != theirs[0]
     lengths = [
         sum(float(ways.lane_floats[k, LANE_LENGTH]) for k in chain[int(behind) : chain.index(end) + 1])
@@ -320,26 +320,24 @@ def _parting(
     return lengths[0] - min(lengths), lengths[1] - min(lengths)
 
 
-def _have_parted_before(
-    ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
-) -> bool:
-    """Whether two ways that come from one lane, of which one or both lie behind waiting points, have parted before."""
+def _diverge_before(ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int) -> bool:
+    """Whether two ways from one lane, one or both of them behind waiting points, have diverged before."""
     own, theirs = lanes_of[entry][0], lanes_of[foe][0]
     if ways.link_ints[entry, LINK_FROM] != ways.link_ints[foe, LINK_FROM] or (lane == own and other == theirs):
         return False
-    return min(_together(ways, own, theirs, at_begin=True)) > _PARTED_BEFORE_M
+    return min(_overlap(ways, own, theirs, at_begin=True)) > _APART_BEFORE_M
 
 
-def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float, float]:
-    """Return ``(behind, behind)`` of two ways that part at their begins, or meet at their ends.
+def _overlap(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float, float]:
+    """Return the distances to the ends of two ways from where they diverge or merge.
 
-    The distance between two ways is taken at the points of each shape and assumed to grow evenly between them.
+    The distance between two ways is measured at the points of each shape and interpolated linearly.
     """
     one, two = ways.shapes[lane][:, :2], ways.shapes[other][:, :2]
     if not at_begin:
         one, two = one[::-1], two[::-1]
     ends = [float(ways.lane_floats[k, LANE_LENGTH]) for k in (lane, other)]
-    # SUMO takes what is left of the drawn shape from the nominal length.
+    # SUMO subtracts the rest of the drawn shape from the nominal length.
     common = max(
         _apart(a, b) - float(_lengths(a)[-1]) + end for a, b, end in ((one, two, ends[0]), (two, one, ends[1]))
     )
@@ -347,9 +345,9 @@ def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float,
     if not at_begin:
         return common * _scale(ways, lane), common * _scale(ways, other)
     if ways.lane_ints[lane, LANE_EDGE] == ways.lane_ints[other, LANE_EDGE]:
-        # Neighbours that part into the lanes of one road are as far along in the same metres.
+        # Ways into neighbouring lanes of one road are measured from their common begin.
         return ends[0] - common, ends[1] - common
-    # What is left of a way that ends before the two have parted is in drawn metres.
+    # The rest of a way that ends before the two have diverged is in metres of the drawing.
     own, theirs = (
         _drawn_m(ways, k) - common if common >= end else end - common * _scale(ways, k)
         for k, end in zip((lane, other), ends, strict=True)
@@ -358,14 +356,14 @@ def _together(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float,
 
 
 def _apart(shape: np.ndarray, other: np.ndarray) -> float:
-    """Return the way along ``shape`` at which it is :data:`PARTED_M` away from ``other``, its length if it never is."""
+    """Return the distance along ``shape`` at which it is :data:`APART_M` from ``other``, its length if it never is."""
     along = _lengths(shape)
     distances = [_nearest(other, point)[1] for point in shape]
     for k in range(1, len(shape)):
-        if distances[k] > PARTED_M:
+        if distances[k] > APART_M:
             before = distances[k - 1]
-            if before >= PARTED_M:
+            if before >= APART_M:
                 return float(along[k - 1])
-            share = (PARTED_M - before) / (distances[k] - before)
+            share = (APART_M - before) / (distances[k] - before)
             return float(along[k - 1] + share * (along[k] - along[k - 1]))
     return float(along[-1])

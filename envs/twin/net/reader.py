@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from izoo.envs.twin.lane_change.neighbours import incoming_lanes, mark_changing
+from izoo.envs.twin.lane_change.neighbours import incoming_links_of, mark_lane_changing
 from izoo.envs.twin.net.best_lanes import NetTables, tabulate_best_lanes
 from izoo.envs.twin.net.conflicts import Ways, find_conflicts
 from izoo.envs.twin.net.routes import find_routes
-from izoo.envs.twin.net.supported import check_playable
+from izoo.envs.twin.net.supported import check_supported
 from izoo.envs.twin.runtime.layout import (
     EDGE_FIRST_LANE,
     EDGE_INSIDE,
@@ -67,7 +67,7 @@ _READ_AHEAD_MS = 200_000
 
 @dataclass(frozen=True)
 class TwinWorld:
-    """A net's arrays, and the names that SUMO has for their rows.
+    """A net's arrays, and the SUMO's ids of their rows.
 
     Attributes:
         net: the arrays.
@@ -123,7 +123,7 @@ class _Reader:
         self.program_rows = {name: row for row, name in enumerate(programs)}
 
     def read(self) -> TwinWorld:
-        check_playable(self.root, self.path)
+        check_supported(self.root, self.path)
         lane_floats = np.array([[float(lane.get("length")), float(lane.get("speed"))] for lane in self.lanes])
         lane_ints, edge_ints = self._lanes_and_edges()
         connections = self._connections()
@@ -139,8 +139,8 @@ class _Reader:
             best = tabulate_best_lanes(tables, routes.route_edges)
         except IzooError as error:
             raise IzooError(f"{self.path}: {error}") from error
-        mark_changing(edge_ints, lane_floats, lane_ints, link_ints)
-        incoming = incoming_lanes(link_ints, len(self.lanes))
+        mark_lane_changing(edge_ints, lane_floats, lane_ints, link_ints)
+        incoming = incoming_links_of(link_ints, len(self.lanes))
         shapes = [lane_shape(lane) for lane in self.lanes]
         width_m = np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes])
         net = TwinNet(
@@ -220,7 +220,7 @@ class _Reader:
 
     @staticmethod
     def _name_entries(links: np.ndarray, lane_ints: np.ndarray) -> None:
-        """Tell every link inside a junction by which link its vehicles come in."""
+        """Set the entry link of every link inside a junction."""
         for row in np.flatnonzero(~lane_ints[links[:, LINK_FROM], LANE_INSIDE].astype(bool)):
             lane = int(links[row, LINK_VIA])
             while lane >= 0 and lane_ints[lane, LANE_LINKS]:
@@ -229,7 +229,7 @@ class _Reader:
                 lane = int(links[onward, LINK_VIA])
 
     def _requests(self, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fill the links' ranges of responses and foes, and say who may wait inside."""
+        """Fill the links' ranges of responses and foes, and whether vehicles may wait inside."""
         numbers = links[:, [LINK_JUNCTION, LINK_REQUEST]].tolist()
         at = {(junction, request): row for row, (junction, request) in enumerate(numbers) if request >= 0}
         lists: tuple[list[int], list[int]] = ([], [])
@@ -312,16 +312,15 @@ def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
 
 
 def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -> np.ndarray:
-    """Return :attr:`TwinTraffic.fleet`: what SUMO knows of the vehicles, which it reads in portions, and since when.
+    """Return :attr:`TwinTraffic.fleet`: extreme parameters of the vehicles that SUMO has read so far, in portions.
 
     First it reads one; when the last one that it has read is due, on to the first that departs over 200 s after that.
     """
     rows, count, since_ms = [], 0, -math.inf
     while count < len(depart_ms):
-        # The first vehicle that departs later than it needs to know is read as well.
+        # The first vehicle that departs after that is read as well.
         count += 1 + int((depart_ms[count:] <= since_ms + _READ_AHEAD_MS).sum())
         count = min(count, len(depart_ms))
         rows.append([decel[:count].min(), min_gap[:count].max(), since_ms])
         since_ms = float(depart_ms[count - 1])
-    # Without vehicles there are no rows, and nobody asks.
     return np.array(rows, np.float64).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Routes through a net as tables: which link leads a vehicle on from a lane, and which lanes lead how far."""
+"""Routes through a net as tables: their edges, and the link by which a route leaves each lane."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RouteTables(NamedTuple):
 
 
 class _Lanes:
-    """The net as seen by a search along a route."""
+    """Lanes and links for a search along a route."""
 
     def __init__(
         self, lane_floats: np.ndarray, lane_ints: np.ndarray, edge_ints: np.ndarray, link_ints: np.ndarray
@@ -111,7 +111,7 @@ def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray) -> None:
 
 
 def _follow_inside(lanes: _Lanes, link: int, route_link: np.ndarray) -> None:
-    """Enter the inside lanes behind ``link``: each leads on by its only link."""
+    """Fill in the inside lanes behind ``link``, each with its only link."""
     lane = int(lanes.links[link, LINK_NEXT])
     while lanes.ints[lane, LANE_INSIDE]:
         onward = lanes.links_of(lane)[0]
@@ -120,7 +120,7 @@ def _follow_inside(lanes: _Lanes, link: int, route_link: np.ndarray) -> None:
 
 
 def _point_to_best(rows: np.ndarray, best_length: np.ndarray, best_offset: np.ndarray) -> None:
-    """Let lanes that do not lead as far as the best point to the nearest of the best."""
+    """Set the offsets of an edge's lanes to the nearest of the best lanes."""
     length = best_length[rows]
     offset = best_offset[rows]
     longest = np.flatnonzero(length == length.max())

@@ -1,6 +1,6 @@
-"""What SUMO honours in a net and the twin does not play: such nets are refused when they are read.
+"""Features of nets that SUMO supports and the twin does not: such nets are refused when they are read.
 
-What neither can show stands in :mod:`izoo.networks.representable`, and is refused before.
+Features that neither simulator can represent are refused before, by :mod:`izoo.networks.representable`.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from izoo.networks.road import parse_net
 
 SIGNAL_LETTERS = "GgyYrs"
 _WALKED = ("crossing", "walkingarea")
-_LANES_REMARK = "on the twin everybody may use every lane, and change to each beside it"
+_LANES_REMARK = "on the twin all vehicles may use every lane, and change to each neighbouring one"
 
 
 def check_contexts(contexts: Iterable[Context]) -> None:
-    """Refuse contexts that the twin cannot play, before anything is played; their nets are built for it.
+    """Refuse contexts that the twin cannot play; their nets are built for that.
 
     Raises:
-        IzooError: a net cannot be built or read, or the twin does not know what it has; the message names the context.
+        IzooError: a net cannot be built or read, or is not supported; the message names the context.
     """
     by_net = {context.intersection: context for context in contexts}
     for path, context in zip(build_nets(list(by_net)), by_net.values(), strict=True):
         try:
             root = parse_net(path.read_bytes(), path)
             check_representable(root, str(path))
-            check_playable(root, str(path))
+            check_supported(root, str(path))
         except IzooError as error:
             raise IzooError(f"context {context.name}: {error}") from error
 
 
-def check_playable(root: Any, path: str) -> None:
-    """Refuse a net that the twin would play otherwise than SUMO does.
+def check_supported(root: Any, path: str) -> None:
+    """Refuse a net that the twin would not play like SUMO.
 
     Raises:
-        IzooError: it has a feature that the twin does not know; the message names the first.
+        IzooError: it has an unsupported feature; the message names the first.
     """
     for features in (_signals, _lanes, _connections):
         for feature, remark in features(root):

@@ -20,9 +20,9 @@ from izoo.envs.mdp.columns import (
 )
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC
-from izoo.envs.mdp.slots import let_go, take_in
-from izoo.envs.mdp.state import EVERY_STEP, HELD, MEMBERS, SUSPECTS
-from izoo.envs.mdp.step import conclude, settle, take_orders
+from izoo.envs.mdp.slots import admit, release
+from izoo.envs.mdp.state import DECISION_STEPS, EVERY_STEP, MEMBERS, WRONG_LANE_AGENTS
+from izoo.envs.mdp.step import finish_step, translate_actions, update_vehicles
 from izoo.envs.twin.driving.step import step
 from izoo.envs.twin.lane_change.decision import DEFAULT_MODE, ROUTE_ONLY_MODE
 from izoo.envs.twin.runtime.batched_emissions import GROUP, count_classes, emit_group
@@ -126,7 +126,10 @@ def play_all(addresses, steps, until_due, step_ms, lane_change, like, rows, rang
             _play_group(rows.chosen[: n + 1], n, step_ms, lane_change, like, rows, ranges)
             if until_due:
                 for k in range(first, last):
-                    if steps[k] > played + 1 and world_at(addresses[k, WORLD_AT], like).tables.cursor[HELD] == 0:
+                    if (
+                        steps[k] > played + 1
+                        and world_at(addresses[k, WORLD_AT], like).tables.cursor[DECISION_STEPS] == 0
+                    ):
                         steps[k] = played + 1
 
 
@@ -162,12 +165,12 @@ def _drive(world, addresses, k, step_ms, lane_change, ranges):  # type: ignore[n
     _see_off(world, state, guests)
     _welcome(world, state, guests)
     _read(world.tables, net, state, guests)
-    settle(world, (guests.lane, guests.position, guests.speed, guests.signals))
+    update_vehicles(world, (guests.lane, guests.position, guests.speed, guests.signals))
 
 
 @compiled(borrows=True)
 def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
-    commands, releases, caps = take_orders(world)
+    commands, releases, caps = translate_actions(world)
     _command(world.tables, state, commands, releases)
     for j in range(caps):
         number = world.tables.ints[world.tables.capped[j], NUMBER]
@@ -207,7 +210,7 @@ def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
     while j >= 0:
         row = world.tables.members[j]
         guests.row_of[world.tables.ints[row, NUMBER]] = -1
-        let_go(world, row)
+        release(world, row)
         j = _gone(world.tables, state, j)
 
 
@@ -225,7 +228,7 @@ def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
     """Give everybody who has come to the region a row."""
     v = _newcomer(state, guests)
     while v >= 0:
-        guests.row_of[v] = take_in(world, v, state.floats[v, TWIN_ACCEL], True)
+        guests.row_of[v] = admit(world, v, state.floats[v, TWIN_ACCEL], True)
         v = _newcomer(state, guests)
 
 
@@ -259,7 +262,7 @@ def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
     step_s = world.rules.step_s
     state = open_state(addresses[k, STATE_AT])
     playing_out = world.rules.scope != EVERY_STEP and steps > world.rules.control_steps
-    conclude(world, guests.begun_s[0] + steps * step_s, True, playing_out and everybody_left(state))
+    finish_step(world, guests.begun_s[0] + steps * step_s, True, playing_out and everybody_left(state))
     _give_way(world.tables, state, step_s)
 
 
@@ -277,8 +280,8 @@ def _give_way(tables, state, step_s):  # type: ignore[no-untyped-def]
     """Mark the agents that their drivers slow for a lane change; they are left to them in the next step."""
     for j in range(tables.cursor[MEMBERS]):
         tables.flags[tables.members[j], YIELDING] = 0
-    for j in range(tables.cursor[SUSPECTS]):
-        row = tables.suspects[j]
+    for j in range(tables.cursor[WRONG_LANE_AGENTS]):
+        row = tables.wrong_lane_agents[j]
         before = tables.floats[row, SPEED] - tables.floats[row, ACCEL] * step_s
         wished = state.floats[tables.ints[row, NUMBER], FREE_SPEED]
         tables.flags[row, YIELDING] = (before - wished) / step_s > LANE_CHANGE_BRAKING_MPS2

@@ -13,7 +13,7 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.columns import NUMBER
-from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
 from izoo.envs.mdp.frame import frame_fields
 from izoo.envs.twin.net.reader import TwinWorld, read_twin_world, twin_traffic
 from izoo.envs.twin.runtime.batch_step import warm_up_all
@@ -132,7 +132,7 @@ class TwinRun:
         for lane in _lanes_of(dict.fromkeys(name.rsplit("_", 1)[0] for name in road.lane_ids), names).tolist():
             v = int(state.lanes[lane, LANE_BACK])
             while v >= 0:
-                row_of[v] = self.episode.enter(v, float(state.floats[v, ACCEL]), counted=False)
+                row_of[v] = self.episode.admit(v, float(state.floats[v, ACCEL]), counted=False)
                 v = int(state.ints[v, AHEAD])
         self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
         self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
@@ -165,14 +165,14 @@ class TwinRun:
         on_road, departed = state.clock[[ON_ROAD, NEXT_DEPARTURE]]
         return bool(on_road == 0 and departed == len(state.ints) and not (state.ints[:, STATUS] == WAITING).any())
 
-    def _ending(self) -> Ending:
+    def _ending(self) -> DemandAtHorizon:
         """Say what became of the demand that did not reach the region."""
         state = self.driving.state
         status = state.ints[:, STATUS]
         outside = (status == DRIVING) & (self._guests.row_of < 0)
         masks = (status == DROPPED, status == WAITING, outside, self._early)
         gone = (np.flatnonzero(mask).tolist() for mask in masks)
-        return Ending(range(int(state.clock[NEXT_DEPARTURE])), *gone)
+        return DemandAtHorizon(range(int(state.clock[NEXT_DEPARTURE])), *gone)
 
     def _changing(self) -> list[np.ndarray]:
         """Return every array that changes in the course of the episode."""
@@ -181,7 +181,7 @@ class TwinRun:
         return [
             *(array for name, array in self.driving.state._asdict().items() if name not in WORKING),
             *episode.tables,
-            *episode.awaited,
+            *episode.demand_state,
             *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
             *(guests.row_of, guests.begun_s, self._early),
             *(frame[field.name] for field in frame_fields(self.config)),
@@ -216,7 +216,7 @@ class TwinRun:
         for array in self._changing():
             array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
-        self.episode.go_on(float(self._guests.begun_s[0]))
+        self.episode.resume(float(self._guests.begun_s[0]))
 
 
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:

@@ -10,11 +10,11 @@ import contextlib
 import functools
 import pickle
 import queue
+import socket
 import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from multiprocessing.connection import Connection, Pipe
 
 from izoo.compiling import compiling_once
 from izoo.envs.backend import Play
@@ -24,7 +24,7 @@ from izoo.envs.twin.runtime.episode_setup import Prepared, prepare
 from izoo.envs.twin.runtime.scratch import Desk
 from izoo.errors import IzooError
 from izoo.networks.net.build import TOGETHER, build_nets
-from izoo.processes import start_process
+from izoo.processes import ChildProcess, receive, send
 
 Answer = Prepared | Exception
 _Job = tuple[Callable[[], Play], "Future[Prepared]"]
@@ -163,15 +163,12 @@ def _settle(futures: Sequence[Future[Prepared]], answers: Sequence[Answer]) -> N
             future.set_result(answer)
 
 
-class _Helper:
+class _Helper(ChildProcess):
     """A process that prepares episodes; it ends by itself when its parent is gone."""
 
     def __init__(self, config: EnvConfig) -> None:
-        self._connection, child = Pipe()
-        call = f"from izoo.envs.twin.runtime.preparers import main; main({child.fileno()})"
-        self._process = start_process(call, child.fileno())
-        child.close()
-        self._connection.send(config)
+        super().__init__("izoo.envs.twin.runtime.preparers:main")
+        send(self.socket, pickle.dumps(config))
 
     def prepare(self, plays: Sequence[Play]) -> list[Answer]:
         """Have episodes prepared.
@@ -179,25 +176,20 @@ class _Helper:
         Raises:
             OSError, EOFError: the process has ended.
         """
-        self._connection.send(plays)
-        answers: list[Answer] = pickle.loads(self._connection.recv_bytes())
+        send(self.socket, pickle.dumps(plays))
+        answers: list[Answer] = pickle.loads(receive(self.socket))
         return answers
-
-    def close(self) -> None:
-        """End the process."""
-        self._connection.close()
-        self._process.wait()
 
 
 def main(descriptor: int) -> None:
     """Prepare what one parent asks for, until it is gone."""
-    connection, desk = Connection(descriptor), Desk()
+    connection, desk = socket.socket(fileno=descriptor), Desk()
     with contextlib.suppress(EOFError, OSError):
-        config = connection.recv()
+        config = pickle.loads(receive(connection))
         while True:
-            plays = connection.recv()
+            plays = pickle.loads(receive(connection))
+            with contextlib.suppress(IzooError):  # raised again by those whose net it is
+                build_nets([play.context.intersection for play in plays])
             with compiling_once(warm_up_all):
-                with contextlib.suppress(IzooError):  # raised again by those whose net it is
-                    build_nets([play.context.intersection for play in plays])
                 answers = [_prepared(config, functools.partial(_same, play), desk) for play in plays]
-            connection.send_bytes(pickle.dumps(answers, pickle.HIGHEST_PROTOCOL))
+            send(connection, pickle.dumps(answers, pickle.HIGHEST_PROTOCOL))

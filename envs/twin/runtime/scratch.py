@@ -18,7 +18,7 @@ Shapes = Mapping[str, int | tuple[int, ...]]
 
 def zeros(kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
     """Return arrays of zeros for fields of ``kind``, by name, in one block of memory of their own."""
-    return _cut(np.zeros(_size(kind, shapes), np.uint8), kind, shapes)
+    return _truncate(np.zeros(_size(kind, shapes), np.uint8), kind, shapes)
 
 
 class Desk:
@@ -32,14 +32,14 @@ class Desk:
         size = _size(kind, shapes)
         if kind not in self._blocks or size > len(self._blocks[kind]):
             self._blocks[kind] = np.zeros(size + size // 4, np.uint8)  # what was given away stays where it is
-        return _cut(self._blocks[kind], kind, shapes)
+        return _truncate(self._blocks[kind], kind, shapes)
 
 
 def _size(kind: TablesType, shapes: Shapes) -> int:
     return LINE_BYTES + sum(_lines(kind.dtype_of(name).itemsize * _count(shape)) for name, shape in shapes.items())
 
 
-def _cut(block: np.ndarray, kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
+def _truncate(block: np.ndarray, kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
     """Cut a block into arrays, each of which begins with a line of the cache."""
     arrays, at = {}, -block.ctypes.data % LINE_BYTES
     for name, shape in shapes.items():

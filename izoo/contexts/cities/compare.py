@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,31 +17,29 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.files import replacing
 
 
-def feature_table(specs: Iterable[IntersectionSpec]) -> np.ndarray:
-    """Return ``[R, 7]``: the features of every approach, as published (flow at peak, before the cap of 900 veh/h).
+def approach_features(spec: IntersectionSpec) -> Iterator[dict[str, float]]:
+    """Yield the features of every approach, as published (flow at peak, before the cap of 900 veh/h).
 
-    Phase count and green share are measured on the signal plan, not copied from what it was built to meet.
-    Intersections without a plan are left out.
+    Phase count and green share are measured on the signal plan, and NaN without one.
     """
-    rows = []
-    for spec in specs:
-        if spec.signal_plan is None:
-            continue
-        for leg in spec.legs:
-            if leg.approach is None:
-                continue
-            phase_count, green_share = measure(spec.signal_plan, leg.name)
-            values = {
+    for leg in spec.legs:
+        if leg.approach is not None:
+            phases, share = measure(spec.signal_plan, leg.name) if spec.signal_plan else (math.nan, math.nan)
+            yield {
                 "lane_count": leg.approach.lane_count,
                 "grade": leg.approach.grade,
                 "lane_length_m": leg.approach.length_m,
                 "speed_limit_mps": leg.approach.speed_limit_mps,
                 "inflow_peak_vph": leg.approach.aadt_per_lane * HOUR_FACTOR["peak"],
-                "signal_time_ratio": green_share,
-                "phase_count": phase_count,
+                "signal_time_ratio": share,
+                "phase_count": phases,
             }
-            rows.append([float(values[name]) for name in FEATURES])
-    return np.asarray(rows).reshape(-1, len(FEATURES))
+
+
+def feature_table(specs: Iterable[IntersectionSpec]) -> np.ndarray:
+    """Return ``[R, 7]``: the features of every approach; intersections without a plan are left out."""
+    rows = [row for spec in specs if spec.signal_plan is not None for row in approach_features(spec)]
+    return np.array([[row[name] for name in FEATURES] for row in rows], float).reshape(-1, len(FEATURES))
 
 
 def total_variation(table: np.ndarray, city: str) -> dict[str, float]:

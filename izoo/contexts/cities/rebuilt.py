@@ -9,7 +9,6 @@ Lake City, but no intersection is a copy of a measured one. Intersection ``k`` o
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from izoo.contexts.cities.copula import FEATURES, PHASES, RATIO, latent_root, qu
 from izoo.contexts.cities.plans import MAX_CYCLE_S, Need, build_plan, yellow_time_s
 from izoo.contexts.cities.shapes import SHAPES, Shape, share_out_lanes
 from izoo.contexts.context import HOUR_FACTOR
+from izoo.contexts.source import Lazy
 from izoo.contexts.spec import LEG_NAMES, Approach, GhostSpec, IntersectionSpec, Leg
 from izoo.errors import unknown_choice
 
@@ -120,21 +120,12 @@ def _excess(shape: np.ndarray, first: np.ndarray, ratio: np.ndarray) -> np.ndarr
     return excess
 
 
-class City(Sequence[IntersectionSpec]):
+class City(Lazy[IntersectionSpec]):
     """The intersections of one city, built lazily."""
 
     def __init__(self, name: str) -> None:
         self.name = city_name(name)
-
-    def __len__(self) -> int:
-        return SIZES[self.name]
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"intersection {index} of {self.name} does not exist; there are {len(self)}.")
-        return _build(self.name, int(index) % len(self))
+        super().__init__(SIZES[self.name], functools.partial(_build, self.name))
 
 
 def get(name: str) -> City:

@@ -8,7 +8,6 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Protocol
 
 from izoo.errors import IzooError
 
@@ -20,26 +19,8 @@ MAX_MEMBERS = 1_000_000
 _CHUNK = 1024**2
 
 
-class Archive(Protocol):
-    """Files by relative POSIX path, and the folders that hold them; ``label`` names what stands above them."""
-
-    label: tuple[str, ...]
-
-    def files(self) -> list[PurePosixPath]:
-        """Every file, in no particular order."""
-        ...
-
-    def folders(self) -> list[PurePosixPath]:
-        """Every folder, empty ones included."""
-        ...
-
-    def read(self, name: PurePosixPath) -> bytes:
-        """Content of a file; :class:`IzooError` if it cannot be read or is too large."""
-        ...
-
-
 @contextmanager
-def open_archive(source: Path) -> Iterator[Archive]:
+def open_archive(source: Path) -> Iterator[FolderArchive | ZipArchive]:
     """Open a folder or a zip file.
 
     Raises:
@@ -61,25 +42,25 @@ def open_archive(source: Path) -> Iterator[Archive]:
 
 
 class FolderArchive:
-    """A folder on disk; symbolic links inside it are listed and refused when read."""
+    """A folder on disk; symbolic links inside it are listed and refused when read.
+
+    Attributes:
+        label: what stands above its files.
+        files, folders: every one, by relative POSIX path, in no particular order.
+    """
 
     def __init__(self, source: Path) -> None:
         self.source = source
         self.label = source.resolve().parts[-2:] if source.name in ("", "..") else source.absolute().parts[-2:]
-        self._files: list[PurePosixPath] = []
-        self._folders: list[PurePosixPath] = []
+        self.files: list[PurePosixPath] = []
+        self.folders: list[PurePosixPath] = []
         for folder, _, names in os.walk(source):
             relative = PurePosixPath(Path(folder).relative_to(source).as_posix())
-            self._folders.append(relative)
-            self._files.extend(relative / name for name in names)
-
-    def files(self) -> list[PurePosixPath]:
-        return self._files
-
-    def folders(self) -> list[PurePosixPath]:
-        return self._folders
+            self.folders.append(relative)
+            self.files.extend(relative / name for name in names)
 
     def read(self, name: PurePosixPath) -> bytes:
+        """Content of a file; :class:`IzooError` if it cannot be read or is too large."""
         path = self.source / name
         try:
             state = path.lstat()
@@ -92,21 +73,21 @@ class FolderArchive:
 
 
 class ZipArchive:
-    """A zip file; nothing of it is ever extracted by member name."""
+    """A zip file, like a :class:`FolderArchive`; nothing of it is ever extracted by member name."""
 
     def __init__(self, source: Path, file: zipfile.ZipFile) -> None:
         self.file = file
         self.label: tuple[str, ...] = (source.stem,)
         self._members: dict[PurePosixPath, zipfile.ZipInfo] = {}
-        self._folders: set[PurePosixPath] = set()
+        folders: set[PurePosixPath] = set()
         members = file.infolist()
         if len(members) > MAX_MEMBERS:
             raise IzooError(f"{source} has {len(members)} members, over the limit of {MAX_MEMBERS}; it is refused.")
         for info in members:
             name = _safe_name(source, info)
-            self._folders.update(name.parents)
+            folders.update(name.parents)
             if info.is_dir():
-                self._folders.add(name)
+                folders.add(name)
                 continue
             if name in self._members:
                 raise IzooError(f"{source} has two members called {name}; it is refused. Fetch the archive again.")
@@ -116,14 +97,10 @@ class ZipArchive:
                     f"{info.file_size} bytes."
                 )
             self._members[name] = info
-
-    def files(self) -> list[PurePosixPath]:
-        return list(self._members)
-
-    def folders(self) -> list[PurePosixPath]:
-        return list(self._folders)
+        self.files, self.folders = list(self._members), list(folders)
 
     def read(self, name: PurePosixPath) -> bytes:
+        """Content of a file; :class:`IzooError` if it cannot be unpacked or is too large."""
         data = bytearray()
         _check_size(name, self._members[name].file_size)
         try:

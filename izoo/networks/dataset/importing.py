@@ -1,14 +1,13 @@
 """Import of a downloaded dataset: every intersection is checked, the usable ones are copied and indexed.
 
-The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. Files are staged
-in the target and moved into place at the end; until then a marker stands in the target, and no reader accepts it.
+The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. It appears whole,
+or not at all.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import json
 import os
 import re
@@ -17,18 +16,18 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
-from izoo.console import plain
+from izoo.console import counted, plain
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
-from izoo.files import claimed, discard_partials, expanded, is_partial, os_reason, write_bytes, write_json
-from izoo.networks.dataset.archive import Archive, open_archive
-from izoo.networks.dataset.intersections import INFLOW_FILE, MARKER, NET_FILE, load_intersection, natural_key
+from izoo.files import check_replaceable, expanded, os_reason, replacing_folder, write_json
+from izoo.networks.dataset.archive import FolderArchive, ZipArchive, open_archive
+from izoo.networks.dataset.intersections import INFLOW_FILE, NET_FILE, load_intersection, natural_key
 from izoo.networks.road import read_road
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
 FORMAT = "izoo-intersections-1"
-_STAGING = ".staging"
 _SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
+Archive = FolderArchive | ZipArchive
 Progress = Callable[[int, int], None]
 """Called with the number of folders done and their total."""
 
@@ -65,10 +64,8 @@ class ImportReport:
     def __str__(self) -> str:
         legs = sum(len(row.approaches) for row in self.usable)
         idle = legs - sum(len(row.with_demand) for row in self.usable)
-        lines = [
-            f"imported {len(self.usable)} intersections with {legs} approaches ({idle} of them without demand) "
-            f"into {self.target}"
-        ]
+        places = counted(len(self.usable), "intersection")
+        lines = [f"imported {places} with {legs} approaches ({idle} of them without demand) into {self.target}"]
         lines += [f"unusable: {place}: {reason}" for place, reason in self.unusable.items()]
         return "\n".join(map(plain, lines))
 
@@ -83,56 +80,31 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
 
     Raises:
         IzooError: the source is missing, hostile or holds no usable intersection, or the target holds other files.
-            The target is then as it was before; an import that is stopped while it replaces an earlier one leaves
-            a target that readers refuse, and that the next import replaces.
+            The target is then as it was before.
     """
     source, target = expanded(source), expanded(target).absolute()
     with open_archive(source) as archive:
         places = _find_places(archive)
         if not places:
             raise IzooError(f"{source} holds no intersection folders with {NET_FILE} and {INFLOW_FILE}.")
-        fresh = not target.exists()
-        _check_target(target, source)  # before a folder is made
-        with claimed(target, "wait for it, or choose another target"):
-            _check_target(target, source)
-            rows, unusable = _fill(target, archive, places, source, fresh, progress)
-    return ImportReport(target, tuple(rows), unusable)
-
-
-def _fill(
-    target: Path,
-    archive: Archive,
-    places: list[PurePosixPath],
-    source: Path,
-    fresh: bool,
-    progress: Progress | None,
-) -> tuple[list[IndexRow], dict[str, str]]:
-    """Stage the intersections and publish them, or leave the target as it was: not there if it is ``fresh``."""
-    staging = target / _STAGING
-    try:
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir(parents=True)
-        discard_partials(target)
-        rows, unusable = _stage(archive, places, staging, progress)
-        if not rows:
-            first = next(iter(unusable.items()))
-            raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
-        _publish(target, staging, rows, unusable, source.name)
-    except BaseException as error:
-        shutil.rmtree(staging, ignore_errors=True)
-        if fresh and target.is_dir() and not any(target.iterdir()):
-            target.rmdir()
-        if isinstance(error, OSError):
+        _check_target(target, source)
+        try:
+            with replacing_folder(target) as staging:
+                rows, unusable = _stage(archive, places, staging, progress)
+                if not rows:
+                    first = next(iter(unusable.items()))
+                    raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
+                _write_index(staging, rows, unusable, source.name)
+        except OSError as error:
             raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
-        raise
-    return rows, unusable
+    return ImportReport(target, tuple(rows), unusable)
 
 
 def _find_places(archive: Archive) -> list[PurePosixPath]:
     """Folders of the archive that are intersections, or stand beside intersections, in natural order."""
-    holders = {name.parent for name in archive.files() if name.name in (NET_FILE, INFLOW_FILE)}
+    holders = {name.parent for name in archive.files if name.name in (NET_FILE, INFLOW_FILE)}
     around = {holder.parent for holder in holders if holder != PurePosixPath(".")}
-    beside = {folder for folder in archive.folders() if folder.parent in around and folder not in around}
+    beside = {folder for folder in archive.folders if folder.parent in around and folder not in around}
     found = {place for place in holders | beside if not any(part.startswith((".", "__")) for part in place.parts)}
     return sorted(found, key=lambda place: [natural_key(part) for part in place.parts])
 
@@ -151,7 +123,7 @@ def _stage(
 ) -> tuple[list[IndexRow], dict[str, str]]:
     rows: list[IndexRow] = []
     unusable: dict[str, str] = {}
-    present = frozenset(archive.files())
+    present = frozenset(archive.files)
     for number, place in enumerate(places, start=1):
         try:
             rows.append(_stage_one(archive, present, place, staging))
@@ -199,69 +171,32 @@ def _index_row(spec: IntersectionSpec, dataset: str, intersection: str, inflows_
 
 
 def _check_target(target: Path, source: Path) -> None:
-    if target.is_symlink() or (target.exists() and not target.is_dir()):
-        raise IzooError(f"the target {target} is not a folder; choose a new one.")
     inside, outside = target.resolve(), source.resolve()
     if inside == outside or (source.is_dir() and (inside in outside.parents or outside in inside.parents)):
         raise IzooError(f"the target {target} and the source {source} lie within each other; choose another target.")
-    if not target.exists():
-        return
-    links = [child.name for child in target.iterdir() if child.is_symlink()]
-    if links:
-        raise IzooError(f"the target {target} holds the symbolic link {links[0]}; choose a new folder.")
-    known = {MANIFEST, INDEX, MARKER, _STAGING, *_imported_folders(target)}
-    foreign = sorted(child.name for child in target.iterdir() if child.name not in known and not is_partial(child))
-    if foreign:
-        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
+    check_replaceable(target, lambda: _imported(target))
 
 
-def _imported_folders(target: Path) -> list[str]:
-    """Dataset folders that an earlier import, finished or not, has written into ``target``.
-
-    Raises:
-        IzooError: it holds a file of an import's name that no import has written, or that was damaged since.
-    """
-    names: list[str] = []
-    for file in (target / MANIFEST, target / MARKER):
-        if file.is_file():
-            try:
-                found = json.loads(file.read_text(encoding="utf-8"))
-                if found["format"] != FORMAT:
-                    raise ValueError(f"its format is {found['format']!r}")
-                names += [name for name in found["datasets"] if _SAFE_NAME.fullmatch(name)]
-            except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise IzooError(
-                    f"the target {target} holds a {file.name} that this version of izoo has not written, or that was "
-                    f"damaged ({error}); choose a new folder."
-                ) from error
-    return names
+def _imported(target: Path) -> list[str]:
+    """What an earlier import has written into ``target``; nothing if its manifest is another's, or damaged."""
+    try:
+        found = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        return [MANIFEST, INDEX, *found["datasets"]] if found["format"] == FORMAT else []
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
 
 
-def _publish(target: Path, staging: Path, rows: list[IndexRow], unusable: dict[str, str], source_name: str) -> None:
-    """Replace an earlier import by the staged one; the marker stands from the first change to the last."""
-    datasets = sorted({row.dataset for row in rows})
-    earlier = _imported_folders(target)
-    write_json(target / MARKER, {"format": FORMAT, "datasets": sorted({*datasets, *earlier})})
-    (target / MANIFEST).unlink(missing_ok=True)
-    for name in earlier:
-        shutil.rmtree(target / name, ignore_errors=True)
-    for name in datasets:
-        (staging / name).replace(target / name)
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(asdict(rows[0])), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    index = table.getvalue().encode()
-    write_bytes(target / INDEX, index)
+def _write_index(folder: Path, rows: list[IndexRow], unusable: dict[str, str], source_name: str) -> None:
+    with (folder / INDEX).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(asdict(rows[0])), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
     manifest = {
         "format": FORMAT,
         "source": source_name,
-        "datasets": datasets,
+        "datasets": sorted({row.dataset for row in rows}),
         "intersections": len(rows),
         "approaches": sum(len(row.approaches) for row in rows),
-        "index_sha256": hashlib.sha256(index).hexdigest(),
         "unusable": unusable,
     }
-    write_json(target / MANIFEST, manifest)
-    staging.rmdir()
-    (target / MARKER).unlink()
+    write_json(folder / MANIFEST, manifest)

@@ -24,8 +24,6 @@ from izoo.networks.dataset.netspec import spec_from_net
 from izoo.networks.osm.store import CMDP_FILE, load_cmdp
 
 NET_FILE, INFLOW_FILE = "net.net.xml", "inflows.txt"
-MARKER = ".importing"
-"""Stands in the target of an import that has not finished; such a folder is never read."""
 APPROACH_CHOICES = ("one", "all")
 _DOWNLOAD_HINT = "fetch the folder again from the published dataset"
 
@@ -105,12 +103,9 @@ def find_intersections(path: Path | str) -> list[Path]:
     """Return the intersection folders under ``path`` in natural order; one folder per city may stand in between.
 
     Raises:
-        IzooError: ``path`` does not exist, is an unfinished import, or holds no intersection folders.
+        IzooError: ``path`` does not exist, or holds no intersection folders.
     """
     path = _existing(path)
-    for holder in (path, *path.parents):
-        if (holder / MARKER).exists():
-            raise IzooError(f"the import into {holder} did not finish; run the import again before reading it.")
     if _holds_intersection(path):
         return [path]
     children = _subfolders(path)

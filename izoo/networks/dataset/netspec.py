@@ -22,7 +22,7 @@ from izoo.networks.representable import (
     open_connections,
     open_lanes,
 )
-from izoo.networks.road import parse_net
+from izoo.networks.road import lane_shape, parse_net
 
 TURN_OF_DIRECTION = {"r": "r", "R": "r", "s": "s", "l": "l", "L": "l", "t": "l"}
 _COLOURS = {"G": "G", "g": "g", "y": "y", "Y": "y", "s": "s"}
@@ -183,9 +183,9 @@ class _NetSpecReader:
         if far is not None:
             end = (float(far.get("x")), float(far.get("y")))
         elif letter in self.incoming:
-            end = tuple(_points(self.edges[f"{letter}2TL"][0])[0, :2])
+            end = tuple(lane_shape(self.edges[f"{letter}2TL"][0])[0, :2])
         else:
-            end = tuple(_points(self.edges[f"TL2{letter}"][0])[-1, :2])
+            end = tuple(lane_shape(self.edges[f"TL2{letter}"][0])[-1, :2])
         return math.degrees(math.atan2(end[0] - float(centre.get("x")), end[1] - float(centre.get("y")))) % 360.0
 
     def signal_plan(self) -> SignalPlan:
@@ -221,15 +221,9 @@ def _movement_colour(found: set[str]) -> str:
     return next(colour for colour in "gGysr" if colour in found)
 
 
-def _points(lane: Any) -> np.ndarray:
-    """Geometry ``[n, 3]`` of a lane in m; a missing height counts as 0."""
-    points = [[float(value) for value in point.split(",")] for point in lane.get("shape").split()]
-    return np.array([[*point, 0.0][:3] for point in points])
-
-
 def _grade(first: Any, last: Any) -> float:
     """Mean rise over run from the beginning of lane ``first`` to the end of lane ``last``."""
-    one, two = _points(first), _points(last)
+    one, two = lane_shape(first), lane_shape(last)
     run = sum(float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum()) for points in (one, two))
     run = run + float(np.linalg.norm(two[0, :2] - one[-1, :2])) if first is not last else run / 2.0
     return float((two[-1, 2] - one[0, 2]) / run) if run > 0.0 else 0.0

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
-from izoo.contexts.cities.plans import measure
-from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
+from izoo.contexts.cities.compare import approach_features
+from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
 from izoo.contexts.spec import IntersectionSpec, SignalPlan
 from izoo.errors import IzooError
 from izoo.files import expanded, replacing
@@ -71,7 +71,7 @@ def draw_intersection(
         kinds = sorted({name.rsplit(" of ", 1)[0] for name in spec.imputed})
         notes.append("imputed on some legs: " + ", ".join(kinds))
     figure.text(0.02, 0.928, "; ".join(notes), fontsize=9, color="#555555")
-    return _save(figure, path)
+    return save_png(figure, path)
 
 
 def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: str = "") -> Path:
@@ -87,13 +87,13 @@ def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: st
     figure = Figure(figsize=(12.5, 6.2), facecolor="white")
     panels = (
         ("lane_count", "lanes at the stop line", 1.0),
-        ("length_m", "approach length (m)", None),
+        ("lane_length_m", "approach length (m)", None),
         ("speed_limit_mps", "speed limit (m/s)", None),
-        ("grade_pct", "grade (%)", None),
+        ("grade", "grade (%)", None),
         ("inflow_peak_vph", "peak inflow per lane (veh/h)", None),
         ("legs", "legs of the intersection", 1.0),
         ("phase_count", "phases that serve the approach", 1.0),
-        ("green_ratio", "green over cycle", None),
+        ("signal_time_ratio", "green over cycle", None),
     )
     for number, (name, label, width) in enumerate(panels, start=1):
         axes = figure.add_subplot(2, 4, number)
@@ -104,36 +104,18 @@ def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: st
             axes.set_ylabel("share of approaches", fontsize=9, color=_TEXT)
     figure.suptitle(f"{title or 'Approach features'} ({count} approaches)", fontsize=13, weight="bold", color=_TEXT)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
-    return _save(figure, path)
+    return save_png(figure, path)
 
 
 def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
-    """Features per approach, over all intersections; NaN for signal features of a spec without a plan.
-
-    ``green_ratio`` is the share of the cycle in which some movement of the approach is green, ``phase_count`` the
-    number of phases that do so, ``inflow_peak_vph`` the arrivals per main lane after the cap.
-    """
-    rows: list[dict[str, float]] = []
-    for spec in specs:
-        for leg in spec.legs:
-            if leg.approach is None:
-                continue
-            phases, ratio = measure(spec.signal_plan, leg.name) if spec.signal_plan else (math.nan, math.nan)
-            rows.append(
-                {
-                    "lane_count": leg.approach.lane_count,
-                    "length_m": leg.approach.length_m,
-                    "speed_limit_mps": leg.approach.speed_limit_mps,
-                    "grade_pct": 100.0 * leg.approach.grade,
-                    "inflow_peak_vph": min(leg.approach.aadt_per_lane * HOUR_FACTOR["peak"], FLOW_CAP_VPH_PER_LANE),
-                    "legs": len(spec.legs),
-                    "phase_count": phases,
-                    "green_ratio": ratio,
-                }
-            )
+    """Features per approach, over all intersections, with the flow that is played, grades in %, and legs."""
+    rows = [{**row, "legs": len(spec.legs)} for spec in specs for row in approach_features(spec)]
     if not rows:
         raise IzooError("there is no intersection to draw; check the filter or the path that selected them.")
-    return {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
+    table = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
+    table["grade"] *= 100.0
+    table["inflow_peak_vph"] = np.minimum(table["inflow_peak_vph"], FLOW_CAP_VPH_PER_LANE)
+    return table
 
 
 def group_colours(plan: SignalPlan | None, movements: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
@@ -281,7 +263,8 @@ def _histogram(axes: Axes, values: np.ndarray, width: float | None) -> None:
     axes.hist(values, bins=bins, weights=np.full(values.size, 1.0 / values.size), color=GROUP_COLOURS[0], rwidth=0.92)
 
 
-def _save(figure: Figure, path: Path | str) -> Path:
+def save_png(figure: Figure, path: Path | str) -> Path:
+    """Write a picture, whole or not at all; return its path."""
     path = expanded(path)
     if path.suffix.lower() != ".png":
         raise IzooError(f"pictures are written as PNG; {path} must end in .png.")

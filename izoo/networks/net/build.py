@@ -97,7 +97,7 @@ def build_nets(specs: Sequence[IntersectionSpec], cache_dir: Path | None = None)
 def net_key(spec: IntersectionSpec) -> str:
     """Return the hash of all that the net of ``spec`` depends on; with a plan given, demand is not part of it."""
     fields = dataclasses.asdict(spec)
-    for name in ("name", "city", "imputed", "net_path", "net_sha256"):
+    for name in ("name", "city", "imputed", "net_path", "net_sha256", "lonlat"):
         fields.pop(name)
     fields["source"] = spec.source == "procedural"
     if spec.signal_plan is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from izoo.console import plain
+from izoo.console import counted, plain
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 
@@ -39,7 +39,8 @@ class OsmReport:
     mirrored: str = ""
 
     def __str__(self) -> str:
-        lines = [f"built {len(self.streets)} intersections with {self.approaches} approaches into {self.target}"]
+        places = counted(len(self.streets), "intersection")
+        lines = [f"built {places} with {self.approaches} approaches into {self.target}"]
         if self.mirrored:
             lines.append(
                 f"  traffic drives on the left there ({self.mirrored}): all intersections are mirrored, east and west, "
@@ -58,7 +59,7 @@ class OsmReport:
             )
         if self.reversible:
             lines.append(f"  taken as two-way, whatever their direction by time: {', '.join(self.reversible)}")
-        whole = {PLAN_IMPUTED: f"{len(self.streets)} intersections"}
+        whole = {PLAN_IMPUTED: places}
         lines += [
             f"  imputed {kind}: {count} of {whole.get(kind, f'{self.approaches} approaches')}"
             for kind, count in self.imputed.items()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from izoo.contexts.spec import Approach
 from izoo.networks.osm.junctions import StreetGraph
 from izoo.networks.osm.legs import CUT_LENGTH_M, Street, Stub
-from izoo.networks.osm.streets import Way
-from izoo.networks.osm.tags import MAX_LANES, Lanes, assign_turns, class_default, lanes_towards, speed_limit
+from izoo.networks.osm.tags import MAX_LANES, Lanes, assign_turns, lanes_towards, speed_limit
 
 STOP_ZONE_M = 30.0
 """Of the ways within this distance of the core, the one with most lanes tells what is at the stop line; of several
@@ -17,22 +16,6 @@ with as many, one with tagged turns."""
 POCKET_WITHIN_M = 150.0
 MIN_POCKET_M, MIN_MAIN_M = 20.0, 30.0
 MIN_LENGTH_M = 15.0
-
-
-@dataclass
-class Guessed:
-    """Collects the names of imputed values."""
-
-    names: list[str] = field(default_factory=list)
-
-    def add(self, what: str, leg: str) -> None:
-        """Mark ``what`` of a leg as imputed."""
-        self.names.append(f"{what} of {leg}")
-
-    @staticmethod
-    def aadt_per_lane(way: Way) -> float:
-        """AADT per lane assumed for the street class, veh/day."""
-        return class_default(way).aadt_per_lane
 
 
 @dataclass(frozen=True)
@@ -57,7 +40,7 @@ def exit_of(street: Street) -> tuple[int, float, float]:
 
 
 def approach_of(
-    graph: StreetGraph, street: Street, leg: str, available: frozenset[str], banned: frozenset[str], guessed: Guessed
+    graph: StreetGraph, street: Street, leg: str, available: frozenset[str], banned: frozenset[str], guessed: list[str]
 ) -> Approach:
     """Describe the incoming side; grade and demand are left at 0.
 
@@ -88,14 +71,8 @@ def approach_of(
     pocket = min(max(pocket, MIN_POCKET_M), POCKET_WITHIN_M)
     fits = pocket + MIN_MAIN_M <= length
     right, left = _pockets(sides, street.arriving.index(main), turns) if fits else (0, 0)
-    for what, was_guessed in (
-        ("lanes", tagged.guessed),
-        ("turns", turns_guessed),
-        ("speed limit", limit_guessed),
-        ("length", main.cut),
-    ):
-        if was_guessed:
-            guessed.add(what, leg)
+    marks = {"lanes": tagged.guessed, "turns": turns_guessed, "speed limit": limit_guessed, "length": main.cut}
+    guessed += [f"{what} of {leg}" for what, was_guessed in marks.items() if was_guessed]
     return Approach(
         lanes=turns,
         length_m=length,

@@ -14,6 +14,10 @@ def _box(west: float, south: float, east: float, north: float) -> _Outline:
     return (west, south), (east, south), (east, north), (west, north)
 
 
+def _boxes(corners: str) -> tuple[_Outline, ...]:
+    return tuple(_box(*map(float, box.split(","))) for box in corners.split())
+
+
 def _outline(points: str) -> _Outline:
     pairs = (point.split(",") for point in points.split())
     return tuple((float(lon), float(lat)) for lon, lat in pairs)
@@ -62,12 +66,8 @@ LEFT: dict[str, Sequence[_Outline]] = {
     ),
     "Australia": (_box(112.0, -44.5, 154.5, -9.0),),
     "New Zealand": (_box(166.0, -47.5, 179.5, -34.0),),
-    "islands of the South Pacific": (
-        _box(155.5, -12.3, 168.0, -6.5),
-        _box(176.8, -19.5, 180.0, -12.0),
-        _box(-172.9, -14.1, -171.3, -13.4),
-        _box(-176.3, -22.0, -173.6, -15.5),
-        _box(-161.0, -22.0, -157.0, -18.0),
+    "islands of the South Pacific": _boxes(
+        "155.5,-12.3,168,-6.5 176.8,-19.5,180,-12 -172.9,-14.1,-171.3,-13.4 -176.3,-22,-173.6,-15.5 -161,-22,-157,-18"
     ),
     "southern and eastern Africa": (
         _outline(
@@ -84,21 +84,11 @@ LEFT: dict[str, Sequence[_Outline]] = {
     "the Bahamas": (
         _outline("-79.5,27.5 -79.5,23.9 -77.5,22.6 -75,21.4 -74,20.85 -71,20.85 -71,22.2 -72.6,24.5 -77,27.5"),
     ),
-    "islands of the Caribbean, and Bermuda": (
-        _box(-78.5, 17.6, -76.1, 18.6),
-        _box(-81.5, 19.2, -79.7, 19.8),
-        _box(-65.1, 17.6, -64.25, 18.8),
-        _box(-63.2, 18.14, -62.9, 18.3),
-        _box(-62.9, 17.05, -62.5, 17.45),
-        _box(-62.0, 16.9, -61.6, 17.8),
-        _box(-62.25, 16.65, -62.1, 16.85),
-        _box(-61.5, 15.2, -61.2, 15.65),
-        _box(-61.1, 13.68, -60.85, 14.13),
-        _box(-61.5, 12.5, -61.1, 13.4),
-        _box(-61.85, 11.95, -61.35, 12.6),
-        _box(-59.7, 13.0, -59.4, 13.4),
-        _box(-61.85, 10.0, -60.4, 11.4),
-        _box(-65.0, 32.2, -64.6, 32.45),
+    "islands of the Caribbean, and Bermuda": _boxes(
+        "-78.5,17.6,-76.1,18.6 -81.5,19.2,-79.7,19.8 -65.1,17.6,-64.25,18.8 -63.2,18.14,-62.9,18.3 "
+        "-62.9,17.05,-62.5,17.45 -62,16.9,-61.6,17.8 -62.25,16.65,-62.1,16.85 -61.5,15.2,-61.2,15.65 "
+        "-61.1,13.68,-60.85,14.13 -61.5,12.5,-61.1,13.4 -61.85,11.95,-61.35,12.6 -59.7,13,-59.4,13.4 "
+        "-61.85,10,-60.4,11.4 -65,32.2,-64.6,32.45"
     ),
     "Guyana and Suriname": (
         _outline(

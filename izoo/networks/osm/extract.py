@@ -28,7 +28,7 @@ from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.build_report import OsmReport
-from izoo.networks.osm.carriageways import Guessed, approach_of, exit_of
+from izoo.networks.osm.carriageways import approach_of, exit_of
 from izoo.networks.osm.driving_side import Side
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
@@ -39,6 +39,7 @@ from izoo.networks.osm.raw import REVERSIBLE
 from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
 from izoo.networks.osm.streets import StreetMap, read_streets
+from izoo.networks.osm.tags import class_default
 from izoo.networks.osm.turn_bans import TurnBans, bans_turns_on_red
 
 MAX_CORE_M = 120.0
@@ -144,7 +145,7 @@ class _Builder:
                 self.skipped[str(core.id)] = str(error)
                 continue
             key = str(core.id)
-            places = [self.streets.lonlat[node] for node in core.nodes]
+            places = [self.streets.drawn_lonlat(node) for node in core.nodes]
             self.specs[key] = spec
             self.details[key] = {
                 "streets": {leg.name: street.name for leg, street in zip(spec.legs, legs, strict=True)},
@@ -162,7 +163,7 @@ class _Builder:
         """Give intersections what a ``file`` says of them, by their keys."""
         if astray := sorted(set(values) - set(self.specs)):
             raise IzooError(
-                f"{file} has {what} for {astray[0]!r}, which is no intersection of the extract; choose among "
+                f"{file} has {what} for {astray[0]!r}, which is not an intersection of the extract; choose among "
                 f"{', '.join(self.specs)}."
             )
         for key, value in values.items():
@@ -179,7 +180,7 @@ class _Builder:
             )
         if not 3 <= len(streets) <= len(LEG_NAMES):
             raise IzooError(f"{len(streets)} streets meet there; an intersection needs 3 to {len(LEG_NAMES)}.")
-        guessed = Guessed()
+        guessed: list[str] = []
         exits = [exit_of(street) for street in streets]
         bare = [
             Leg(name, street.bearing_deg, _ANY_APPROACH, *exit_)
@@ -208,25 +209,25 @@ class _Builder:
             source="osm",
             legs=tuple(legs),
             right_on_red=red_turns and not bans_turns_on_red(self.graph, streets),
-            imputed=(*guessed.names, PLAN_IMPUTED),
+            imputed=(*guessed, PLAN_IMPUTED),
         )
 
-    def _with_grade_and_demand(self, approach: Approach, street: Street, leg: Leg, guessed: Guessed) -> Approach:
+    def _with_grade_and_demand(self, approach: Approach, street: Street, leg: Leg, guessed: list[str]) -> Approach:
         stub = max(street.arriving, key=lambda stub: stub.length_m)
         ways = [piece.way for main in street.arriving for piece in main.pieces]
         flow = self.counts.directional(ways, both_ways=leg.exit_lanes > 0)
         if flow is None:
-            guessed.add("AADT", leg.name)
-            aadt_per_lane = guessed.aadt_per_lane(stub.pieces[0].way)
+            guessed.append(f"AADT of {leg.name}")
+            aadt_per_lane = class_default(stub.pieces[0].way).aadt_per_lane
         else:
             aadt_per_lane = flow / approach.main_lane_count
         grade = self._grade(stub.nodes)
         if grade is None:
-            guessed.add("grade", leg.name)
+            guessed.append(f"grade of {leg.name}")
         return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
 
     def _grade(self, nodes: tuple[int, ...]) -> float | None:
-        """Rise over run towards the stop line; ``None`` where a height is missing or the slope is no street's."""
+        """Rise over run towards the stop line; ``None`` where a height is missing or the slope is implausible."""
         if self.elevation is None:
             return None
         run = sum(self.graph.distance(one, two) for one, two in itertools.pairwise(nodes))

@@ -49,12 +49,16 @@ class StreetGraph:
         """Straight distance between two nodes in m."""
         return math.dist(self.streets.position_m[one], self.streets.position_m[two])
 
-    def walk_to_junction(self, start: int, first: int, limit_m: float) -> tuple[int, float] | None:
-        """Follow the street from ``start`` over its neighbour ``first`` to the next junction within ``limit_m``."""
+    def walk_to_junction(self, start: int, first: int, limit_m: float) -> tuple[int, float, int] | None:
+        """Follow the street from ``start`` over its neighbour ``first`` to the next junction within ``limit_m``.
+
+        Returns:
+            The junction, the length of the way, and the node before it; ``None`` where there is none.
+        """
         before, node, length = start, first, self.distance(start, first)
         while length <= limit_m:
             if node in self.junctions:
-                return node, length
+                return node, length, before
             onward = [other for other, _, _ in self.links[node] if other != before]
             if not onward:
                 return None
@@ -122,16 +126,11 @@ def _junction_of_signal(graph: StreetGraph, signal: int, facing: str) -> tuple[i
             continue
         found = graph.walk_to_junction(signal, first, STOP_LINE_FACING_M if facing in _FACING else STOP_LINE_M)
         if found is not None:
-            reached.append((found[1], found[0], _last_before(graph, signal, first)))
-    return min(reached, key=lambda found: found[0])[1:] if reached else None
-
-
-def _last_before(graph: StreetGraph, start: int, first: int) -> int:
-    """The node before the junction that a street leads to from ``start`` over its neighbour ``first``."""
-    before, node = start, first
-    while node not in graph.junctions:
-        before, node = node, next(other for other, _, _ in graph.links[node] if other != before)
-    return before
+            reached.append(found)
+    if not reached:
+        return None
+    junction, _, before = min(reached, key=lambda found: found[1])
+    return junction, before
 
 
 def _dual(graph: StreetGraph, one: int, two: int) -> bool:

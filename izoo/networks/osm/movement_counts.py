@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,8 +10,8 @@ from pathlib import Path
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE, HOUR_FACTOR
 from izoo.contexts.spec import Approach, CountedApproach, IntersectionSpec, Leg
 from izoo.errors import IzooError
-from izoo.files import expanded
 from izoo.networks.net.connections import signal_links
+from izoo.networks.osm.csv_tables import number, read_rows
 
 COLUMNS = ("intersection", "from", "to", "vph")
 Counts = Mapping[tuple[str, str], float]
@@ -24,26 +22,14 @@ def read_movement_counts(path: Path | str) -> dict[str, Counts]:
     """Read a CSV table with the columns :data:`COLUMNS`; returns the counts by the key of the intersection.
 
     Raises:
-        IzooError: the file is missing, lacks the columns, holds something that is no count, or contradicts itself.
+        IzooError: the file is missing, lacks the columns, holds something that is not a count, or contradicts itself.
     """
-    path = expanded(path)
     found: dict[str, dict[tuple[str, str], float]] = defaultdict(dict)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            names = {name.strip().lower(): name for name in reader.fieldnames or []}
-            if not set(COLUMNS) <= set(names):
-                raise IzooError(f"{path} needs a header with the columns {', '.join(COLUMNS)}; it has {list(names)}.")
-            for row in reader:
-                key, start, end, text = ((row[names[column]] or "").strip() for column in COLUMNS)
-                place = f"{path}, line {reader.line_num}"
-                if (start, end) in found[key]:
-                    raise IzooError(f"{place}: {key} has two counts from {start} to {end}; keep one line.")
-                found[key][start, end] = _vph(text, place)
-    except OSError as error:
-        raise IzooError(f"cannot read the counts {path}: {error.strerror}; give a CSV file.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise IzooError(f"{path} cannot be read as a CSV table ({error}).") from error
+    for place, row in read_rows(path, "the counts", COLUMNS):
+        key, start, end, text = row.values()
+        if (start, end) in found[key]:
+            raise IzooError(f"{place}: {key} has two counts from {start} to {end}; keep one line.")
+        found[key][start, end] = number(text, 20_000.0, "count", "vehicles per hour", place)
     return dict(found)
 
 
@@ -97,13 +83,3 @@ def _counted(leg: Leg, counts: Counts) -> Leg:
     fields = {**vars(leg.approach), "aadt_per_lane": total / leg.approach.main_lane_count / HOUR_FACTOR["peak"]}
     counted = {"exit_counts": tuple(own.items())} if total > 0.0 else {}
     return dataclasses.replace(leg, approach=Approach(**{**fields, **counted}))
-
-
-def _vph(text: str, place: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 20_000.0:
-        raise IzooError(f"{place}: {text!r} is not a usable count; write vehicles per hour between 0 and 20,000.")
-    return value

@@ -1,9 +1,8 @@
-"""Two optional tables beside an OpenStreetMap extract: heights from an elevation raster, and traffic counts."""
+"""Two optional tables for an OpenStreetMap extract: heights from an elevation raster, and traffic counts."""
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import importlib
 import math
 import os
@@ -16,6 +15,7 @@ import numpy as np
 
 from izoo.errors import IzooError
 from izoo.files import expanded
+from izoo.networks.osm.csv_tables import number, read_rows
 from izoo.networks.osm.streets import StreetMap, Way
 
 _LONLAT = "EPSG:4326"
@@ -98,57 +98,33 @@ def read_counts(path: Path | str, streets: StreetMap) -> TrafficCounts:
     """Read a CSV table with the columns ``way`` (OpenStreetMap id) or ``name`` (street), and ``aadt`` (veh/day).
 
     Raises:
-        IzooError: the file is missing, lacks the columns, holds something that is no count, contradicts itself, or
+        IzooError: the file is missing, lacks the columns, holds something that is not a count, contradicts itself, or
             names a way or street that the extract does not have.
     """
-    path = expanded(path)
-    if not path.is_file():
-        raise IzooError(f"the AADT table {path} does not exist; give the path of a CSV file.")
     by_way: dict[int, float] = {}
     by_name: dict[str, float] = {}
     names = {way.name.lower() for way in streets.ways.values() if way.name}
     unknown: list[str] = []
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            columns = {name.strip().lower(): name for name in reader.fieldnames or []}
-            if "aadt" not in columns or not {"way", "name"} & set(columns):
-                raise IzooError(
-                    f"{path} needs a header with the columns aadt, and way or name; it has {list(columns)}."
-                )
-            for row in reader:
-                place = f"{path}, line {reader.line_num}"
-                value = _count(row[columns["aadt"]], place)
-                way, name = ((row.get(columns.get(key, "")) or "").strip() for key in ("way", "name"))
-                if not way and not name:
-                    raise IzooError(f"{place}: a way id or a street name is missing.")
-                if way and not way.removeprefix("-").isdecimal():  # editors number what is new below zero
-                    raise IzooError(f"{place}: {way!r} is not the id of a way; put street names in the column name.")
-                known = int(way) in streets.ways if way else name.lower() in names
-                if not known:
-                    unknown.append(way or name)
-                elif way:
-                    _put(by_way, int(way), value, place)
-                else:
-                    _put(by_name, name.lower(), value, place)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise IzooError(f"{path} cannot be read as a CSV table ({error}).") from error
+    for place, row in read_rows(path, "the AADT table", ("aadt",), ("way", "name")):
+        value = number(row["aadt"], 1e6, "AADT", "vehicles per day", place)
+        way, name = row["way"], row["name"]
+        if not way and not name:
+            raise IzooError(f"{place}: a way id or a street name is missing.")
+        if way and not way.removeprefix("-").isdecimal():  # editors number what is new below zero
+            raise IzooError(f"{place}: {way!r} is not the id of a way; put street names in the column name.")
+        known = int(way) in streets.ways if way else name.lower() in names
+        if not known:
+            unknown.append(way or name)
+        elif way:
+            _put(by_way, int(way), value, place)
+        else:
+            _put(by_name, name.lower(), value, place)
     if unknown:
         raise IzooError(
-            f"{path} names {len(unknown)} ways that are no drivable streets of the extract "
+            f"{path} names {len(unknown)} ways that are not drivable streets of the extract "
             f"({', '.join(unknown[:5])}); correct or remove those lines."
         )
     return TrafficCounts(by_way, by_name)
-
-
-def _count(text: str | None, place: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 1e6:
-        raise IzooError(f"{place}: {text!r} is not a usable AADT; write vehicles per day between 0 and 1,000,000.")
-    return value
 
 
 def _put(table: dict[Any, float], key: Any, value: float, place: str) -> None:

@@ -6,13 +6,13 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from izoo.contexts.spec import Approach, GhostSpec, IntersectionSpec, Leg
+from izoo.contexts.spec import IntersectionSpec, spec_from_dict
 from izoo.errors import IzooError
-from izoo.files import expanded, os_reason, replacing_folder
+from izoo.files import check_replaceable, expanded, os_reason, replacing_folder
 from izoo.networks.osm.movement_counts import check_exit_counts
 from izoo.networks.osm.plans import with_plan
 
@@ -24,17 +24,10 @@ _KEY = re.compile(r"-?\d+")
 
 def check_target(target: Path) -> None:
     """Refuse a target that holds anything but an earlier build, or one that has been edited since."""
-    if not target.exists():
-        return
-    if not target.is_dir() or target.is_symlink():
-        raise IzooError(f"the target {target} is not a folder; choose a new one.")
-    files = {child.name for child in target.iterdir()}
-    if not files:
-        return
-    known = {CMDP_FILE, *(f"{key}.json" for key in _index(target))} if CMDP_FILE in files else set()
-    if foreign := sorted(files - known):
-        raise IzooError(f"the target {target} holds other files ({', '.join(foreign[:3])}); choose a new folder.")
-    written = _read(target / CMDP_FILE).get("sha256", {}) if CMDP_FILE in files else {}
+    written = {}
+    if (target / CMDP_FILE).is_file():
+        written = _read(target / CMDP_FILE).get("sha256", {})
+    check_replaceable(target, lambda: {CMDP_FILE, *(f"{key}.json" for key in _index(target))} if written else set())
     edited = [f"{key}.json" for key, digest in written.items() if _digest(target / f"{key}.json") not in (digest, None)]
     if edited:
         raise IzooError(
@@ -85,34 +78,17 @@ def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
     """
     record = _read(file)
     try:
-        spec = spec_from_dict(record["spec"])
+        lon, lat = map(float, record["lonlat"])
+        spec = replace(spec_from_dict({**record["spec"], "signal_plan": None}), lonlat=(lon, lat))
         streets = {str(leg): str(name) for leg, name in record["streets"].items()}
         plan = record["spec"]["signal_plan"]
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
     try:
         check_exit_counts(spec)
         return with_plan(spec, plan), streets
     except IzooError as error:
         raise IzooError(f"{file}: {error}") from error
-
-
-def spec_from_dict(fields: Mapping[str, Any]) -> IntersectionSpec:
-    """Rebuild a spec from ``dataclasses.asdict``, but for its signal plan."""
-    legs = []
-    for leg in fields["legs"]:
-        approach = leg["approach"]
-        whole = None if approach is None else Approach(**{**approach, "lanes": tuple(approach["lanes"])})
-        legs.append(Leg(**{**leg, "approach": whole}))
-    return IntersectionSpec(
-        **{
-            **fields,
-            "legs": tuple(legs),
-            "signal_plan": None,
-            "ghosts": GhostSpec(**fields["ghosts"]),
-            "imputed": tuple(fields["imputed"]),
-        }
-    )
 
 
 def _digest(file: Path) -> str | None:

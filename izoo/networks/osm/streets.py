@@ -52,6 +52,11 @@ class StreetMap:
     uncycled: int = 0
     mirrored: str = ""
 
+    def drawn_lonlat(self, node: int) -> tuple[float, float]:
+        """Degrees of a node, mirrored as the map is."""
+        lon, lat = self.lonlat[node]
+        return (2.0 * _centre(self.lonlat)[0] - lon if self.mirrored else lon), lat
+
 
 def read_streets(path: Path | str, drives_on: Side | None = None) -> StreetMap:
     """Read an extract.

@@ -1,24 +1,20 @@
-"""The twin driven alongside SUMO: after every step vehicles that differ are put where SUMO has them.
+"""The twin driven alongside SUMO: after every step, vehicles that differ are moved to where SUMO has them.
 
-A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the first departure, since everything
-after it may follow
-from it. Here each difference is one step old, so that a single episode shows all of its causes, and what share of the
-steps of vehicles are the same. ``python -m tests.envs.twin.alongside DATASET INTERSECTION`` lists them.
+A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the first difference, since all later ones
+may follow from it. Here each difference is one step old, so that a single episode shows all causes.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from izoo.benchmarks.fidelity.single_vehicle import Case, Trace, play_sumo
-from izoo.envs.twin.driving.lane_queues import lay_tail, place, take_out
+from izoo.benchmarks.fidelity.single_vehicle import Case, Trace
+from izoo.envs.twin.driving.lane_queues import insert_into_lane, remove_from_lane, set_tail
 from izoo.envs.twin.lane_change.cooperation import clear_memories
-from izoo.envs.twin.lane_change.downstream_occupancy import look_behind_junction
+from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.reader import twin_traffic
 from izoo.envs.twin.runtime.compiled import compiled
@@ -54,9 +50,10 @@ from izoo.envs.twin.runtime.layout import (
     open_traffic,
 )
 from izoo.envs.twin.runtime.simulation import TwinEpisode
-from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.road import read_road
 
+TOLERANCE = 1e-3
+"""Differences up to this are left as they are."""
 ROUNDING = 1e-9
 """Differences (m, m/s) up to this are rounding."""
 
@@ -78,8 +75,8 @@ class Difference(NamedTuple):
     twin: Place
 
 
-def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Difference]:
-    """Play ``case`` on the twin along the trace of SUMO and yield the vehicles that differ, step by step."""
+def differences(case: Case, sumo: Trace) -> Iterator[Difference]:
+    """Play ``case`` on the twin along SUMO's trace and yield the vehicles that differ, step by step."""
     net = case.world.net
     episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(case.net_path), net), case.step_ms)
     edges = net.lane_ints[:, LANE_EDGE]
@@ -98,8 +95,8 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
                     passed[v].append(theirs.lane)
                 passed[v][-1] = theirs.lane
             off = np.abs(np.subtract(theirs[1:], ours[1:])).max()
-            if theirs.lane == ours.lane and off <= tolerance:
-                # Rounding stays: a speed that was advised before must not fall outside of what can be braked to.
+            if theirs.lane == ours.lane and off <= TOLERANCE:
+                # Rounding errors are removed: they could put an advised speed out of the range of braking.
                 if off > ROUNDING:
                     episode.state.floats[v, [POSITION, SPEED]] = theirs[1:]
             else:
@@ -113,7 +110,7 @@ def differences(case: Case, sumo: Trace, tolerance: float = 1e-3) -> Iterator[Di
 
 
 def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], sumo: Trace) -> None:
-    """Put a vehicle where SUMO has it; ``passed`` are the lanes that its front was on, a lane for each edge."""
+    """Move a vehicle to where SUMO has it; ``passed`` are the lanes that its front was on, one for each edge."""
     t, v, theirs, ours = difference
     if theirs.lane < 0:
         later = (sumo.lane[t:, v] >= 0).any()
@@ -148,7 +145,7 @@ def _lanes_behind(episode: TwinEpisode, lane: int, passed: list[int]) -> list[in
 
 @compiled
 def _forget_tail(state_at, v):  # type: ignore[no-untyped-def]
-    """Take the tail of ``v`` off all lanes, whatever its own list says."""
+    """Remove the tail of ``v`` from all lanes, whatever its own list says."""
     state = open_state(state_at)
     for lane in range(state.tails.shape[0]):
         for j in range(state.lanes[lane, LANE_TAILS]):
@@ -167,7 +164,7 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     before = ints[v, LANE]
     _forget_tail(state_at, v)
     if ints[v, STATUS] == DRIVING:
-        take_out(state, v)
+        remove_from_lane(state, v)
     else:
         before = lane
         ints[v, STATUS] = DRIVING
@@ -178,9 +175,9 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
     floats[v, POSITION], floats[v, SPEED] = position, speed
     if speed > 0.1:
         ints[v, WAITING_MS] = 0
-    place(state, v, lane)
-    look_behind_junction(net, state, state.lane_room_before, v, lane)
-    lay_tail(net, traffic, state, v, tails)
+    insert_into_lane(state, v, lane)
+    remember_downstream_occupancy(net, state, state.lane_room_before, v, lane)
+    set_tail(net, traffic, state, v, tails)
     entered_ms = state.clock[NOW_MS] - step_ms
     if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
         if before != lane:
@@ -194,19 +191,19 @@ def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms)
             waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
         if ints[v, ENTERED_MS] == NEVER_MS:
             ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = entered_ms
-        # Before its waiting point nobody has come into conflict, also one whom the twin had further on.
+        # Before its waiting point a vehicle is not in conflict, even if the twin had it further on.
         ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
         if net.lane_ints[before, LANE_INSIDE]:
-            # Who lost its turn has one again.
+            # A vehicle that lost right of way has it again.
             ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], entered_ms)
 
 
 @compiled
 def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped-def]
-    """Take ``v`` off the road; who is to wait is the next to enter on its lane."""
+    """Remove ``v`` from the road; a waiting vehicle is the next to enter on its lane."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     _forget_tail(state_at, v)
-    take_out(state, v)
+    remove_from_lane(state, v)
     state.ints[v, STATUS] = status
     state.clock[ON_ROAD] -= 1
     if status == WAITING:
@@ -219,7 +216,7 @@ def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped
 
 @compiled
 def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
-    """Take ``v`` out of those who wait to enter."""
+    """Remove ``v`` from the vehicles that wait to enter."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     lane, before = traffic.ints[v, DEPART_LANE], -1
     w = state.waiting_first[lane]
@@ -233,20 +230,3 @@ def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
         state.waiting_next[before] = state.waiting_next[v]
     if state.waiting_last[lane] == v:
         state.waiting_last[lane] = before
-
-
-def main(folder: str, name: str, steps: int = 1200) -> None:
-    """Print the differences of an episode with demand from all approaches."""
-    context = next(c for c in load_dataset(Path(folder)) if name in c.name.split("/")).replace(approach=None)
-    case = Case.of(context, 7, 0.5 * steps)
-    sumo, count = play_sumo(case, steps), 0
-    lanes = (*case.world.lane_ids, "")
-    for t, v, theirs, ours in differences(case, sumo):
-        sides = [f"{lanes[side.lane]} {side.position_m:.4f} m {side.speed_mps:.4f} m/s" for side in (theirs, ours)]
-        print(f"step {t} vehicle {v}: SUMO {sides[0]}, twin {sides[1]}")
-        count += 1
-    print(f"{count} of {int((sumo.lane >= 0).sum())} vehicle steps differ")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:3])

@@ -1,4 +1,4 @@
-"""Small signalised crossroads with a few vehicles that meet, in the convention of the measured nets."""
+"""Small signalised crossroads in the convention of the measured nets, and vehicles that meet there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import sumo
 
-from izoo.benchmarks.fidelity.single_vehicle import Case
+from izoo.benchmarks.fidelity.single_vehicle import Case, Commands, Trace, first_departure, play_sumo, play_twin
 from izoo.envs.twin.net.reader import read_twin_world
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import PAPER_CV, Traffic
@@ -88,3 +88,16 @@ def meeting(path: Path, vehicles: list[dict[str, Any]]) -> Case:
         cv_vehicle="human",
     )
     return Case(read_twin_world(road, path), path, traffic, 1)
+
+
+def assert_same(case: Case, steps: int, tolerance: float = 1e-3, commands: Commands | None = None) -> Trace:
+    """Assert that every vehicle is in the same place in every step on both simulators; return SUMO's trace."""
+    sumo = play_sumo(case, steps, commands)
+    departure = first_departure(case, sumo, play_twin(case, steps, commands), tolerance)
+    assert departure is None, str(departure)
+    return sumo
+
+
+def lane_names(case: Case, trace: Trace) -> np.ndarray:
+    """Return the lane of every vehicle ``[T, N]`` by name, empty where it is not on the road."""
+    return np.array([*case.world.lane_ids, ""])[trace.lane]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +33,16 @@ def continuation(net: TwinNet, variant: int, lane: int) -> list[int]:
 
 def assert_best_lanes_equal(context: Context, folder: Path) -> int:
     """Compare all that SUMO reports in an episode with one of the route's variants; return how many were compared."""
-    libsumo = import_libsumo()
-    path = build_net(context.intersection)
-    road = read_road(path)
-    world = read_twin_world(road, path)
-    net, row = world.net, {name: k for k, name in enumerate(world.lane_ids)}
-    traffic = sample_traffic(context, road, SEED, STEPS * 0.5)
-    route = twin_traffic(traffic, road, net).ints[:, 1]
-    write_routes(traffic, road, folder / "traffic.rou.xml")
-    libsumo.start(["sumo", *sumo_arguments(path, folder / "traffic.rou.xml", SEED, 0.5)])
-    compared = 0
-    try:
+    with contextlib.closing(import_libsumo()) as libsumo:
+        path = build_net(context.intersection)
+        road = read_road(path)
+        world = read_twin_world(road, path)
+        net, row = world.net, {name: k for k, name in enumerate(world.lane_ids)}
+        traffic = sample_traffic(context, road, SEED, STEPS * 0.5)
+        route = twin_traffic(traffic, road, net).ints[:, 1]
+        write_routes(traffic, road, folder / "traffic.rou.xml")
+        libsumo.start(["sumo", *sumo_arguments(path, folder / "traffic.rou.xml", SEED, 0.5)])
+        compared = 0
         for step in range(STEPS):
             libsumo.simulationStep()
             for name in libsumo.vehicle.getIDList() if step % 8 == 0 else ():
@@ -61,17 +61,15 @@ def assert_best_lanes_equal(context: Context, folder: Path) -> int:
                 ]
                 assert any(found), f"{context.name}: vehicle {name} at step {step}: {reported}"
                 compared += 1
-    finally:
-        libsumo.close()
     return compared
 
 
-def test_best_lanes_are_sumos(tmp_path: Path) -> None:
+def test_best_lanes_equal_sumos(tmp_path: Path) -> None:
     world = procedural_context(lane_count=3, phase_count=2, approach="all", inflow_vph_per_lane=600.0)
     assert assert_best_lanes_equal(world, tmp_path) > 100
 
 
-def test_best_lanes_are_sumos_on_measured_intersections(dataset: ContextList, tmp_path: Path) -> None:
+def test_best_lanes_of_measured_intersections_equal_sumos(dataset: ContextList, tmp_path: Path) -> None:
     """Pockets, and several lanes to one exit of which some yield (number 110)."""
     contexts = {context.intersection.name.rsplit("/", 1)[-1]: context for context in dataset}
     for number in ("110", "106"):

@@ -1,4 +1,4 @@
-"""Where ways cross, merge and part: as SUMO says when it is asked for the distances of vehicles to their foes."""
+"""Where ways cross, merge and diverge: against the distances of vehicles to their junction foes in SUMO."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from defusedxml import ElementTree
 
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
-from izoo.envs.twin.junction.foes import named_before
+from izoo.envs.twin.junction.foes import id_sorts_before
 from izoo.envs.twin.net.conflicts import (
-    CONFLICT_BEHIND,
-    CONFLICT_FOE_BEHIND,
+    CONFLICT_FOE_TO_END,
     CONFLICT_FOE_YIELDS,
     CONFLICT_LANE,
     CONFLICT_SIZE,
+    CONFLICT_TO_END,
     CONFLICT_YIELDS,
     NOWHERE,
 )
@@ -81,12 +81,12 @@ def distances_of_twin(world: TwinWorld) -> dict[Pair, Place]:
                 )
             ]
             floats, ints = net.conflict_floats[row], net.conflict_ints[row]
-            if floats[CONFLICT_BEHIND] == 0.0 and floats[CONFLICT_FOE_BEHIND] == NOWHERE:
-                continue  # No place: somebody before his waiting point who will merge.
+            if floats[CONFLICT_TO_END] == 0.0 and floats[CONFLICT_FOE_TO_END] == NOWHERE:
+                continue  # No place: a vehicle before its waiting point that will merge.
             found[world.lane_ids[own], world.lane_ids[foe]] = (
-                before[0] + float(net.lane_floats[own, LANE_LENGTH] - floats[CONFLICT_BEHIND]),
+                before[0] + float(net.lane_floats[own, LANE_LENGTH] - floats[CONFLICT_TO_END]),
                 float(floats[CONFLICT_SIZE]),
-                before[1] + float(net.lane_floats[foe, LANE_LENGTH] - floats[CONFLICT_FOE_BEHIND]),
+                before[1] + float(net.lane_floats[foe, LANE_LENGTH] - floats[CONFLICT_FOE_TO_END]),
                 bool(ints[CONFLICT_YIELDS]),
                 bool(ints[CONFLICT_FOE_YIELDS]),
             )
@@ -107,19 +107,19 @@ def assert_same_conflicts(net: Path, folder: Path, least: int) -> None:
 
 
 @pytest.mark.parametrize("lanes", [1, 2])
-def test_conflicts_of_crossroads_are_sumos(lanes: int, tmp_path: Path) -> None:
+def test_conflicts_of_crossroads_equal_sumos(lanes: int, tmp_path: Path) -> None:
     net = build_crossroads(tmp_path, [(1000.0, "G" * (12 if lanes == 1 else 16))], lanes=lanes)
     assert_same_conflicts(net, tmp_path, 20)
 
 
 @pytest.mark.slow
-def test_conflicts_of_measured_intersections_are_sumos(dataset: ContextList, tmp_path: Path) -> None:
+def test_conflicts_of_measured_intersections_equal_sumos(dataset: ContextList, tmp_path: Path) -> None:
     paths = sorted({str(context.intersection.net_path) for context in dataset})
     for path in paths[1:4]:
         assert_same_conflicts(Path(path), tmp_path, 4)
 
 
-def test_names_are_compared_as_text() -> None:
+def test_ids_are_compared_as_text() -> None:
     numbers = [0, 1, 2, 9, 10, 11, 19, 44, 98, 99, 100, 104, 161, 440, 999, 1000, 1044, 9999, 10000]
     for one, other in itertools.permutations(numbers, 2):
-        assert bool(named_before(one, other)) == (str(one) < str(other)), (one, other)
+        assert bool(id_sorts_before(one, other)) == (str(one) < str(other)), (one, other)

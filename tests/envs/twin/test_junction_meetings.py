@@ -1,4 +1,4 @@
-"""Vehicles that meet at a signal do on the twin what they do in SUMO, whenever one of them departs."""
+"""Vehicles that meet at a signal drive on the twin as in SUMO, for many departure times."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin
-from tests.envs.twin.crossroads import build_crossroads, meeting
+from izoo.benchmarks.fidelity.single_vehicle import Case, play_sumo, play_twin
+from tests.envs.twin.crossroads import assert_same, build_crossroads, lane_names, meeting
 
 pytestmark = pytest.mark.slow
 STEPS = 120
@@ -56,19 +56,17 @@ def nets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def meet(net: Path, others: list[tuple[float, str]], way: str, depart_s: float, **driver: Any) -> Case:
-    """Return the case in which one more vehicle departs at ``depart_s``, everybody late enough to be positive."""
+    """Return the case in which one more vehicle departs at ``depart_s``, with all departure times positive."""
     first = min([depart_s, *(depart for depart, _ in others)])
     vehicles = [{"depart": depart - first, "way": other} for depart, other in others]
     return meeting(net, [*vehicles, {"depart": depart_s - first, "way": way, **driver}])
 
 
 @pytest.mark.parametrize("number", range(len(MEETINGS)))
-def test_vehicles_that_meet_do_what_they_do_in_sumo(nets: dict[str, Path], number: int) -> None:
+def test_vehicles_that_meet_drive_as_in_sumo(nets: dict[str, Path], number: int) -> None:
     plan, others, way, (begin, end) = MEETINGS[number]
     for depart_s in np.arange(begin, end + 0.1, 1.0).tolist():
-        case = meet(nets[str(plan)], others, way, depart_s)
-        departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
-        assert departure is None, f"{way} at {depart_s} s against {others}: {departure}"
+        assert_same(meet(nets[str(plan)], others, way, depart_s), STEPS)
 
 
 @pytest.mark.parametrize(
@@ -82,112 +80,72 @@ def test_vehicles_that_meet_do_what_they_do_in_sumo(nets: dict[str, Path], numbe
 def test_drivers_of_all_kinds_turn_as_in_sumo(nets: dict[str, Path], driver: dict[str, float]) -> None:
     for plan, other, way in ((PERMISSIVE, "CA", "AB"), (RIGHT_ON_RED, "BD", "AD")):
         for depart_s in np.arange(-4.0, 4.1, 1.0).tolist():
-            case = meet(nets[str(plan)], [(0.0, other)], way, depart_s, **driver)
-            departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
-            assert departure is None, f"{way} at {depart_s} s, {driver}: {departure}"
+            assert_same(meet(nets[str(plan)], [(0.0, other)], way, depart_s, **driver), STEPS)
 
 
 @pytest.mark.parametrize("second_s", [5.0, 5.2, 5.4])
-def test_who_enters_the_junction_is_waited_for_to_the_end_of_the_step(nets: dict[str, Path], second_s: float) -> None:
-    case = meet(nets[str(ONE_RIGHT_ON_RED)], [(0.0, "AC"), (second_s, "AC")], "DC", 0.5)
-    departure = first_departure(case, play_sumo(case, 110), play_twin(case, 110))
-    assert departure is None, str(departure)
+def test_right_on_red_yields_to_a_vehicle_that_enters_in_the_same_step(nets: dict[str, Path], second_s: float) -> None:
+    assert_same(meet(nets[str(ONE_RIGHT_ON_RED)], [(0.0, "AC"), (second_s, "AC")], "DC", 0.5), 110)
 
 
 @pytest.mark.parametrize(
     ("first_s", "second_s"), [(1.0, 14.0), (1.0, 17.0), (1.0, 30.0), (2.0, 20.0), (2.0, 26.0), (3.0, 23.0)]
 )
-def test_who_has_waited_waits_for_who_comes_from_afar(tmp_path: Path, first_s: float, second_s: float) -> None:
-    """He takes the other, who will stop before his right on red, to come at an even speed."""
+def test_waiting_left_turn_yields_to_distant_oncoming_vehicle(tmp_path: Path, first_s: float, second_s: float) -> None:
+    """It assumes constant speed of the other, which will stop before its right on red."""
     net = build_crossroads(tmp_path, LEFT_AND_RIGHT_ON_RED, length_m=400.0)
-    case = meet(net, [(first_s, "CB"), (first_s + second_s, "CB")], "AB", 0.0)
-    departure = first_departure(case, play_sumo(case, STEPS), play_twin(case, STEPS))
-    assert departure is None, str(departure)
+    assert_same(meet(net, [(first_s, "CB"), (first_s + second_s, "CB")], "AB", 0.0), STEPS)
 
 
-def test_a_left_turn_waits_for_every_oncoming_vehicle(nets: dict[str, Path]) -> None:
-    """The comparison above would also hold if nobody ever had to wait: here one does, for all of a platoon."""
-    platoon = [(1.5 * k, "CA") for k in range(8)]
-    case = meet(nets[str(PERMISSIVE)], platoon, "AB", 0.0)
+def test_left_turn_yields_to_a_whole_oncoming_platoon(nets: dict[str, Path]) -> None:
+    """So the comparisons above do compare vehicles that yield."""
+    case = meet(nets[str(PERMISSIVE)], [(1.5 * k, "CA") for k in range(8)], "AB", 0.0)
     turner = int(np.flatnonzero(case.traffic.approach == 0)[0])
     for trace in (play_sumo(case, 160), play_twin(case, 160)):
-        names = np.array([*case.world.lane_ids, ""])
-        through = [int(np.flatnonzero(names[trace.lane[:, v]] == "TL2A_0")[0]) for v in range(9) if v != turner]
-        assert np.flatnonzero(names[trace.lane[:, turner]] == "TL2B_0")[0] > max(through) - 2
+        names = lane_names(case, trace)
+        through = [int(np.flatnonzero(names[:, v] == "TL2A_0")[0]) for v in range(9) if v != turner]
+        assert np.flatnonzero(names[:, turner] == "TL2B_0")[0] > max(through) - 2
         assert np.nanmin(trace.speed_mps[:, turner]) < 0.1
 
 
 @pytest.mark.parametrize(
-    ("plan", "way", "driver"),
+    ("plan", "driver"),
     [
-        (LEG_AFTER_LEG, "BC", {"depart": 0.8, "length_m": 6.0, "tau_s": 1.48, "accel_mps2": 2.11, "decel_mps2": 3.27}),
-        (BRIEF, "BC", {"depart": 1.5, "length_m": 6.0, "tau_s": 0.86, "accel_mps2": 1.21, "decel_mps2": 2.23}),
+        (LEG_AFTER_LEG, {"depart": 0.8, "length_m": 6.0, "tau_s": 1.48, "accel_mps2": 2.11, "decel_mps2": 3.27}),
+        (BRIEF, {"depart": 1.5, "length_m": 6.0, "tau_s": 0.86, "accel_mps2": 1.21, "decel_mps2": 2.23}),
     ],
 )
-def test_who_comes_by_a_yellow_does_not_slow_down_for_the_waiting_point(
-    tmp_path: Path, plan: list[tuple[float, str]], way: str, driver: dict[str, float]
+def test_left_turn_on_yellow_does_not_slow_down_for_the_waiting_point(
+    tmp_path: Path, plan: list[tuple[float, str]], driver: dict[str, float]
 ) -> None:
-    case = meeting(build_crossroads(tmp_path, plan), [{"way": way, **driver}])
-    sumo = play_sumo(case, STEPS)
-    departure = first_departure(case, sumo, play_twin(case, STEPS))
-    assert departure is None, str(departure)
-    # He is in the junction while his signal is yellow, and drives through it.
-    inside = [name.startswith(":TL_5") for name in np.array([*case.world.lane_ids, ""])[sumo.lane[:, 0]]]
+    case = meeting(build_crossroads(tmp_path, plan), [{"way": "BC", **driver}])
+    sumo = assert_same(case, STEPS)
+    inside = [name.startswith(":TL_5") for name in lane_names(case, sumo)[:, 0]]
     assert any(inside) and np.nanmin(sumo.speed_mps[inside, 0]) > 4.0
 
 
 @pytest.mark.parametrize(
-    ("turning", "through"),
+    ("turning", "accel_mps2"),
     [
-        (
-            {"depart": 3.7, "way": "DC", "lane": 0, "tau_s": 1.1, "accel_mps2": 1.73, "decel_mps2": 2.37},
-            {"depart": 3.1, "way": "DB", "lane": 1, "tau_s": 0.96, "accel_mps2": 2.98, "decel_mps2": 2.64},
-        ),
-        (
-            {
-                "depart": 3.7,
-                "way": "DC",
-                "lane": 0,
-                "length_m": 7.1,
-                "tau_s": 1.1,
-                "accel_mps2": 2.2,
-                "decel_mps2": 2.4,
-            },
-            {"depart": 3.1, "way": "DB", "lane": 1, "tau_s": 0.96, "accel_mps2": 1.98, "decel_mps2": 2.64},
-        ),
+        ({"accel_mps2": 1.73, "decel_mps2": 2.37}, 2.98),
+        ({"length_m": 7.1, "accel_mps2": 2.2, "decel_mps2": 2.4}, 1.98),
     ],
 )
-def test_nobody_changes_inside_to_a_way_that_parts_from_one_beside_it(
-    tmp_path: Path, turning: dict[str, float], through: dict[str, float]
+def test_vehicle_changes_lanes_inside_a_junction_once_the_turning_vehicle_has_diverged(
+    tmp_path: Path, turning: dict[str, float], accel_mps2: float
 ) -> None:
-    """The way to the left of the one who turns right is free, but its begin is not until he has turned."""
     net = build_crossroads(tmp_path, [(25.0, "r" * 16), (60.0, "r" * 12 + "GGGg")], lanes=2)
-    case = meeting(net, [turning, through])
-    sumo = play_sumo(case, STEPS)
-    departure = first_departure(case, sumo, play_twin(case, STEPS))
-    assert departure is None, str(departure)
-    names = np.array([*case.world.lane_ids, ""])
-    # He who goes through, the first to depart, changes to the right inside the junction.
-    assert {":TL_13_0", ":TL_13_1"} <= set(names[sumo.lane[:, 0]])
+    through = {"depart": 3.1, "way": "DB", "lane": 1, "tau_s": 0.96, "accel_mps2": accel_mps2, "decel_mps2": 2.64}
+    case = meeting(net, [{"depart": 3.7, "way": "DC", "lane": 0, "tau_s": 1.1, **turning}, through])
+    sumo = assert_same(case, STEPS)
+    assert {":TL_13_0", ":TL_13_1"} <= set(lane_names(case, sumo)[:, 0])
 
 
-def test_who_turns_is_in_the_way_until_his_rear_has_parted(tmp_path: Path) -> None:
-    """The one behind him drives straight on, and changes lanes to pass him while he is in the junction."""
-    turning = {
-        "depart": 1.3,
-        "way": "DC",
-        "lane": 0,
-        "length_m": 6.0,
-        "tau_s": 1.71,
-        "accel_mps2": 1.9,
-        "decel_mps2": 2.8,
-    }
-    passing = {"depart": 4.6, "way": "DB", "lane": 0, "length_m": 7.1, "tau_s": 0.81, "accel_mps2": 1.41}
-    net = build_crossroads(tmp_path, [(60.0, "r" * 12 + "GGGg")], lanes=2)
-    case = meeting(net, [{**turning, "decel_mps2": 2.8}, {**passing, "decel_mps2": 3.98}])
-    sumo = play_sumo(case, STEPS)
-    departure = first_departure(case, sumo, play_twin(case, STEPS))
-    assert departure is None, str(departure)
-    names = np.array([*case.world.lane_ids, ""])
-    change = np.flatnonzero((names[sumo.lane[:-1, 1]] == "D2TL_0") & (names[sumo.lane[1:, 1]] == "D2TL_1"))
-    assert len(change) == 1 and names[sumo.lane[change[0] + 1, 0]] == ":TL_12_0"
+def test_follower_of_a_turning_vehicle_changes_lanes_to_pass_it(tmp_path: Path) -> None:
+    """While the turning vehicle is in the junction, until its rear has diverged."""
+    turning = {"depart": 1.3, "way": "DC", "length_m": 6.0, "tau_s": 1.71, "accel_mps2": 1.9, "decel_mps2": 2.8}
+    passing = {"depart": 4.6, "way": "DB", "length_m": 7.1, "tau_s": 0.81, "accel_mps2": 1.41, "decel_mps2": 3.98}
+    case = meeting(build_crossroads(tmp_path, [(60.0, "r" * 12 + "GGGg")], lanes=2), [turning, passing])
+    names = lane_names(case, assert_same(case, STEPS))
+    change = np.flatnonzero((names[:-1, 1] == "D2TL_0") & (names[1:, 1] == "D2TL_1"))
+    assert len(change) == 1 and names[change[0] + 1, 0] == ":TL_12_0"

@@ -1,4 +1,4 @@
-"""Who passes the signal in a whole episode, by turn and by what the signal shows, is who passes in SUMO."""
+"""Vehicles that pass the signal in a whole episode, by turn and by what the signal shows, against SUMO."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def letters_shown(case: Case) -> np.ndarray:
 
 
 def passages(case: Case, trace: Trace, shown: np.ndarray) -> Passages:
-    """Count those who leave a lane by a link of the main signal."""
+    """Count the vehicles that leave a lane by a link of the main signal."""
     net = case.world.net
     routes = twin_traffic(case.traffic, read_road(case.net_path), net).ints[:, ROUTE]
     main = case.world.program_ids.index("TL")
@@ -48,17 +48,11 @@ def passages(case: Case, trace: Trace, shown: np.ndarray) -> Passages:
     return found
 
 
-def compare(case: Case) -> tuple[Passages, Passages]:
-    shown = letters_shown(case)
-    return (
-        passages(case, play_sumo(case, STEPS), shown),
-        passages(case, play_twin(case, STEPS), shown),
-    )
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_single_lane_crossings_pass_exactly_as_in_sumo(seed: int) -> None:
     context = procedural_context(lane_count=1, phase_count=2, inflow_vph_per_lane=350.0, approach="A")
-    theirs, ours = compare(Case.of(context.replace(approach=None), seed, HORIZON_S))
+    case = Case.of(context.replace(approach=None), seed, HORIZON_S)
+    shown = letters_shown(case)
+    theirs, ours = (passages(case, play(case, STEPS), shown) for play in (play_sumo, play_twin))
     assert sum(theirs.values()) > 50
     assert ours == theirs

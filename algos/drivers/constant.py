@@ -1,0 +1,99 @@
+"""Drivers that aim for one speed, one acceleration, or one share of the speed limit."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from izoo.algos.drivers.base import DEFER, ScriptedDriver
+from izoo.algos.learners.base import ACTION, MASK
+from izoo.algos.learners.registry import CAP
+from izoo.contexts.features import feature
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import SPEED_SCALE_MPS
+from izoo.errors import IzooError, check_range
+
+
+class ConstantSpeed(ScriptedDriver):
+    """Every CV aims for one speed, wherever it is; the simulator's safety checks hold it back.
+
+    Args:
+        config: settings of the environment.
+        speed_mps: the speed.
+    """
+
+    def __init__(self, config: EnvConfig, speed_mps: float = 10.0) -> None:
+        super().__init__()
+        check_range("speed_mps", speed_mps, 0.0, 60.0, "m/s")
+        self.speed_mps, self.decision_s = speed_mps, config.decision_s
+        self.column = observation_names(config).index("speed")
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        speed = observation[..., self.column] * SPEED_SCALE_MPS
+        return (self.speed_mps - speed) / self.decision_s, torch.zeros_like(mask)
+
+
+class ConstantAcceleration(ScriptedDriver):
+    """Every CV asks for one acceleration all the time; its speed limit and the simulator's safety checks hold it back.
+
+    What a policy that has learned nothing does: no benchmark should mistake it for a result.
+
+    Args:
+        accel_mps2: the acceleration.
+    """
+
+    def __init__(self, accel_mps2: float = 2.0) -> None:
+        super().__init__()
+        check_range("accel_mps2", accel_mps2, ACTION_LOW_MPS2, ACTION_HIGH_MPS2, "m/s^2")
+        self.accel_mps2 = accel_mps2
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.full(mask.shape, self.accel_mps2), torch.zeros_like(mask)
+
+
+class CappedSpeed(ScriptedDriver):
+    """No CV exceeds a share of the speed limit, before and behind the stop line; below it, all are left alone.
+
+    The bar for every policy that slows vehicles: it saves CO2 without looking at signals or queues, and costs time.
+
+    Args:
+        config: settings of the environment; the feature ``speed_limit_mps`` must be observed.
+        share: of the limit, above 0 and up to 1. Where the environment takes desired speeds, they are this, and each
+            vehicle's own car-following keeps to it; accelerations do so nearly.
+    """
+
+    brake_mps2 = 1.5
+    near_mps = 1.3
+    """Below the cap by more than this, a CV accelerates as its own driver does."""
+
+    def __init__(self, config: EnvConfig, share: float) -> None:
+        super().__init__()
+        self.share, self.speeds = share, config.action_size if config.action == SPEED else 0
+        if self.speeds:
+            if share < MIN_SHARE:
+                raise IzooError(
+                    f"{CAP}{share:g} is below the least desired speed of env.action=speed; give {MIN_SHARE:g} or more."
+                )
+            return
+        names = observation_names(config)
+        if "context_speed_limit_mps" not in names:
+            raise IzooError("a speed cap needs the limit in the observation; add speed_limit_mps to env.observed.")
+        self.response_s = max(1.0, config.decision_s)
+        self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
+        self.limit_scale = feature("speed_limit_mps").scale
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action keys."""
+        if not self.speeds:
+            return super().forward(tensordict)
+        mask = tensordict.get(MASK)
+        tensordict.set(ACTION, torch.full((*mask.shape, self.speeds), self.share))
+        return tensordict.set(DEFER, torch.zeros_like(mask))
+
+    def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        speed = observation[..., self.speed] * SPEED_SCALE_MPS
+        above = speed - self.share * observation[..., self.limit] * self.limit_scale
+        free = (above < -self.near_mps) | torch.full_like(mask, self.share >= 1.0)
+        return (-above / self.response_s).clamp_min(-self.brake_mps2), free

@@ -1,0 +1,96 @@
+"""Rows of a CSV file, appended in groups that are there whole or not at all: a blank line ends the header and each."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from izoo.errors import IzooError
+from izoo.files import read_text, write_text
+
+Row = dict[str, Any]
+
+
+class RowsFile:
+    """A CSV file and its rows.
+
+    Args:
+        path: of the file; ``None`` keeps rows in memory.
+        columns: in order.
+        text, whole: names of columns of words and of whole numbers; all others are floats.
+        optional: names of columns that a file may lack; they are then empty.
+
+    Attributes:
+        rows: those of the groups that are whole.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        columns: Sequence[str],
+        text: Sequence[str] = (),
+        whole: Sequence[str] = (),
+        optional: Sequence[str] = (),
+    ) -> None:
+        self.path, self.columns, self.text, self.whole = path, tuple(columns), tuple(text), tuple(whole)
+        self.optional = frozenset(optional)
+        self.rows: list[Row] = []
+
+    def read(self, mend: bool = True) -> RowsFile:
+        """Read what is there, and with ``mend`` remove a group that was cut short from the file.
+
+        Raises:
+            IzooError: the file cannot be read, or lacks columns.
+        """
+        if self.path is None or not self.path.exists():
+            return self
+        try:
+            text = read_text(self.path)
+            raw = pd.read_csv(
+                io.StringIO(text[: text.rfind("\n\n") + 1] or text),
+                float_precision="round_trip",
+                dtype={**dict.fromkeys(self.text, str), **dict.fromkeys(self.whole, "Int64")},
+                keep_default_na=False,  # a policy may be called "null", an intersection "NA"
+                na_values=[""],
+            )
+        except (OSError, ValueError) as error:
+            raise IzooError(f"cannot read {self.path}: {str(error).splitlines()[0]}; choose another folder.") from error
+        absent = [column for column in self.columns if column not in raw]
+        missing = [column for column in absent if column not in self.optional]
+        if missing:
+            raise IzooError(
+                f"{self.path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose "
+                "another folder."
+            )
+        raw = raw.reindex(columns=list(self.columns)).astype(object)
+        self.rows = raw.where(raw.notna(), None).to_dict("records")
+        if mend and (absent or not text.endswith("\n\n")):
+            self.replace(self.rows)
+        return self
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Append a group of rows, all of them or none."""
+        self.rows.extend(rows)
+        if self.path is not None:
+            with self.path.open("a", encoding="utf-8", newline="") as file:
+                file.write(self._lines(rows, header=not file.tell()))
+
+    def replace(self, rows: Iterable[Row]) -> None:
+        """Write the file anew with these rows."""
+        self.rows = list(rows)
+        if self.path is not None:
+            write_text(self.path, self._lines(self.rows, header=True))
+
+    def _lines(self, rows: Iterable[Row], header: bool) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        if header:
+            writer.writerows([self.columns, ()])
+        writer.writerows([row[column] for column in self.columns] for row in rows)
+        writer.writerow(())
+        return text.getvalue()

@@ -1,0 +1,247 @@
+"""One stretch of a training run: collect, learn, save and validate until its frames are used up or it is stopped."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+
+from izoo.algos.learners.base import MASK
+from izoo.console import Interrupt, Progress, graceful_interrupt
+from izoo.envs import simulator_of
+from izoo.errors import UnfinishedError
+from izoo.training import checkpoint, loggers, plots, run_folder
+from izoo.training.baseline_episodes import BaselineComparison
+from izoo.training.batch_statistics import READS, episode_stats
+from izoo.training.collectors import BatchSource
+from izoo.training.environments import NUMBERS
+from izoo.training.final_evaluation import compare
+from izoo.training.learner import is_finite
+from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
+from izoo.training.run_state import RunState
+from izoo.training.validation import Validator
+
+MAX_LEARNER_THREADS = 8
+PLOT_EVERY_S = 60.0
+"""Seconds between two drawings of the learning curve while training: each takes half a second."""
+Show = Callable[[dict[str, Any]], None]
+
+
+def last_good(run_dir: Path) -> str:
+    """Return which checkpoint is the newest, and how to go on from there."""
+    kept = checkpoint.listed(run_dir)
+    if not kept:
+        return "No checkpoint was saved; make room and train again."
+    return f"The last good checkpoint is {kept[-1]}; make room, then go on: resume={run_dir}."
+
+
+class Session:
+    """One stretch of a training run.
+
+    Args:
+        state: where the run stands.
+        run_dir: its folder.
+    """
+
+    def __init__(self, state: RunState, run_dir: Path) -> None:
+        self.state, self.config, self.run_dir = state, state.config, run_dir
+        self._batches: BatchSource | None = None
+        self._baselines: BaselineComparison | None = None
+        self._saved_at = state.frames if state.frames else -1
+        self._plotted_s = state.seconds
+        self._threads = torch.get_num_threads()
+
+    def run(self, show: Show | None = None) -> None:
+        """Collect and learn until the frames are used up or the run is interrupted; then save, plot and evaluate.
+
+        Args:
+            show: called with the summary of the evaluation; ``None`` prints its verdict.
+
+        Raises:
+            UnfinishedError: the last weights could not be saved.
+            KeyboardInterrupt: the run was interrupted; what was learned until then is saved.
+        """
+        self.table = loggers.MetricsTable(self.run_dir / run_folder.METRICS_FILE, self.state.frames)
+        self.validator = Validator(self.config, self.run_dir, self.state.frames)
+        self.sinks = loggers.make_sinks(self.config.logger, self.run_dir)
+        print(f"Run folder: {self.run_dir}", flush=True)
+        with graceful_interrupt() as interrupt:
+            try:
+                if self.state.frames < self.config.total_frames:
+                    self._learn(interrupt)
+                else:
+                    print(f"All {self.state.frames:,} frames are there: nothing is left to train.", flush=True)
+                    self.state.load(None)
+                self._save()
+                self._validate_last(interrupt)
+                self._plot()
+            finally:
+                self.validator.close()
+                loggers.close_all(self.sinks)
+        if self.state.batches > 0 and self._saved_at != self.state.frames:
+            raise UnfinishedError(f"the last weights could not be saved. {last_good(self.run_dir)}")
+        if interrupt.requested:
+            self._say_where_it_stopped()
+            raise KeyboardInterrupt
+        self._evaluate(show)
+
+    def _say_where_it_stopped(self) -> None:
+        if self.state.batches == 0:
+            print("Stopped before the first batch; nothing is kept.", flush=True)
+        elif self.state.frames < self.config.total_frames:
+            done = f"Stopped at {self.state.frames:,} of {self.config.total_frames:,} frames"
+            print(f"{done}; go on with: python -m izoo.train resume={self.run_dir}", flush=True)
+
+    def _learn(self, interrupt: Interrupt) -> None:
+        """Collect and learn, batch after batch."""
+        state, reads = self.state, self.state.learner.reads
+        batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
+        batched = simulator_of(self.config.simulator).batched
+        if batched and state.levels is not None:
+            self._baselines = BaselineComparison(self.config, state.draws, level=state.levels.level)
+        elif batched:
+            self._baselines = BaselineComparison(self.config, state.schedule())
+        try:
+            self.state.load(batches)
+            self._learn_from(batches, interrupt)
+            state.environments = batches.environments()
+        except UnfinishedError:
+            if not interrupt.requested:  # else a signal to the whole job may have ended the processes that collect
+                raise
+        finally:
+            self._batches = None
+            batches.close()
+            if self._baselines is not None:
+                self._baselines.close()
+                self._baselines = None
+            torch.set_num_threads(self._threads)
+
+    def _learn_from(self, batches: BatchSource, interrupt: Interrupt) -> None:
+        latest: dict[str, float] = {}
+        with Progress(self.config.total_frames, self.state.frames) as bar:
+            while self.state.frames < self.config.total_frames and not interrupt.requested:
+                row = {**self._batch(batches), **self.validator.poll()}
+                self.table.append(row)
+                loggers.log_all(self.sinks, row)
+                if "validation_frames" in row:  # an interval that it lacks must not be that of an earlier one
+                    latest = {name: value for name, value in latest.items() if not name.startswith("validation_")}
+                latest |= row
+                bar.update(self.state.frames, loggers.in_short(latest))
+                if self.state.batches % self.config.checkpoint.every_batches == 0:
+                    self._save()
+                    if self.state.seconds - self._plotted_s >= PLOT_EVERY_S:
+                        self._plot()
+                if self.validator.due(self.state.batches):
+                    self._validate()
+
+    def _batch(self, batches: BatchSource) -> dict[str, float]:
+        """Collect one batch, learn from it, and return its row of the table."""
+        start = time.perf_counter()
+        torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
+        batch = batches.next()
+        collected = time.perf_counter()
+        stats = episode_stats(batch, self.config.staggered)
+        if self._baselines is not None:
+            self._baselines.add(batch)
+            stats |= self._baselines.compare(batch)
+        compared = time.perf_counter()
+        torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
+        if not simulator_of(self.config.simulator).batched:
+            self.state.histories.add(batch)
+        learned = self.state.learner.update(batch, self.state.frames / self.config.total_frames)
+        if self.state.levels is not None:
+            learned |= self._score_levels(self.state.levels, batch)
+        self._require_finite(learned)
+        torch.set_num_threads(1)
+        batches.synchronise(self.state.learner.policy)
+        seconds = time.perf_counter() - start
+        self.state.frames += batch.numel()
+        self.state.batches += 1
+        self.state.episodes += int(stats.pop("episodes"))
+        self.state.seconds += seconds
+        return {
+            "frames": self.state.frames,
+            "seconds": self.state.seconds,
+            "frames_per_s": batch.numel() / seconds,
+            "episodes": self.state.episodes,
+            **stats,
+            **learned,
+            "collect_s": collected - start,
+            **({} if self._baselines is None else {"baseline_s": compared - collected}),
+            "update_s": seconds - (compared - start),
+        }
+
+    def _score_levels(self, levels: PrioritizedLevelReplay, batch: TensorDictBase) -> dict[str, float]:
+        """Let a batch's advantages score the levels that were played in it; return what to log."""
+        numbers, done = batch.get(NUMBERS)[..., 0], batch.get(("next", "done")).squeeze(-1)
+        levels.update(numbers, self.state.learner.advantage(), batch.get(MASK), done)
+        return levels.stats()
+
+    def _require_finite(self, learned: Mapping[str, float]) -> None:
+        """Raise :class:`UnfinishedError` where an update has left losses or weights that are not finite."""
+        bad = [name for name, value in learned.items() if name.startswith("loss") and not math.isfinite(value)]
+        if not is_finite(self.state.learner.algorithm.policy.state_dict()):
+            bad.append("the policy's weights")
+        if bad:
+            kept = checkpoint.listed(self.run_dir)
+            raise UnfinishedError(
+                f"training has diverged after {self.state.frames:,} frames: {', '.join(bad)} not finite. The last "
+                f"finite checkpoint is {kept[-1] if kept else 'none'}; train again with a lower algo.lr, or smaller "
+                "rewards."
+            )
+
+    def _save(self) -> None:
+        if self._saved_at == self.state.frames or self.state.batches == 0:
+            return
+        if self._batches is not None:
+            self.state.environments = self._batches.environments()
+        try:
+            checkpoint.save(self.run_dir, self.state.frames, self.state.state_dict(), self.config.checkpoint.keep)
+            self._saved_at = self.state.frames
+        except OSError as error:
+            print(f"Could not save a checkpoint: {error}. {last_good(self.run_dir)}", file=sys.stderr, flush=True)
+
+    def _validate(self) -> None:
+        """Let the present weights be validated, if they could be saved."""
+        self._save()
+        if self._saved_at == self.state.frames:
+            try:
+                self.validator.submit(checkpoint.find(self.run_dir))
+            except OSError as error:
+                print(f"Could not begin a validation: {error}; training goes on.", file=sys.stderr, flush=True)
+
+    def _validate_last(self, interrupt: Interrupt) -> None:
+        """Validate the last weights, unless the run was interrupted, was too short for any validation, or lost them."""
+        every = self.config.validation.every_batches
+        if self._saved_at != self.state.frames or interrupt.requested or every == 0 or self.state.batches < every:
+            return
+        if float(self.state.frames) not in self.validator.table.series("frames")[1]:
+            self._validate()
+        if self.validator.busy:
+            print("Validating the last weights. Ctrl-C leaves that out.", flush=True)
+        row = self.validator.wait(interrupt)
+        if row:
+            loggers.log_all(self.sinks, {"frames": self.state.frames, **row})
+
+    def _plot(self) -> None:
+        if self.table.rows:
+            title = f"{self.config.algo.name}, {self.config.contexts.name}, seed {self.config.seed}"
+            plots.learning_curve(self.table, self.run_dir / run_folder.CURVE_FILE, title, self.validator.table)
+            self._plotted_s = self.state.seconds
+
+    def _evaluate(self, show: Show | None) -> None:
+        """Compare the policy with the baselines, if the options ask for it, and show the summary."""
+        found: dict[str, Any] = {}
+        if self.config.evaluation.contexts > 0 and self.state.batches > 0:
+            found = compare(self.config, self.state.learner.policy, self.run_dir, self.state.source, self.state.frames)
+        print(f"Run folder: {self.run_dir}", flush=True)
+        if found and show is not None:
+            show(found)
+        elif found:
+            print(found["verdict"], flush=True)

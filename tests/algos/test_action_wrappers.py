@@ -1,0 +1,305 @@
+"""Advice and corrections: what is stored, what is learned from, and what they stand for."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from izoo import train
+from izoo.algos.actions.action_modes import AdviseAction, ResidualAction
+from izoo.algos.actions.action_wrappers import (
+    RAW_ACTION,
+    ActionTransform,
+    SpeedCap,
+    TransformedAlgorithm,
+    TransformedPolicy,
+)
+from izoo.algos.actions.residual import Correction, NominalDriver
+from izoo.algos.drivers.base import DEFER
+from izoo.algos.learners import base
+from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
+from izoo.cli.compose import compose_config
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts.features import feature
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
+from izoo.errors import IzooError
+from izoo.training import run_folder
+
+ENV = EnvConfig()
+NAMES = observation_names(ENV)
+SCALES = {"speed": SPEED_SCALE_MPS, "distance": DISTANCE_SCALE_M}
+
+ONE_POLICY = sorted(set(ALGORITHMS) - {"cmaes", "glide_search"})
+"""Algorithms that explore by the actions of one policy; the others compare several."""
+
+
+def observe(**values: float) -> torch.Tensor:
+    """An observation in SI units: a CV at 10 m/s, 100 m before a green light, on a free road, limit 15 m/s."""
+    seen = {
+        "speed": 10.0 / SPEED_SCALE_MPS,
+        "stop_line_distance": -100.0 / DISTANCE_SCALE_M,
+        "location_approaching": 1.0,
+        "signal_green": 1.0,
+        "signal_time_left": 20.0 / TIME_SCALE_S,
+        "signal_second_green": 60.0 / TIME_SCALE_S,
+        "signal_third_green": 120.0 / TIME_SCALE_S,
+        "leader_distance": FAR_M / DISTANCE_SCALE_M,
+        "context_green_s": 30.0 / feature("green_s").scale,
+        "context_red_s": 30.0 / feature("red_s").scale,
+        "context_speed_limit_mps": 15.0 / feature("speed_limit_mps").scale,
+        **values,
+    }
+    return torch.tensor([seen.get(name, 0.0) for name in NAMES])
+
+
+def nominal(**values: float) -> float:
+    observation = observe(**values).reshape(1, 1, -1)
+    return float(NominalDriver(ENV)(observation, torch.ones(1, 1, dtype=torch.bool))[0])
+
+
+def make(algo: str, *words: str, action: str = "residual") -> TransformedAlgorithm:
+    torch.manual_seed(3)
+    options = compose_config(TrainConfig, [f"algo={algo}", "algo.hidden=[8]", f"action={action}", *words])
+    algorithm = make_algorithm(options.algo, options.action, options.env)
+    assert isinstance(algorithm, TransformedAlgorithm)
+    return algorithm
+
+
+def make_batch(n: int = 2, t: int = 5, a: int = 3) -> TensorDict:
+    """Noise around :func:`observe`; the last slot is empty."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (n, t, a)
+    mask = torch.ones(shape, dtype=torch.bool)
+    mask[..., -1] = False
+    ended = torch.zeros(*shape, 1, dtype=torch.bool)
+    ended[0, 2, 1] = True
+    draw = lambda: observe() + 0.1 * torch.randn(*shape, len(NAMES), generator=generator)  # noqa: E731
+    successor = {"observation": draw(), "mask": mask, "done": ended, "terminated": ended}
+    successor["reward"] = torch.randn(*shape, 1, generator=generator)
+    agents = {"observation": draw(), "mask": mask}
+    following = TensorDict({"agents": TensorDict(successor, shape)}, [n, t])
+    return TensorDict({"agents": TensorDict(agents, shape), "next": following}, [n, t])
+
+
+def act(algorithm: base.Algorithm, batch: TensorDict, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:
+    torch.manual_seed(1)
+    with torch.no_grad(), set_exploration_type(kind):
+        return algorithm.policy(batch.clone())
+
+
+def test_nominal_is_glide_where_glide_commands() -> None:
+    # Red for 30 s more, 100 m ahead: 2 s of start lag make it 32 s, so glide asks for its floor speed of 4 m/s.
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
+    driver = NominalDriver(ENV)
+    observation, mask = observe(**red).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)
+    advised, idle = driver.glide.drive(observation, mask)
+    assert not idle.any()
+    accel, estimated = driver(observation, mask)
+    torch.testing.assert_close(accel, advised)
+    assert not estimated.any()
+    assert nominal(**red) < -0.5
+
+
+def test_nominal_is_the_car_following_model_elsewhere() -> None:
+    assert nominal() == pytest.approx(2.6 * (1 - (10 / 15) ** 4), abs=1e-4)
+    assert nominal(speed=15.0 / SPEED_SCALE_MPS) == pytest.approx(0.0, abs=1e-4)
+    behind = {"leader_present": 1.0, "leader_distance": 14.0 / DISTANCE_SCALE_M, "leader_speed": 8.0 / SPEED_SCALE_MPS}
+    desired = 2.0 + 10.0 * 1.0 + 10.0 * 2.0 / (2 * (2.6 * 4.5) ** 0.5)
+    expected = 2.6 * (1 - (10 / 15) ** 4 - (desired / 14.0) ** 2)
+    assert nominal(**behind) == pytest.approx(max(expected, -4.5), abs=1e-3)
+    assert nominal(leader_present=1.0, leader_distance=0.0) == pytest.approx(-4.5)
+
+
+def test_a_red_light_ahead_holds_but_not_in_the_last_metres() -> None:
+    driver = NominalDriver(ENV)
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 5.0 / TIME_SCALE_S}
+    far, near = (driver.follow(observe(**red, stop_line_distance=-d / DISTANCE_SCALE_M)) for d in (40.0, 10.0))
+    desired = 10.0 * 1.0 + 10.0 * 10.0 / (2 * (2.6 * 4.5) ** 0.5)
+    assert float(far) == pytest.approx(2.6 * (1 - (10 / 15) ** 4 - (desired / 40.0) ** 2), abs=1e-3)
+    assert float(near) > 0
+
+
+class Said(TensorDictModuleBase):
+    """A policy that says what it is given."""
+
+    in_keys, out_keys = [base.OBSERVATION], [base.ACTION]
+    no_op_band = 0.0
+
+    def __init__(self, advice: list[float]) -> None:
+        super().__init__()
+        self.advice = torch.tensor(advice).unsqueeze(-1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set(base.ACTION, self.advice)
+
+
+def say(transform: ActionTransform, advice: list[float], band: float = 0.0, **seen: float) -> TensorDict:
+    """Let agents in one situation say something."""
+    learned = Said(advice)
+    learned.no_op_band = band
+    agents = {"observation": observe(**seen).expand(len(advice), -1), "mask": torch.ones(len(advice), dtype=torch.bool)}
+    return TransformedPolicy(learned, transform)(TensorDict({"agents": agents}))
+
+
+def test_whom_glide_leaves_alone_can_only_be_held_back() -> None:
+    acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5])
+    assert acted[DEFER].tolist() == [True, True, False]
+    assert float(acted[base.ACTION][2]) == pytest.approx(nominal() - 0.5, abs=1e-5)
+
+    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
+    acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5], **red)
+    assert not acted[DEFER].any() and acted[base.TWO_SIDED].all()
+    expected = torch.tensor([nominal(**red) + 0.5, nominal(**red), nominal(**red) - 0.5])
+    torch.testing.assert_close(acted[base.ACTION].squeeze(-1), expected)
+
+
+def test_advice_caps_the_speed_and_its_origin_is_doing_nothing() -> None:
+    """At 10 m/s under a limit of 15: a cap of 9 m/s is 2 m/s^2 away, one of 6 needs the hardest braking allowed."""
+    acted = say(SpeedCap(ENV, brake_mps2=2.5), [-0.3, 0.0, 0.4, 0.6, 0.2])
+    assert acted[DEFER].tolist() == [True, True, False, False, False]
+    torch.testing.assert_close(acted[base.ACTION].squeeze(-1)[2:], torch.tensor([-2.0, -2.5, 2.6]))
+
+
+def test_advice_is_not_heard_behind_the_stop_line() -> None:
+    for place in ("location_inside", "location_leaving"):
+        assert say(SpeedCap(ENV, brake_mps2=2.5), [0.4, 0.8], location_approaching=0.0, **{place: 1.0})[DEFER].all()
+
+
+def test_a_quiet_band_is_taken_off_and_what_was_said_is_kept() -> None:
+    acted = say(SpeedCap(ENV, brake_mps2=2.5), [0.1, 0.2, 0.6], band=0.2)
+    assert acted[DEFER].tolist() == [True, True, False]
+    assert float(acted[base.ACTION][2]) == pytest.approx((15 * 0.6 - 10) / 0.5)
+    torch.testing.assert_close(acted[RAW_ACTION].squeeze(-1), torch.tensor([0.1, 0.2, 0.6]))
+
+
+@pytest.mark.parametrize("algo", ONE_POLICY)
+@pytest.mark.parametrize("action", ["advise", "residual"])
+def test_training_starts_from_doing_nothing(algo: str, action: str) -> None:
+    """The untrained policy itself does nothing at all; exploring, it acts in the share of decisions that was asked."""
+    algorithm, batch = make(algo, action=action), make_batch(t=400)
+    acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
+    mask = batch[base.MASK]
+    nominal, idle = NominalDriver(ENV)(batch[base.OBSERVATION], mask)
+    if action == "advise":
+        assert acted[DEFER][mask].all()
+    else:
+        assert torch.equal(acted[DEFER][mask], idle[mask])
+        moved = mask & ~idle
+        torch.testing.assert_close(acted[base.ACTION][moved].squeeze(-1), nominal[moved])
+    explored = act(algorithm, batch)
+    free = mask if action == "advise" else mask & idle
+    if algo in ("ddpg", "td3"):  # each vehicle's noise must first have grown from 0, and one call is one step of it
+        for _ in range(30):
+            explored = act_on(algorithm, explored)
+    share = float((~explored[DEFER][free]).float().mean())
+    assert 0.04 < share < 0.11, "5 to 10 % of decisions act"
+
+
+def act_on(algorithm: base.Algorithm, batch: TensorDict) -> TensorDict:
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        return algorithm.policy(batch)
+
+
+@pytest.mark.parametrize("algo", ONE_POLICY)
+def test_corrections_stay_in_their_range_and_sums_in_the_environments(algo: str) -> None:
+    algorithm = make(algo, "action.half_width_mps2=0.5")
+    acted = act(algorithm, make_batch(t=400))
+    assert 0.05 < float(acted[RAW_ACTION].abs().max()) <= 0.5
+    assert float(acted[base.ACTION].min()) >= -4.5 and float(acted[base.ACTION].max()) <= 2.6
+    assert set(algorithm.policy.out_keys) <= set(acted.keys(True, True))
+
+
+@pytest.mark.parametrize("algo", ["ppo", "mappo", "gcrl"])
+@pytest.mark.parametrize("action", ["advise", "residual"])
+def test_log_probabilities_are_those_of_the_advice(algo: str, action: str) -> None:
+    """Before the first update the ratio of PPO is 1 for what was stored, so its objective is the mean advantage: 0."""
+    algorithm = make(algo, action=action)
+    acted = act(algorithm, make_batch(t=100))
+    own = acted.copy().set(base.ACTION, acted[RAW_ACTION])
+    mask = acted[base.MASK]
+    assert 0 < int((acted[RAW_ACTION][mask] != 0).sum()) < int((acted[RAW_ACTION][mask] == 0).sum())
+    rows = algorithm.learned.advantages(own)  # type: ignore[attr-defined]
+    losses = algorithm.learned.loss(rows)  # type: ignore[attr-defined]
+    assert float(losses["loss_objective"].detach()) == pytest.approx(0.0, abs=1e-5)
+    wrong = algorithm.learned.loss(algorithm.learned.advantages(acted))  # type: ignore[attr-defined]
+    assert abs(float(wrong["loss_objective"].detach())) > 1e-3, "the command in the place of the advice must show here"
+
+
+@pytest.mark.parametrize("algo", ONE_POLICY)
+def test_update_sees_the_advice_and_leaves_the_batch_alone(algo: str) -> None:
+    one, other = (make(algo, *_now(algo)) for _ in range(2))
+    acted = act(one, make_batch())
+    before = acted.clone()
+    torch.manual_seed(5)
+    stats = one.update(acted, 0.0)
+    assert (acted == before).all()
+    mask = acted[base.MASK]
+    assert stats.pop("raw_action_abs") == pytest.approx(float(acted[RAW_ACTION][mask].abs().mean()))
+    assert stats.pop("acting_share") == pytest.approx(float((~acted[DEFER][mask]).float().mean()))
+    torch.manual_seed(5)
+    assert other.learned.update(before.set(base.ACTION, before[RAW_ACTION]), 0.0) == pytest.approx(stats)
+
+
+def _now(algo: str) -> tuple[str, ...]:
+    return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo in ("ddpg", "td3") else ()
+
+
+def test_what_cannot_work_is_refused() -> None:
+    with pytest.raises(IzooError, match="half_width"):
+        ResidualAction(half_width_mps2=0.0)
+    with pytest.raises(IzooError, match="act_share"):
+        AdviseAction(act_share=0.9)
+    with pytest.raises(IzooError, match=r"action\.spread is 0\.01; it must lie in"):
+        AdviseAction(spread=0.01)
+    with pytest.raises(IzooError, match=r"add speed_limit_mps"):
+        make_algorithm(TrainConfig().algo, AdviseAction(), EnvConfig(observed=("green_s",)))
+    blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))
+    with pytest.raises(IzooError, match="glide needs leader_present"):
+        make_algorithm(blind.algo, blind.action, blind.env)
+
+
+def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:
+    import cloudpickle
+
+    policy = make("ddpg").policy
+    assert isinstance(policy, TransformedPolicy)
+    copied = cloudpickle.loads(cloudpickle.dumps(policy))
+    batch = make_batch()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        torch.testing.assert_close(copied(batch.clone())[base.ACTION], policy(batch.clone())[base.ACTION])
+
+
+def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    words = [
+        *("algo=ddpg", "action=residual", "action.half_width_mps2=0.8", "contexts=pcg_easy", "env.horizon_s=100"),
+        *(
+            "contexts.inflow_vph_per_lane=600",
+            "algo.hidden=[16]",
+            "algo.frames_per_batch=200",
+            "algo.minibatch_rows=64",
+        ),
+        *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
+    ]
+    assert train.main([*words, "collector=single"]) == 0
+    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]
+    assert all(float(row["loss_value"]) > 0 for row in rows)
+    assert 0 < float(rows[0]["raw_action_abs"]) < 0.8
+    assert run_folder.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)
+    policy = run_folder.load_policy(run_dir)
+    assert isinstance(policy, TransformedPolicy)
+    batch = make_batch()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        acted = policy(batch)
+    assert float(acted[RAW_ACTION].abs().max()) <= 0.8

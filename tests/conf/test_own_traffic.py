@@ -1,0 +1,210 @@
+"""``contexts.drivers`` and ``contexts.fleet``: in every source, part of a context's identity, and read with care."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from izoo import evaluate, train
+from izoo.cli import compose
+from izoo.cli.evaluate import resolve
+from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.own_traffic import driver_files
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts import catalogue
+from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
+from izoo.contexts.procedural import procedural_context
+from izoo.errors import IzooError
+from izoo.networks.net.build import build_net
+from izoo.networks.road import read_road
+from izoo.results.contexts_file import context_from_dict
+from izoo.traffic.drivers import built_in_population
+from izoo.traffic.sampling import sample_traffic
+from izoo.training import checkpoint
+from izoo.training.validation import validate
+
+
+def own_population(tau_s: float = 0.6) -> dict[str, Any]:
+    """The built-in population, but for the time headway of light drivers."""
+    built_in = dataclasses.asdict(built_in_population())
+    classes = {
+        name: {"log_mean": list(mean), "log_cov": [list(row) for row in covariance]}
+        for name, mean, covariance in zip(DRIVER_CLASSES, built_in["log_mean"], built_in["log_cov"], strict=True)
+    }
+    classes["light"]["log_mean"][2] = float(np.log(tau_s))
+    return {"source": "test", "classes": classes}
+
+
+@pytest.fixture
+def own_file(tmp_path: Path) -> Path:
+    path = tmp_path / "population.json"
+    path.write_text(json.dumps(own_population()))
+    return path
+
+
+FLEET = (0.5, 0.2, 0.1, 0.2)
+
+
+def chosen(*words: str) -> Any:
+    return compose.compose_config(TrainConfig, list(words)).contexts
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["contexts=pcg"],
+        ["contexts=pcg_easy"],
+        ["contexts=systematicity_test"],
+        ["contexts=city", "contexts.city=salt_lake_city"],
+        ["contexts=catalogue", "contexts.ids=[5,100..102]"],
+    ],
+)
+def test_every_source_takes_drivers_and_a_fleet(words: list[str], own_file: Path) -> None:
+    own_words = [f"contexts.drivers={own_file}", f"contexts.fleet={list(FLEET)}"]
+    own, plain = (chosen(*words, *more).build() for more in (own_words, []))
+    one, other = (source.sample(np.random.default_rng(4)) for source in (own, plain))
+    assert (one.drivers, one.fleet) == (read_population(own_file), FLEET)
+    assert (other.drivers, other.fleet) == (None, None)
+    assert one.replace(drivers=None, fleet=None) == other.replace(drivers=None)
+    assert len({one.content_hash, other.content_hash, one.replace(fleet=None).content_hash}) == 3
+    assert one.context_id is None
+    assert hasattr(own, "__len__") == hasattr(plain, "__len__")
+    if hasattr(own, "__len__"):
+        assert len(own) == len(plain)
+        assert [(context.drivers, context.fleet) for context in own[:2]] == [(one.drivers, FLEET)] * 2
+
+
+@pytest.mark.parametrize("source", ["pcg", "city", "catalogue", "osm"])
+def test_a_fleet_that_is_none_is_a_sentence(source: str) -> None:
+    with pytest.raises(
+        IzooError, match=r"contexts\.fleet: the fleet is \[0\.7, 0\.7\]; give the shares of passenger cars,"
+    ):
+        chosen(f"contexts={source}", "contexts.fleet=[0.7,0.7]")
+
+
+@pytest.mark.parametrize("approaches", ["one", "all"])
+def test_the_dataset_takes_drivers(dataset: Any, approaches: str, own_file: Path) -> None:
+    path = dataset[0].intersection.net_path.rsplit("/", 2)[0]
+    contexts = DatasetContexts(path=path, approaches=approaches, drivers=str(own_file)).build()
+    assert {context.drivers for context in contexts} == {read_population(own_file)}
+
+
+def test_built_in_drivers_leave_identities_as_they_were() -> None:
+    """Hashes as they were before contexts could have drivers of their own."""
+    assert catalogue.get(654321).content_hash[:16] == "62da2fbbd42a119d"
+    assert procedural_context().content_hash[:16] == "1f124128348fc43e"
+    assert catalogue.get(654321).context_id == 654321
+
+
+def test_drivers_are_drawn_from_the_file(own_file: Path) -> None:
+    context = procedural_context(adoption=0.0)
+    road = read_road(build_net(context.intersection))
+    built_in, own = (
+        sample_traffic(each, road, 3, 3000.0) for each in (context, context.replace(drivers=read_population(own_file)))
+    )
+    light = np.isin(built_in.source_type, (21, 31))
+    assert 0 < (~light).sum() < light.sum()
+    np.testing.assert_array_equal(own.tau_s[~light], built_in.tau_s[~light])
+    ratio = 0.6 / np.exp(built_in_population().log_mean[0][2])
+    np.testing.assert_allclose(own.tau_s[light], ratio * built_in.tau_s[light])
+    np.testing.assert_array_equal(own.min_gap_m, built_in.min_gap_m)
+
+
+def test_a_context_with_drivers_survives_being_saved(own_file: Path) -> None:
+    context = procedural_context().replace(drivers=read_population(own_file))
+    saved = context_from_dict(json.loads(json.dumps(dataclasses.asdict(context))))
+    assert saved == context
+    assert saved.content_hash == context.content_hash
+
+
+def test_the_path_is_saved_whole(own_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(own_file.parent)
+    config = TrainConfig(contexts=PcgContexts(drivers=own_file.name))
+    assert from_mapping(TrainConfig, to_mapping(config)).contexts.drivers == str(own_file)
+
+
+def broken(change: Any) -> str:
+    content = own_population()
+    change(content)
+    return json.dumps(content)
+
+
+def _set(name: str, key: str, value: Any) -> Any:
+    return lambda content: content["classes"][name].update({key: value})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no JSON", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+        ("[1, 2]", "holds no drivers"),
+        (broken(lambda c: c["classes"].pop("heavy")), "classes light and heavy"),
+        (broken(lambda c: c.update(converged=False)), "did not converge; calibrate again"),
+        (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3])), "light drivers need 5 numbers"),
+        (broken(_set("light", "log_mean", [2.9, "x", -1.2, -0.3, 0.5])), "where a list of numbers belongs"),
+        (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3, float("nan")])), "not finite"),
+        (broken(_set("light", "log_mean", [10**400, 0.8, -1.2, -0.3, 0.5])), "where a list of numbers belongs"),
+        (broken(_set("light", "log_cov", None)), "has None where a list belongs"),
+        (broken(_set("light", "log_cov", [1, 2, 3, 4, 5])), "where a list"),
+        (broken(_set("heavy", "log_mean", [15.0, 2.0, 1.5, 1.0, 1.5])), r"median v0_mps of heavy drivers is exp\(15\)"),
+        (broken(_set("heavy", "log_cov", np.tri(5).tolist())), "heavy drivers is not symmetric"),
+        (broken(_set("heavy", "log_cov", np.ones((5, 5)).tolist())), "not positive definite"),
+        (broken(_set("light", "log_cov", (9.0 * np.eye(5)).tolist())), "standard deviation above 2"),
+    ],
+)
+def test_a_file_that_cannot_be_used_says_why(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "population.json"
+    path.write_text(text)
+    with pytest.raises(IzooError, match=message) as caught:
+        chosen("contexts=pcg", f"contexts.drivers={path}").build()
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named() -> None:
+    with pytest.raises(IzooError, match="cannot read the drivers /nowhere: No such file"):
+        chosen("contexts=city", "contexts.drivers=/nowhere").build()
+    with pytest.raises(IzooError, match="1 classes; give light and heavy"):
+        DriverPopulation(((0.0,) * 5,), ())
+
+
+TOY = [
+    *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=100", "simulator=twin", "num_envs=2", "algo=ppo"),
+    *("twin.threads=1", "twin.compare_every=0", "algo.hidden=[8]", "algo.frames_per_batch=100", "total_frames=100"),
+    *("algo.minibatch_rows=64", "evaluation.contexts=0", "validation.every_batches=0"),
+]
+
+
+def test_a_run_keeps_its_drivers_and_refuses_others(
+    own_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_dir, before = tmp_path / "run", own_file.read_text()
+    assert train.main([*TOY, f"contexts.drivers={own_file}", f"run_dir={run_dir}"]) == 0
+    kept = run_dir / "drivers-1.json"
+    assert kept.read_text() == before
+    play = evaluate.COMMAND.compose([f"run={run_dir}"])
+    assert resolve(play).contexts.drivers == str(own_file)
+    for changed in (json.dumps(own_population(0.9)), None):
+        own_file.unlink() if changed is None else own_file.write_text(changed)
+        with pytest.raises(IzooError, match=f"does not hold the drivers any more .* put their copy back there: {kept}"):
+            resolve(play)
+        with pytest.raises(IzooError, match="put their copy back"):
+            validate(checkpoint.find(run_dir))
+        capsys.readouterr()
+        assert train.main([f"resume={run_dir}", "total_frames=200"]) == 2
+        assert "put their copy back" in capsys.readouterr().err
+    assert resolve(evaluate.COMMAND.compose([f"run={run_dir}", "contexts=pcg_easy"])).contexts.drivers is None
+    own_file.write_text(before)
+    assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0
+
+
+def test_a_mixture_names_each_file_once(own_file: Path, tmp_path: Path) -> None:
+    easy = PcgContexts(preset="easy", drivers=str(own_file))
+    mixed = MixedContexts(sources=[easy, PcgContexts(drivers=str(tmp_path / "b.json")), PcgContexts(), easy])
+    assert driver_files(mixed) == [own_file, tmp_path / "b.json"] and driver_files(PcgContexts()) == []

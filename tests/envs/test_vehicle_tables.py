@@ -1,0 +1,112 @@
+"""The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from izoo.envs.mdp.columns import (
+    ACCEL,
+    FRESH,
+    GAP,
+    GRADE,
+    HAS_LEADER,
+    LANE,
+    LANE_POSITION,
+    LEADER_SPEED,
+    LOCATION,
+    MOVEMENT,
+    PREV_ACCEL,
+    STOP_LINE,
+    TTC,
+    WRONG_LANE,
+)
+from izoo.networks.road import APPROACHING
+from izoo.networks.turning import LEFT
+from tests.envs.placed import STEP_S, Scene
+
+
+def test_speed_and_acceleration(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 50.0, speed=10.0)
+    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a new vehicle
+    scene.flags[me, FRESH] = 1
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (1.5, 1.5)
+    scene.move(me, "A2TL_0", 55.0, 9.0)
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == ((9.0 - 10.0) / STEP_S, 1.5)
+    scene.move(me, "A2TL_0", 60.0, 9.0)
+    scene.read()
+    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (0.0, -2.0)
+
+
+def test_lane_columns(scene: Scene) -> None:
+    me = scene.put("A2TL_intern_2", 30.0, way="AB")
+    scene.read()
+    assert scene.ints[me, LANE] == 2 and scene.ints[me, MOVEMENT] == LEFT and scene.ints[me, LOCATION] == APPROACHING
+    assert scene.floats[me, LANE_POSITION] == 30.0 and scene.floats[me, STOP_LINE] == -70.0
+
+
+@pytest.mark.parametrize(
+    ("lane", "way", "wrong"),
+    [
+        ("A2TL_0", "AC", 0),
+        ("A2TL_0", "AB", 1),
+        ("A2TL_1", "AB", 0),
+        ("A2TL_intern_1", "AB", 1),
+        ("A2TL_intern_2", "AB", 0),
+        ("A2TL_intern_2", "AC", 1),
+        (":TL_2_0", "AB", 0),
+        ("TL2B_0", "AB", 0),
+    ],
+)
+def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, way: str, wrong: int) -> None:
+    me = scene.put(lane, 1.0, way=way)
+    scene.read()
+    assert scene.flags[me, WRONG_LANE] == wrong
+
+
+@pytest.mark.parametrize(
+    ("lane", "position", "way", "grade"),
+    [
+        ("A2TL_0", 5.0, "AC", 1.0),
+        ("A2TL_0", 200.0, "AC", 1.0),
+        ("A2TL_0", 2.0, "AC", 0.5),  # half of it still on the level junction before the region
+        (":S_0_0", 0.5, "AC", 3.5 / 4.0),
+        ("A2TL_intern_0", 1.0, "AC", 0.5),  # two metres on the ramp, one on the split, one on the level
+        ("A2TL_intern_0", 49.9, "AC", 0.0),
+        ("A2TL_intern_0", 51.98, "AC", -2.0),
+        ("A2TL_intern_0", 100.0, "AC", -4.0),
+        (":TL_0_0", 1.0, "AC", -3.0),
+        (":TL_0_0", 10.0, "AC", 0.0),
+        ("TL2C_0", 1.0, "AC", 0.0),
+        ("TL2C_0", 1.0, "BC", 0.0),
+    ],
+)
+def test_grade_is_the_mean_under_the_vehicle(scene: Scene, lane: str, position: float, way: str, grade: float) -> None:
+    """From back to front along its way, as SUMO takes it; the vehicle is 4 m long."""
+    me = scene.put(lane, position, way=way, length=4.0)
+    scene.read()
+    assert scene.floats[me, GRADE] == pytest.approx(grade, abs=5e-3)
+
+
+def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
+    fast = scene.put("A2TL_0", 100.0, speed=14.0)
+    slow = scene.put("A2TL_0", 135.0, speed=4.0)
+    scene.put("A2TL_1", 101.0, speed=0.0)
+    scene.read()
+    assert scene.flags[fast, HAS_LEADER] == 1
+    assert (scene.floats[fast, GAP], scene.floats[fast, LEADER_SPEED]) == (30.0, 4.0)
+    assert scene.floats[fast, TTC] == pytest.approx(30.0 / 10.0)
+    assert scene.flags[slow, HAS_LEADER] == 0 and scene.floats[slow, GAP] == scene.floats[slow, LEADER_SPEED] == 0.0
+    assert scene.floats[slow, TTC] == np.inf
+
+
+def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Scene) -> None:
+    me = scene.put("A2TL_0", 100.0, speed=4.0)
+    other = scene.put("A2TL_0", 135.0, speed=4.0)
+    scene.read()
+    assert scene.floats[me, TTC] == np.inf
+    scene.move(other, "A2TL_0", 103.0, 0.0)
+    scene.read()
+    assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0

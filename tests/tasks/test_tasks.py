@@ -1,0 +1,71 @@
+"""Tasks: names, roles and other conditions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from izoo import tasks
+from izoo.contexts.cities.rebuilt import CITIES
+from izoo.contexts.procedural import SYSTEMATICITY_TEST
+from izoo.envs import EnvConfig, RewardConfig
+from izoo.errors import IzooError
+
+IN_TOWN = [name for name in tasks.names() if "measured" not in name]
+MINE = dataclasses.replace(tasks.make("busy_lane"), name="mine")
+NO_TASK = 3
+
+
+def test_the_named_tasks_are_these() -> None:
+    single = {"busy_lane", "systematicity", "measured", "salt_lake_city_to_atlanta", "measured_to_atlanta", *CITIES}
+    assert set(tasks.names()) == single | {f"{name}_paper" for name in single}
+    for name, task in tasks.tasks().items():
+        assert task.name == name and task.about and task.learns
+
+
+@pytest.mark.parametrize("name", IN_TOWN)
+def test_test_sets_are_the_same_whenever_they_are_drawn(name: str) -> None:
+    task = tasks.make(name)
+    drawn = task.test_set(3)
+    assert [context.content_hash for context in drawn] == [context.content_hash for context in task.test_set(3)]
+    assert {context.content_hash for context in drawn} <= {context.content_hash for context in task.test_set()}
+
+
+@pytest.mark.parametrize("city", CITIES)
+def test_a_city_is_trained_on_and_tested_on_other_intersections(city: str) -> None:
+    task = tasks.make(city)
+    roles = [task.train.build(), task.validation.build(), task.test.build()]
+    towns = [{source.locate(index)[0].intersection for index in range(len(source))} for source in roles]
+    assert not (towns[0] & towns[1] or towns[0] & towns[2] or towns[1] & towns[2])
+
+
+def test_systematicity_is_tested_inside_a_box_that_training_excludes() -> None:
+    hashes = {context.content_hash for context in SYSTEMATICITY_TEST}
+    assert {context.content_hash for context in tasks.make("systematicity").test_set()} <= hashes
+
+
+def test_the_paper_form_has_the_papers_decisions_and_reward_and_every_intersection() -> None:
+    task = tasks.make("salt_lake_city_to_atlanta_paper")
+    assert (task.env.decide, task.env.action, task.action.name) == ("step", "acceleration", "direct")
+    assert task.env.reward == RewardConfig.paper() and task.env.horizon_s == EnvConfig().horizon_s
+    assert task.train.split == task.test.split == "all"  # type: ignore[union-attr]
+    assert (task.train.city, task.test.city) == ("salt_lake_city", "atlanta")  # type: ignore[union-attr]
+
+
+def test_other_conditions_hold_in_every_role_and_stand_in_the_name(tmp_path) -> None:
+    task = tasks.make("measured_to_atlanta", adoption=0.1, cv_vehicle="human", path=str(tmp_path))
+    assert task.name == "measured_to_atlanta, adoption=0.1, cv_vehicle=human"
+    assert {(role.adoption, role.cv_vehicle) for role in (task.train, task.validation, task.test)} == {(0.1, "human")}
+    assert task.train.path == task.validation.path == str(tmp_path)
+    stepwise = tasks.make("busy_lane", decide="step")
+    assert (stepwise.name, stepwise.env.action, stepwise.action.name) == ("busy_lane", "acceleration", "direct")
+    with pytest.raises(IzooError, match="reads no folder"):
+        tasks.make("atlanta", path=str(tmp_path))
+
+
+def test_tasks_of_ones_own_need_no_registry() -> None:
+    assert tasks.make(f"{__name__}:MINE", adoption=1.0).name == "mine, adoption=1"
+    for name, reason in ((f"{__name__}:NO_TASK", "is a int"), ("no_such:X", "No module"), ("busy", "Did you mean")):
+        with pytest.raises(IzooError, match=reason):
+            tasks.make(name)
