@@ -8,8 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.networks.gaussian import SamplingPolicy
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 
