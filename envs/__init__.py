@@ -39,6 +39,7 @@ _HOME = {
 }
 __all__ = [
     "MODEL_VERSION",
+    "REFERENCE",
     "SIMULATORS",
     "EcoDrivingEnv",
     "EnvConfig",
@@ -92,6 +93,8 @@ SIMULATORS = {
     ),
 }
 """Every simulator by its name; a further one is a line here, and a folder beside ``envs/sumo``."""
+REFERENCE = "sumo"
+"""The one whose results count."""
 
 
 def simulator_of(name: str, option: str = "simulator") -> Simulator:
@@ -101,7 +104,7 @@ def simulator_of(name: str, option: str = "simulator") -> Simulator:
 
 
 def make(
-    simulator: str = "sumo",
+    simulator: str = REFERENCE,
     n: int | None = None,
     contexts: Contexts | None = None,
     config: EnvConfig | None = None,

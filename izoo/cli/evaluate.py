@@ -16,7 +16,7 @@ from izoo.conf.mapping import to_mapping
 from izoo.conf.quoting import written
 from izoo.console import counted
 from izoo.contexts.context import Context
-from izoo.envs import simulator_of
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
@@ -152,4 +152,4 @@ def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]
     played = [context.content_hash for context in contexts]  # what lies in a folder of contexts may change
     parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed, played]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
-    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == "sumo" else f"-{config.simulator}")
+    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == REFERENCE else f"-{config.simulator}")

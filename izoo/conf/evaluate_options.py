@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from izoo.algos.learners.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
-from izoo.envs import simulator_of
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.files import expanded
@@ -61,7 +61,7 @@ class EvaluateConfig:
     seeds: int = 3
     seed: int = 0
     out: str | None = None
-    simulator: str = "sumo"
+    simulator: str = REFERENCE
     num_workers: int = 2
     executor: Literal["processes", "batch", "ray"] | None = None
     cache: str | None = None

@@ -11,7 +11,7 @@ from izoo.algos.actions.action_modes import ActionConfig, DirectAction
 from izoo.algos.learners.registry import AlgoConfig, preset
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
-from izoo.envs import simulator_of
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
 from izoo.errors import IzooError, check_range, check_types
 from izoo.files import expanded
@@ -164,7 +164,7 @@ class ValidationConfig:
     every_batches: int = 10
     contexts: int = 8
     seeds: int = 3
-    simulator: str = "sumo"
+    simulator: str = REFERENCE
 
     def __post_init__(self) -> None:
         check_types("validation", self)
@@ -245,7 +245,7 @@ class TrainConfig:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
-    simulator: str = "sumo"
+    simulator: str = REFERENCE
     twin: TrainingTwinConfig = field(default_factory=TrainingTwinConfig)
     seed: int = 0
     num_workers: int = 2
@@ -336,7 +336,7 @@ class CollectConfig:
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
     shard_frames: int = 100_000
-    simulator: str = "sumo"
+    simulator: str = REFERENCE
     twin: TwinConfig = field(default_factory=TwinConfig)
     seed: int = 0
     num_workers: int = 2

@@ -24,7 +24,7 @@ import pandas as pd
 from jsonschema import Draft202012Validator
 
 from izoo.console import counted
-from izoo.envs import MODEL_VERSION
+from izoo.envs import MODEL_VERSION, REFERENCE, SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
@@ -252,8 +252,8 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
         faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
-    if set(table["simulator"]) == {"twin"}:
-        notes.append("played on the twin")
+    if REFERENCE not in (played := set(table["simulator"])):
+        notes.append(f"played on {' and '.join(SIMULATORS[name].label for name in sorted(played))}")
     return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
 
 

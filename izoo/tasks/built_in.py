@@ -7,6 +7,7 @@ import functools
 from collections.abc import Sequence
 
 from izoo.algos.actions.action_modes import DirectAction, SpeedAction
+from izoo.algos.learners import registry
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
@@ -22,8 +23,7 @@ SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 PAPER = "_paper"
 """Ends the names of tasks in the paper's form."""
 ON_TWIN = {
-    "simulator": "twin",
-    "twin": {"surrogate": "compiled"},
+    **registry.ON_TWIN,
     "validation": {"contexts": 32, "seeds": 1, "simulator": "twin"},
     "evaluation": {"contexts": 16, "seeds": 1},
 }

@@ -20,11 +20,12 @@ from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
+from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loop, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, training_class
 from tests.training import toy
 
 TOY = [
@@ -165,7 +166,7 @@ SLOTS = 16
 
 
 def play(
-    env: TrainingParallelEnv, root: TensorDictBase, steps: int, generator: torch.Generator
+    env: EcoDrivingBase, root: TensorDictBase, steps: int, generator: torch.Generator
 ) -> tuple[TensorDictBase, TensorDictBase]:
     """Step with random commands; return the steps ``[2, T]`` and the state to act on next."""
     frames = []
@@ -181,12 +182,12 @@ def play(
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     histories = EpisodeHistories.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), steps, torch.Generator().manual_seed(3))
     histories.add(batch)
     again = EpisodeHistories.from_state(histories.state_dict())
     assert [past.episode for past in again.histories] == ([0, 1] if steps < 150 else [2, 3])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=again.histories)
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=again.histories)
     other = second.reset()
     for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
         assert torch.equal(root.get(key), other.get(key)), key
@@ -207,16 +208,16 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
 @pytest.mark.slow
 def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
     histories = EpisodeHistories.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
     histories.add(batch)
     first.close()
     young = EpisodeHistories([histories.histories[0], EpisodeHistory(7)])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=young.histories)
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=young.histories)
     other = second.reset()
     assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
     assert second._next_episode.tolist() == [2, 9]
-    alone = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
+    alone = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
     assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
     second.close()
     alone.close()

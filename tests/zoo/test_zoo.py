@@ -21,7 +21,6 @@ from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import Machine, PartRun
 from izoo.benchmarks.twin import FidelityConfig, env_of
 from izoo.cli.compose import compose_config
-from izoo.cli.entries import TRAIN
 from izoo.cli.zoo import ZOO, _changed
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
@@ -154,7 +153,7 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     assert ZOO.main(["export", str(run), "--out", str(out)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"Play it: python -m izoo.evaluate policy={out}"
     card = (tmp_path / "mine.md").read_text()
-    assert "python -m izoo.train action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
+    assert "python -m izoo.train algo=ppo action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
     assert str(run.parent) not in card, "a card names no folder of a machine"
     from izoo.training import run_folder
 
@@ -183,11 +182,11 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
         ("contexts=pcg", "contexts.lane_count={1:0.25,2:0.75}", "contexts.exclude=[{lane_count:[2,3],green_s:26..29}]"),
         ("contexts=mixed", "contexts.sources=[{name:city,city:atlanta},{name:dataset,path:/home/me/secret}]"),
         ("contexts=city", "contexts.city=atlanta", "contexts.split=all", "start=/home/me/secret"),
-        ("recipe=busy_lane", "env.lane_change=false", "algo.hidden=[16,16]"),
+        ("task=busy_lane", "algo=ppo_vehicle", "env.lane_change=false", "algo.hidden=[16,16]"),
     ],
 )
 def test_the_command_on_a_card_can_be_run(words: tuple[str, ...]) -> None:
-    config = compose_config(TrainConfig, TRAIN.options(words))
+    config = compose_config(TrainConfig, words)
     command = " ".join(_changed(config))
     assert "secret" not in command
     again = compose_config(TrainConfig, shlex.split(command))
