@@ -17,16 +17,15 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
+from tensordict import MemoryMappedTensor, NonTensorData
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
-from izoo.training import dataset
-from izoo.training.shard_writer import MANIFEST, ShardWriter, reserve
-from izoo.training.shards import ShardStorage
+from izoo.training import offline
+from izoo.training.shards import ShardStorage, reserve
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -48,10 +47,10 @@ def test_the_data_load_back_memory_mapped(data: Path) -> None:
     assert float(action.min()) < -3.0 and float(action.max()) > 1.5, "the random driver uses the whole range"
     assert float(steps["next", "agents", "reward"][mask].abs().sum()) > 0
     assert bool(steps["next", "done"].any())
-    manifest = json.loads((data / MANIFEST).read_text())
+    manifest = json.loads((data / offline.MANIFEST).read_text())
     assert manifest["frames"] == 300
     assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
-    assert sorted(path.name for path in data.iterdir()) == [MANIFEST, "shard-00000"]
+    assert sorted(path.name for path in data.iterdir()) == [offline.MANIFEST, "shard-00000"]
 
 
 def test_a_replay_buffer_takes_the_data_as_they_are(data: Path) -> None:
@@ -71,7 +70,7 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pyt
     words = [*TOY, "policy=random", "shard_frames=500", f"out={out}"]
     command = [sys.executable, "-m", "izoo.collect", *words, "seed=1", "frames=1000000"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as first:
-        while not (out / MANIFEST).exists():
+        while not (out / offline.MANIFEST).exists():
             assert first.poll() is None
             time.sleep(0.05)
         assert collect.main([*words, "seed=2", "frames=500"]) == 2
@@ -81,20 +80,20 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pyt
     alone = tmp_path / "alone"
     assert collect.main([*words, "seed=1", "frames=500", f"out={alone}"]) == 0
     for key in (("agents", "observation"), ("context", "seed")):
-        assert torch.equal(dataset.load_shards(out)[0][key], collect.load(alone)[key])
+        assert torch.equal(offline.load_shards(out)[0][key], collect.load(alone)[key])
 
 
 def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert collect.main([*TOY, "frames=300", "shard_frames=128", f"out={out}"]) == 0
-    assert [len(shard) for shard in dataset.load_shards(out)] == [128, 128, 44]
+    assert [len(shard) for shard in offline.load_shards(out)] == [128, 128, 44]
     whole, parts = collect.load(data), collect.load(out)
     for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
         assert torch.equal(whole[key], parts[key])
 
 
 def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path, 1)
+    writer = offline.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
@@ -183,25 +182,6 @@ def test_bad_input_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_that_are_no_data_sets_are_refused(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(IzooError, match=MANIFEST):
-        collect.load(tmp_path)
-    path = tmp_path / MANIFEST
-    path.write_text("{")
-    with pytest.raises(IzooError, match="cannot read"):
-        collect.load(tmp_path)
-    manifest = json.loads((data / MANIFEST).read_text())
-    path.write_text(json.dumps(manifest))
-    with pytest.raises(IzooError, match="shard-00000"):
-        collect.load(tmp_path)
-    path.write_text(json.dumps({**manifest, "environments": 0}))
-    with pytest.raises(IzooError, match="environments is 0"):
-        collect.replay_buffer(tmp_path)
-    path.write_text(json.dumps({**manifest, "format": "other"}))
-    with pytest.raises(IzooError, match="other"):
-        collect.load(tmp_path)
-
-
 def _shorten(path: Path) -> None:
     os.truncate(path, path.stat().st_size // 2)
 
@@ -215,34 +195,9 @@ def test_a_data_set_with_a_file_cut_short_is_refused_and_left_alone(
     path = next((tmp_path / "data").glob("shard-*/agents/observation.memmap"))
     break_it(path)
     before = path.stat().st_size if path.exists() else None
-    with pytest.raises(IzooError, match=r"cannot read .*observation\.memmap has [\d,]+ bytes, and should have"):
+    with pytest.raises(IzooError, match=r"cannot be read: .*observation\.memmap has [\d,]+ bytes, and should have"):
         collect.load(tmp_path / "data")
     assert (path.stat().st_size if path.exists() else None) == before
-
-
-@pytest.mark.parametrize("frames", [0, -5, 10**6])
-def test_a_manifest_that_names_other_frames_than_there_are_is_refused(data: Path, tmp_path: Path, frames: int) -> None:
-    shutil.copytree(data, tmp_path / "data")
-    path = tmp_path / "data" / MANIFEST
-    content = json.loads(path.read_text())
-    content["shards"][0]["frames"] = frames
-    path.write_text(json.dumps(content))
-    with pytest.raises(IzooError, match=r"not as manifest\.json says"):
-        collect.load(tmp_path / "data")
-    for text in (100_000 * "[", json.dumps(content).replace(f'"frames": {frames}', '"frames": 1e999')):
-        path.write_text(text)
-        with pytest.raises(IzooError, match="cannot read"):
-            collect.load(tmp_path / "data")
-
-
-def test_shards_of_other_shapes_are_refused(data: Path, tmp_path: Path) -> None:
-    shutil.copytree(data, tmp_path / "data")
-    TensorDict({"done": torch.zeros(300, 1)}, [300]).memmap(str(tmp_path / "data" / "shard-00001"))
-    path = tmp_path / "data" / MANIFEST
-    content = json.loads(path.read_text())
-    path.write_text(json.dumps({**content, "shards": [*content["shards"], {"name": "shard-00001", "frames": 300}]}))
-    with pytest.raises(IzooError, match="its shards hold different things"):
-        collect.load(tmp_path / "data")
 
 
 def test_a_file_system_that_cannot_reserve_room_does_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,7 +216,7 @@ def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Pa
     path = next((tmp_path / "data").glob("shard-*")) / "meta.json"
     entry = {"device": "cpu", "shape": [1], "dtype": "torch.float32", "is_nested": False}
     path.write_text(json.dumps({**json.loads(path.read_text()), "../../secret": entry}))
-    with pytest.raises(IzooError, match="is not a file name"):
+    with pytest.raises(IzooError, match="is no name of a file"):
         collect.load(tmp_path / "data")
 
 
@@ -293,14 +248,14 @@ def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -
     (shard / "x" / "other.pickle").write_bytes(pickle.dumps({"data": Evil()}))
     content = json.loads((shard / "meta.json").read_text())
     (shard / "meta.json").write_text(json.dumps({**content, "x": {"type": "NonTensorData"}}))
-    with pytest.raises(IzooError, match="cannot read"):
+    with pytest.raises(IzooError, match="cannot be read"):
         collect.load(tmp_path / "data")
     assert not (tmp_path / "ran").exists()
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path, 1)
+    writer = offline.ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
     writer.write(collect.load(data)[:50])
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
+    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40]
     writer.finish_shard()
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]
+    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40, 10]
