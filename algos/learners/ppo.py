@@ -33,7 +33,7 @@ def make_actor(
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
-    network = base.mlp(features, config.hidden, 2 * size, config.activation, last_gain=0.01)
+    network = base.mlp(features, config.hidden, 2 * size, config.activation, 0.01, config.standardise)
     extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, point_mass)  # type: ignore[arg-type]
     return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, point_mass)
 
@@ -47,7 +47,7 @@ def make_value_norm(name: str) -> ValueNorm | None:
 
 def make_critic(features: int, config: PPOConfig) -> ValueOperator:
     """Return the value function of one agent's own observation."""
-    network = base.mlp(features, config.hidden, 1, config.activation, last_gain=1.0)
+    network = base.mlp(features, config.hidden, 1, config.activation, 1.0, config.standardise)
     return ValueOperator(network, in_keys=[base.OBSERVATION], out_keys=[base.VALUE])
 
 
@@ -93,7 +93,8 @@ class PPO:
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return CompiledPolicy(self.actor, low, high, self.point_mass, self.size)
+        policy = SamplingPolicy if self.config.standardise else CompiledPolicy
+        return policy(self.actor, low, high, self.point_mass, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""
@@ -123,6 +124,9 @@ class PPO:
         rows = self.advantages(batch)
         if len(rows) == 0:
             return {}
+        for module in (*self.actor.modules(), *self.critic.modules()):
+            if isinstance(module, base.Standardise):
+                module.measure(rows.get(base.OBSERVATION))
         start, actor = self.warm_start, self.loss.actor_network
         imitates = start.imitating
         if imitates:

@@ -81,6 +81,8 @@ class PPOConfig(AlgoConfig):
         warm_start_lr: learning rate of the imitation; ``null``: ``lr``.
         kl_to_start: weight of a penalty on the divergence from the imitation as it was at its end; it falls linearly to
             0 at the end of the run (ours 1; 0: none).
+        standardise: subtract the mean from each feature of an observation and divide it by its spread, as they are in
+            the first batch (Andrychowicz: of all observations so far; RLlib and ours: not).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
         initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
@@ -116,6 +118,7 @@ class PPOConfig(AlgoConfig):
     warm_start_frames: int = 100_000
     warm_start_lr: float | None = None
     kl_to_start: float = 1.0
+    standardise: bool = False
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
     initial_accel_mps2: float = 0.5
