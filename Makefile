@@ -35,7 +35,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 # A run that is resumed has its own options.
 train: $(STAMP)
-	$(BIN)/python -m izoo.train $(if $(findstring resume=,$(ARGS)),,recipe=busy_lane) $(ARGS)
+	$(BIN)/python -m izoo.train $(if $(findstring resume=,$(ARGS)),,task=busy_lane algo=ppo_vehicle) $(ARGS)
 
 test: $(STAMP)
 	$(PYTEST) -m 'not slow' $(ARGS)

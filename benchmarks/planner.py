@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
-from izoo.conf.mapping import to_mapping
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.errors import IzooError, check_range
 from izoo.files import expanded
@@ -28,9 +27,9 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from izoo.envs import TwinEnv
+    from izoo.metrics.summary import Summary
 
 PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
-MAY_DIFFER, MAY_GROW = ("out", "threads", "verbose"), ("adoptions", "seeds")
 AT_ONCE = 16
 """Intersections that are played side by side."""
 SAY_EVERY = 50
@@ -96,16 +95,24 @@ class PlannerConfig:
         if self.out is not None:
             object.__setattr__(self, "out", str(expanded(self.out).absolute()))
 
+    @property
+    def source(self) -> str:
+        """What makes it the planner that it is; rows of another one are not kept beside its own."""
+        own = {name: getattr(self, name) for name in ("caps", "look_ahead_s", "every_s", "brake_mps2")}
+        return f"planner {own}"
+
 
 def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
     """Play what the folder ``out`` does not hold yet, print what was found, and return all rows.
 
     Raises:
-        IzooError: ``out`` is no folder of this command, or was made with other options.
+        IzooError: ``out`` holds other results.
     """
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.benchmarks.campaign.comparing import check_settings, show, summaries
     from izoo.cores import usable_cores
+    from izoo.files import write_json
+    from izoo.metrics.summary import summarise
+    from izoo.report.tables import headline
     from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.results.store import Store
@@ -114,8 +121,6 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
     seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     env, folder = settings(config), None if config.out is None else Path(config.out)
     tasks = {adoption: f"{100 * adoption:.0f} % CVs" for adoption in config.adoptions}
-    if folder is not None:
-        check_settings(folder, to_mapping(config), MAY_DIFFER, MAY_GROW)
     store = Store(folder, task=next(iter(tasks.values())), config=env)
     with store.open():
         for adoption, task in tasks.items():
@@ -126,11 +131,14 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
             for name in BESIDE:
                 play_policy(store, name, episodes, env, "twin", **options)
             options |= {"name": PLANNER, "record": ("team_reward",), "side_by_side": AT_ONCE}
-            play_policy(store, Planning(config), episodes, env, "twin", **options)
-    table, found = store.table, summaries(folder, store.table, tasks.values())
-    if config.verbose:
-        show(found, verbose=True)
-    print_gains(table, list(tasks.values()))
+            play_policy(store, Planning(config), episodes, env, "twin", known={"source": config.source}, **options)
+    table = store.table
+    found = {task: summarise(table[table["task"] == task]) for task in tasks.values()}
+    if folder is not None:
+        write_json(folder / "summary.json", list(found.values()))
+    for summary in found.values() if config.verbose else ():
+        headline(summary).show()
+    print_gains(table, found)
     return table
 
 
@@ -158,7 +166,7 @@ class Planning:
 
 
 class Planner:
-    """Advises CVs by trial: one CV per intersection at a time, whoever has waited longest for it.
+    """Advises CVs by trial: one CV per intersection at a time, the one that has waited longest for it.
 
     Advice holds until the next trial about the same CV, or until it has crossed the stop line. Branches are made of the
     ``world``, which is at the beginning of its episodes.
@@ -180,7 +188,7 @@ class Planner:
         self.decisions = 0
 
     def act(self, state: TensorDictBase) -> TensorDictBase:
-        """Look for better advice for one CV of each environment, and write everyone's commands."""
+        """Look for better advice for one CV of each environment, and write all commands."""
         import torch
 
         self._forget(self.advice, state)
@@ -222,7 +230,7 @@ class Planner:
         return worth.view(-1, count)
 
     def _forget(self, advice: Any, state: TensorDictBase) -> None:
-        """Advise nobody who has crossed the stop line, and no empty slot."""
+        """Forget the advice of vehicles that have crossed the stop line, and of empty slots."""
         here = state.get(("agents", "mask")) & (state.get(("agents", "observation"))[..., self.approaching] > 0.5)
         advice[~here] = 0.0
 
@@ -233,11 +241,10 @@ class Planner:
         return state.set(("agents", "defer"), defer)
 
 
-def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
+def print_gains(table: pd.DataFrame, found: Mapping[str, Summary]) -> None:
     """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
-
     from izoo.metrics.pairing import UNCOMMANDED
-    from izoo.metrics.summary import Summary, summarise
+    from izoo.metrics.summary import summarise
     from izoo.report.tables import Cell, Table, figure_cell
 
     def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
@@ -245,9 +252,9 @@ def print_gains(table: pd.DataFrame, tasks: Sequence[str]) -> None:
 
     figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
     rows, said = [], []
-    for task in tasks:
+    for task, whole in found.items():
         part = table[table["task"] == task]
-        said.append(f"{gained(summarise(part), PLANNER)} with {task}")
+        said.append(f"{gained(whole, PLANNER)} with {task}")
         for kind, lanes in (("one lane", part["lane_count"] <= 1), ("several lanes", part["lane_count"] > 1)):
             if lanes.any():
                 summary = summarise(part[lanes])

@@ -13,12 +13,13 @@ on. The same command goes on where it was stopped.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
@@ -170,22 +171,22 @@ def play_all(
     """
     import pandas as pd
 
-    from izoo.results.rollout import Play, play_missing
+    from izoo.results.rollout import play_policy
     from izoo.results.schema import EPISODE
     from izoo.results.store import Store
 
     env = dataclasses.replace(config.env, late_vehicle=late or config.env.late_vehicle)
     store = Store(Path(config.out, f"late-{late}" if late else ""), task="twin and SUMO", config=env)
-    simulators, wanted = ("sumo",) if late else ("sumo", "twin"), []
-    with store.open({policy.name: policy.record for policy in policies}):
+    episodes = [(context, seed) for context in contexts for seed in seeds.of(context)]
+    options: dict[str, Any] = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
+    wanted = []
+    with store.open():
         store.keep_contexts(contexts)
-        for simulator in simulators:
-            for policy in policies:
-                print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
-                plays = [Play(policy.name, 0, context, seed) for context in contexts for seed in seeds.of(context)]
-                options = {"task": "twin and SUMO", "workers": config.num_workers, "cache": config.cache}
-                play_missing(store, plays, {policy.name: policy.policy}, env, simulator, **options)
-                wanted += [(p.policy, 0, simulator, p.context.content_hash, p.seed) for p in plays]
+        for simulator, policy in itertools.product(("sumo",) if late else ("sumo", "twin"), policies):
+            print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
+            known = dataclasses.asdict(policy.record)
+            play_policy(store, policy.policy, episodes, env, simulator, name=policy.name, known=known, **options)
+            wanted += [(policy.name, 0, simulator, context.content_hash, seed) for context, seed in episodes]
     table = store.table
     return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
@@ -17,14 +18,14 @@ MIN_SHARE = 0.1
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 MAX_WORKERS = 1024
-SIMULATOR_NAMES = {"sumo": "SUMO", "twin": "the twin"}
-SIMULATORS = tuple(SIMULATOR_NAMES)
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward", "number")
 STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
 SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
+BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})
+"""Settings with which accelerations are decided in every step."""
 
 
 @dataclass(frozen=True)
@@ -177,9 +178,8 @@ class EnvConfig:
             )
 
     def with_accelerations(self, hold_s: float | None = None) -> EnvConfig:
-        """Return these settings with accelerations as decisions in every step, or every ``hold_s``."""
-        changes = {"decide": STEP, "hold_s": hold_s, "action": ACCELERATION, "action_parts": WHOLE_WAY}
-        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+        """Return the same environment, in which accelerations are commanded in every step, or every ``hold_s``."""
+        return dataclasses.replace(self, **BY_STEP, hold_s=hold_s)  # type: ignore[arg-type]
 
     @property
     def action_size(self) -> int:

@@ -17,17 +17,16 @@ from torchrl.envs import EnvBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
-from izoo.emissions.weights import load_weights
-from izoo.envs import specs
+from izoo.envs import simulator_of, specs
 from izoo.envs.backend import CLOSED, Backend, Play
-from izoo.envs.config import MAX_WORKERS, SIMULATORS, EnvConfig, checked_config
+from izoo.envs.config import MAX_WORKERS, EnvConfig, checked_config
 from izoo.envs.frame_io import FrameReader, set_entry
-from izoo.envs.mdp.frame import TEAM_REWARD, frame_bytes, map_frames, observation_names, row_of
+from izoo.envs.mdp.frame import TEAM_REWARD, observation_names, row_of
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.render import draw
-from izoo.envs.sumo.simulator import SumoSimulator
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.errors import IzooError, check_choice, check_seed, check_whole
+from izoo.errors import IzooError, check_seed, check_whole
+from izoo.imports import imported
 from izoo.networks.road import RoadNet
 
 _log = logging.getLogger("izoo")
@@ -270,22 +269,6 @@ def _warn_of_doubles(name: str, seed: int) -> None:
         )
 
 
-def _on_sumo(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
-    frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
-    return frames, SumoSimulator(config, row_of(frames, 0), load_weights())
-
-
-def _on_twin(config: EnvConfig) -> tuple[dict[str, np.ndarray], Backend]:
-    from izoo.envs.twin.backend import TwinBackend
-
-    # The surrogate that SUMO's environments have: a batch of one gains nothing from torch.
-    backend = TwinBackend(config, 1, surrogate="compiled")
-    return backend.frames, backend
-
-
-_BACKENDS = {"sumo": _on_sumo, "twin": _on_twin}
-
-
 class EcoDrivingEnv(EcoDrivingBase):
     """One intersection, in this process, on SUMO (of which a process can hold only one) or on the twin.
 
@@ -319,9 +302,8 @@ class EcoDrivingEnv(EcoDrivingBase):
         simulator: str = "sumo",
     ) -> None:
         config = checked_config(config)
-        check_choice("simulator", simulator, SIMULATORS)
         numbers = numbering(worker, num_workers, 1, seed, name="worker")
-        frames, backend = _BACKENDS[simulator](config)
+        frames, backend = imported("simulator", simulator_of(simulator).single)(config)
         super().__init__(contexts, config, seed, [], frames, backend, *numbers)
 
     def _reset(

@@ -8,13 +8,23 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.cli.entries import COLLECT as COMMAND
+from izoo.cli.option_command import OptionCommand
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
     from torchrl.data import TensorDictReplayBuffer
 
+COMMAND = OptionCommand(
+    name="collect",
+    summary="Store what a policy experiences as a memory-mapped TensorDict, for offline learning.",
+    examples=(
+        "izoo.collect policy=random frames=20000 out=DIR",
+        "izoo.collect policy=runs/RUN frames=100000 out=DIR contexts=dataset contexts.path=DATASET",
+    ),
+    config="izoo.conf.train_options:CollectConfig",
+    work="izoo.training.offline:collect",
+)
 main = COMMAND.main
 
 

@@ -2,8 +2,22 @@
 
 import sys
 
-from izoo.cli.entries import TRAIN as COMMAND
+from izoo.cli.option_command import OptionCommand
 
+COMMAND = OptionCommand(
+    name="train",
+    summary="Train a policy on eco-driving contexts, then compare it with human driving.",
+    examples=(
+        "izoo.train task=busy_lane algo=ppo_vehicle seed=1",
+        "izoo.train contexts=pcg_easy total_frames=100000 seed=1",
+        "izoo.train task=measured contexts.path=DIR algo=glide_search_teams",
+        "izoo.train algo=my_algorithms:Mine contexts=my_contexts:hills algo.lr=1e-4 num_workers=8",
+        "izoo.train -m task=busy_lane algo=ppo_vehicle,mappo_vehicle seed=0,1,2,3",
+        "izoo.train resume=runs/RUN total_frames=500000",
+    ),
+    config="izoo.conf.train_options:TrainConfig",
+    work="izoo.cli.train:train",
+)
 main = COMMAND.main
 
 if __name__ == "__main__":

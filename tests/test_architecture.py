@@ -18,7 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
-    {"files", "console", "gpu", "processes"},
+    {"files", "console", "gpu", "imports", "processes"},
     {"compiling"},
     {"metrics", "emissions"},
     {"contexts"},
@@ -145,7 +145,7 @@ def test_every_room_has_a_floor() -> None:
         ("izoo.algos.learners.ppo", "from ...conf import mapping"),
         ("izoo.results.rollout", "def late():\n    from izoo.training import runs"),
         ("izoo.report.page", "from izoo.benchmarks import plan"),
-        ("izoo.cli.entries", "import izoo.benchmarks.campaign.task_plan"),
+        ("izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
         ("izoo.console", "from izoo.files import write_text"),
         ("izoo.new_room.thing", "from izoo import errors"),
     ],

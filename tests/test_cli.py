@@ -1,8 +1,9 @@
-"""Options: YAML equals the dataclasses, and whatever a user gets wrong is one sentence and exit code 2."""
+"""The command line: options, choices, help and sweeps; whatever a user gets wrong is one sentence and exit code 2."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import io
 import re
 import subprocess
@@ -13,11 +14,12 @@ from pathlib import Path
 import pytest
 import yaml
 
+from izoo import __main__ as izoo
 from izoo import collect, console, evaluate, train
-from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.benchmarks import generalization
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.cli.compose import compose_config
 from izoo.cli.option_command import OptionCommand
-from izoo.conf import compose
+from izoo.conf.choices import groups
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
@@ -29,55 +31,27 @@ from izoo.files import claimed
 from izoo.results.store import read_manifest
 
 
-@pytest.mark.parametrize(("name", "cls"), [("train", TrainConfig), ("collect", CollectConfig)])
-def test_yaml_equals_the_dataclass(name: str, cls: type) -> None:
-    assert compose.compose_config(name, cls, []) == cls()
+@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig])
+def test_without_words_options_have_their_defaults(cls: type) -> None:
+    assert compose_config(cls, []) == cls()
 
 
-OPTION_GROUPS = {field.name for field in dataclasses.fields(TrainConfig)}
-CHOICES = [f"{group}={name}" for group, names in compose.choices().items() if group in OPTION_GROUPS for name in names]
-
-
-@pytest.mark.parametrize("word", CHOICES)
-def test_every_choice_equals_its_dataclass(word: str) -> None:
-    """But for the fields that make the choice what it is."""
-    group, choice = word.split("=")
-    value = getattr(compose.compose_config("train", TrainConfig, [word]), group)
-    if choice.endswith("_paper"):
-        assert value == type(value).paper()
-        return
-    default = type(value)()
-    fields = [field.name for field in dataclasses.fields(value)]
-    changed = {name for name in fields if getattr(value, name) != getattr(default, name)}
-    # The training command switches off what learners do not read.
-    assert changed <= {"name", "preset", "emit"}
-
-
-def test_the_choices_of_the_manual_exist() -> None:
-    assert {"algo=ppo", "algo=ppo_paper", "contexts=pcg", "contexts=dataset", "logger=wandb"} <= set(CHOICES)
-    assert {"collector=single", "collector=parallel", "collector=multisync"} <= set(CHOICES)
-
-
-def test_configs_survive_yaml() -> None:
-    config = TrainConfig(contexts=DatasetContexts(path="data"), seed=4, algo=PPOConfig(hidden=(16, 8)))
-    assert from_mapping(TrainConfig, to_mapping(config)) == config
+@pytest.mark.parametrize("group", [name for name in groups() if name != "env.reward"])
+def test_every_choice_is_composed_and_survives_yaml(group: str) -> None:
+    for name, make in groups()[group].items():
+        config = compose_config(TrainConfig, [f"{group}={name}"])
+        assert getattr(config, group) == make()
+        assert from_mapping(TrainConfig, yaml.safe_load(yaml.safe_dump(to_mapping(config)))) == config
 
 
 def test_options_reach_the_dataclass_with_their_types(tmp_path: Path) -> None:
     odd = tmp_path / "a (1), b=c"
     words = ["algo.lr=1e-4", "algo.hidden=[8,8]", "total_frames=1e6", "env.reward.eta=0", f"run_dir={odd}"]
-    config = compose.compose_config("train", TrainConfig, words)
-    assert config.algo.lr == 1e-4
-    assert config.algo.hidden == (8, 8)
-    assert config.total_frames == 1_000_000
-    assert isinstance(config.total_frames, int)
-    assert config.env.reward.eta == 0.0
-    assert config.run_dir == str(odd)
-
-
-def test_configs_are_frozen() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        TrainConfig().seed = 1  # type: ignore[misc]
+    config = compose_config(TrainConfig, words)
+    assert (config.algo.lr, config.algo.hidden) == (1e-4, (8, 8))  # type: ignore[attr-defined]
+    assert config.total_frames == 1_000_000 and isinstance(config.total_frames, int)
+    assert config.env.reward.eta == 0.0 and config.run_dir == str(odd)
+    assert from_mapping(TrainConfig, to_mapping(dataclasses.replace(config, contexts=DatasetContexts(path="data"))))
 
 
 def test_procedural_settings() -> None:
@@ -89,20 +63,51 @@ def test_procedural_settings() -> None:
     assert features["speed_limit_mps"] == SYSTEMATICITY_TRAIN.product.features["speed_limit_mps"]
 
 
+def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
+    chosen = compose_config(TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
+    assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
+    assert compose_config(TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
+
+
+def test_a_task_sets_what_other_words_do_not() -> None:
+    config = compose_config(TrainConfig, ["algo=ppo_vehicle", "seed=3", "env.num_agents=8", "task=busy_lane"])
+    assert (config.task, config.simulator, config.total_frames, config.seed) == ("busy_lane", "twin", 92_160, 3)
+    assert (config.env.decide, config.env.num_agents, config.env.emit) == ("vehicle", 8, ("number",))
+    assert config.contexts == dataclasses.replace(PcgContexts(), **{
+        **{"lane_count": 1.0, "phase_count": 1.0, "inflow_vph_per_lane": "400..600", "green_s": "20..26"},
+        **{"red_s": "24..32", "lane_length_m": "250..500"},
+    })  # fmt: skip
+    other = compose_config(TrainConfig, ["task=busy_lane", "contexts=city", "action=direct", "env.reward=paper"])
+    assert other.contexts.name == "city" and other.env.reward == RewardConfig()
+    assert (other.env.decide, other.env.action) == ("step", "acceleration")
+    arriving = compose_config(TrainConfig, ["task=busy_lane", "action=arrive"])
+    assert (arriving.env.decide, arriving.env.action_size) == ("vehicle", 2)
+    tested = evaluate.COMMAND.compose(["task=salt_lake_city_to_atlanta", "policy=glide", "contexts.adoption=1"])
+    assert (tested.contexts.city, tested.contexts.split, tested.contexts.adoption) == ("atlanta", "test", 1.0)
+    assert (tested.num_contexts, tested.seeds, tested.env.drain_s, tested.env.decide) == (96, 1, 600.0, "step")
+
+
 BAD = {
     "seed=zero": "whole number",
     "sead=1": "Did you mean 'seed'?",
     "lr=1": "Did you mean 'algo.lr'?",
+    "algo.learning_rate=1": "Did you mean 'algo.lr'?",
     "algo=pppo": "Did you mean 'ppo'?",
+    "algo=nowhere:Mine": "No module named 'nowhere'",
+    "task=busy_road": "Did you mean 'busy_lane'?",
     "contexts=pgc": "choose one of: ",
+    "contexts=json:JSONDecoder": "sample(generator)",
     "contexts.path=x": "It is an option of contexts=dataset",
     "algo.gamma=2": "algo.gamma is 2.0",
     "algo.hidden=[]": "algo.hidden",
     "algo.hidden=8": "must be a list",
-    "algo.name=ddpg": "algo.name",
+    "algo.name=ddpg": "unknown option",
     "env.horizon_s=10": "horizon",
     "env.emit=[vehicle]": "Did you mean 'vehicles'?",
-    "env=3": "unknown env",
+    "env.reward=fuell": "paper, fuel, fuel_team",
+    "env.reward.etta=1": "Did you mean 'env.reward.eta'?",
+    "env=3": "a group of options",
+    "simulator=sumoo": "Did you mean 'sumo'?",
     "seed=0,1": "add -m",
     "ppo": "option=value",
     "--hlep": "Did you mean '--help'?",
@@ -111,61 +116,135 @@ BAD = {
     "seed=2147483648": "must lie in [0, 2147483647]",
     "resume=nowhere": "does not exist",
     "contexts=dataset": "contexts.path=DIR",
+    "contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "contexts=osm contexts.path=.": "holds no intersections built from OpenStreetMap",
     "contexts=pcg contexts.green_s=20..x": "low..high",
-    "contexts=pcg contexts.green_s=900": "green_s",
     "contexts=pcg contexts.lane_count=9": "lane_count",
+    "-m seed=0,1 algo.gamma=0.9,1.9": "algo.gamma is 1.9",
+    "-m seed=0,1 run_dir=here": "make run_dir differ",
 }
 
 
-@pytest.mark.parametrize("word", BAD)
+@pytest.mark.parametrize("words", BAD)
 def test_bad_words_are_one_sentence(
-    word: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert train.main(word.split(" ")) == 2
+    assert train.main(words.split(" ")) == 2
     error = capsys.readouterr().err
-    assert BAD[word] in error
-    assert "Traceback" not in error
+    assert BAD[words] in error and "Traceback" not in error
     assert len(error.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
 
 
-def test_bad_dataset_folders(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    for path in (tmp_path / "missing", empty):
-        assert train.main(["contexts=dataset", f"contexts.path={path}"]) == 2
-        assert str(path) in capsys.readouterr().err
-    assert not (tmp_path / "runs").exists()
+MISSING = {
+    "evaluate run=nowhere": "nowhere does not exist",
+    "evaluate run=.": "holds no checkpoint",
+    "evaluate policy=no_such_package.drivers:calm": "no_such_package",
+    "evaluate policy=glide contexts=dataset contexts.path=nowhere": "nowhere does not exist",
+    "evaluate policy=zoo:nobody": "unknown policy 'zoo:nobody'",
+    "evaluate policy=glide checkpoint=best": "run is not given",
+    "evaluate": "give one of run=RUN_DIR and policy=NAME",
+    "collect policy=zoo:nobody out=data": "unknown policy 'zoo:nobody'",
+    "collect policy=nowhere out=data": "nowhere",
+    "collect policy=random": "out is missing",
+    "report nowhere": "nowhere",
+    "leaderboard validate nowhere.json": "nowhere.json does not exist",
+    "contexts import nowhere data": "nowhere does not exist",
+    "trian": "Did you mean 'train'?",
+}
 
 
-def test_a_sweep_is_checked_before_its_first_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("words", MISSING)
+def test_what_is_not_there_is_one_sentence(
+    words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert train.main(["-m", "seed=0,1", "algo.gamma=0.9,1.9"]) == 2
-    assert "algo.gamma is 1.9" in capsys.readouterr().err
-    assert train.main(["-m", "algo=ppo,sac"]) == 2
-    assert list(tmp_path.iterdir()) == []
+    assert izoo.main(words.split(" ")) == 2
+    error = capsys.readouterr().err
+    assert MISSING[words] in error and "Traceback" not in error
+    assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
+
+
+def test_every_command_is_listed_and_has_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert izoo.main([]) == 0
+    listed = capsys.readouterr().out
+    for name, (module, meaning) in izoo.COMMANDS.items():
+        assert f"  {name} " in listed and meaning in listed
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", [name])
+            try:
+                assert importlib.import_module(module).main(["--help"]) == 0
+            except SystemExit as done:  # of argparse
+                assert done.code == 0
+        assert f"python -m izoo.{name}" in capsys.readouterr().out
 
 
 def test_help_names_every_option_with_its_meaning(capsys: pytest.CaptureFixture[str]) -> None:
     for command in (train, collect):
         assert command.main(["--help"]) == 0
         page = capsys.readouterr().out
-        assert "Usage: python -m izoo." in page
         lines = page[page.index("Options") :].splitlines()
         options = [k for k, line in enumerate(lines) if line.startswith("  ") and not line.startswith("      ")]
-        undocumented = [lines[k].strip() for k in options if not lines[k + 1 : k + 2] or lines[k + 1].strip() == ""]
         bare = [lines[k].strip() for k in options if not (k + 1 < len(lines) and lines[k + 1].startswith("      "))]
-        assert undocumented == [] and bare == []
-        assert max(map(len, page.splitlines())) <= 140
+        assert len(options) > 30 and bare == []
         assert re.findall(r":class:|\bNone\b", page) == [], "words of Python that cannot be typed"
-        assert "threads that share the environments out among them" in page
-        assert "a whole multiple of step_s; null: one step" in page
+
+
+def test_help_is_that_of_the_choices_that_are_made(capsys: pytest.CaptureFixture[str]) -> None:
+    assert train.main(["--help", "algo=ddpg", "task=busy_lane"]) == 0
+    page = capsys.readouterr().out
+    assert f"algo.actor_lr={DDPGConfig().actor_lr}" in page and "algo.clip_epsilon" not in page
+    assert "algo=ddpg:" in page and "env.decide=vehicle" in page
+    assert "env.reward=paper | fuel | fuel_team" in page and "task=busy_lane: one-lane approaches" in page
+
+
+def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
+    start = time.monotonic()
+    command = [sys.executable, "-m", "izoo.train", "--help"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("izoo ")
+        elapsed = time.monotonic() - start
+        process.stdout.read()
+    assert process.returncode == 0
+    assert elapsed < 1.0
+
+
+def test_cfg_prints_the_options_of_every_run_and_runs_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert train.main(["--cfg", "seed=5"]) == 0
+    assert "seed: 5" in capsys.readouterr().out
+    assert train.main(["-m", "--cfg", "seed=0,1", "algo=ppo,ddpg"]) == 0
+    first_line, _, rest = capsys.readouterr().out.partition("\n")
+    assert first_line.startswith("izoo ")
+    shown = [(config["seed"], config["algo"]["name"]) for config in yaml.safe_load_all(rest)]
+    assert shown == [(0, "ppo"), (0, "ddpg"), (1, "ppo"), (1, "ddpg")]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_run_of_a_sweep_has_a_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    folders: list[str] = []
+
+    def work(config: TrainConfig, given: frozenset[str]) -> None:
+        folders.append(str(config.run_dir))
+
+    monkeypatch.setattr("izoo.cli.train.train", work)
+    assert train.main(["-m", "seed=0,1", "algo=ppo,cmaes_teams"]) == 0
+    assert [re.sub(".*-sweep/", "", folder) for folder in folders] == [
+        *("0-ppo-seed0", "1-cmaes-seed0", "2-ppo-seed1", "3-cmaes-seed1"),
+    ]
+    assert train.main(["-m", "seed=0,1", "run_dir=runs/${algo.name}-${seed}"]) == 0
+    assert [Path(folder).name for folder in folders[4:]] == ["ppo-0", "ppo-1"]
+
+
+def test_a_sweep_over_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["policy=uncommanded", "contexts=pcg_easy", "env.horizon_s=60", "num_workers=0", "seeds=1,2"]
+    assert evaluate.main(["-m", *words, f"out={tmp_path}/${{seeds}}", f"cache={tmp_path / 'cache'}"]) == 0
+    assert all(read_manifest(tmp_path / name).complete for name in "12")
 
 
 @pytest.mark.parametrize("reader", ["head -n 1", "true"])
@@ -186,21 +265,6 @@ def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path, errors: str,
     assert max(int(line.split(",")[0]) for line in (tmp_path / "run/metrics.csv").read_text().splitlines()[1:]) >= 400
 
 
-def test_runs_of_a_sweep_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main(["-m", "seed=0,1", f"run_dir={tmp_path}"]) == 2
-    assert f"2 runs would share the folder {tmp_path}; make run_dir differ" in capsys.readouterr().err
-
-
-def test_commands_that_compose_options_can_be_swept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    words = ["protocol=systematicity", "algos=[uncommanded]", "test_limit=1", "horizon_s=60", "num_workers=0"]
-    outs = ["eval_seeds=3,4", f"out={tmp_path}/${{eval_seeds}}"]
-    assert generalization.main(["-m", *words, *outs, f"cache={tmp_path / 'cache'}"]) == 0
-    assert all(read_manifest(tmp_path / name).complete for name in "34")
-
-
 @pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])
 def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", stream)
@@ -212,118 +276,10 @@ def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pyte
         console.exit_code("train", broken)
 
 
-def test_cfg_prints_the_resolved_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main(["--cfg", "seed=5"]) == 0
-    assert "seed: 5" in capsys.readouterr().out
-
-
-def test_cfg_of_a_sweep_prints_every_combination_and_runs_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert train.main(["-m", "--cfg", "seed=0,1", "algo=ppo,ddpg", "evaluation.seeds=0,3"]) == 2
-    capsys.readouterr()
-
-    def work(*_: object) -> None:
-        raise AssertionError("--cfg stops before the work")
-
-    monkeypatch.setattr(OptionCommand, "_work", work)
-    assert train.main(["-m", "--cfg", "seed=0,1", "algo=ppo,ddpg"]) == 0
-    first_line, _, rest = capsys.readouterr().out.partition("\n")
-    assert first_line.startswith("izoo ")
-    shown = [(config["seed"], config["algo"]["name"]) for config in yaml.safe_load_all(rest)]
-    assert shown == [(0, "ppo"), (0, "ddpg"), (1, "ppo"), (1, "ddpg")]
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_cfg_of_a_large_sweep_says_that_not_all_is_shown(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(compose, "MAX_CHECKED", 2)
-    assert collect.main(["-m", "--cfg", "seed=0,1,2"]) == 0
-    out = capsys.readouterr().out
-    assert "seed: 1" in out and "seed: 2" not in out and "no more than 2 combinations are shown" in out
-
-
-def test_entries_of_a_list_that_need_quotes_are_shown_with_them(capsys: pytest.CaptureFixture[str]) -> None:
-    remedy = 'train_options=["algo.frames_per_batch=200","algo.hidden=[8,8]"]'
-    unquoted = remedy.replace('"', "")
-    assert generalization.main(["--cfg", unquoted]) == 2
-    error = capsys.readouterr().err
-    assert "put double quotes around entries that hold =" in error and f"'{remedy}'" in error
-    assert generalization.main(["--cfg", remedy]) == 0
-    assert "- algo.hidden=[8,8]" in capsys.readouterr().out
-
-
-def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
-    start = time.monotonic()
-    command = [sys.executable, "-m", "izoo.train", "--help"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("izoo ")
-        elapsed = time.monotonic() - start
-        process.stdout.read()
-    assert process.returncode == 0
-    assert elapsed < 1.0
-
-
-COMMANDS = ("train", "evaluate", "collect", "benchmarks.generalization", "benchmarks.tradeoffs")
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_commands_answer_before_pytorch_is_loaded(name: str) -> None:
-    program = (
-        f"import sys; from izoo.{name} import main; codes = main(['--help']), main(['nonsense=1']); "
-        "sys.exit(codes != (0, 2) or 'torch' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert "unknown option 'nonsense'" in done.stderr
-
-
-MISSING = {
-    "train resume=nowhere": "nowhere does not exist",
-    "train contexts=dataset contexts.path=nowhere": "nowhere does not exist",
-    "train contexts=dataset": "contexts.path=DIR",
-    "train contexts=osm contexts.path=nowhere": "nowhere does not exist",
-    "train contexts=osm contexts.path=.": "holds no intersections built from OpenStreetMap",
-    "train -m seed=0,1 contexts=dataset contexts.path=nowhere": "nowhere does not exist",
-    "evaluate run=nowhere": "nowhere does not exist",
-    "evaluate run=.": "holds no checkpoint",
-    "evaluate policy=no_such_package.drivers:calm": "there is no module 'no_such_package'",
-    "evaluate policy=glide contexts=dataset contexts.path=nowhere": "nowhere does not exist",
-    "evaluate policy=zoo:nobody": "unknown policy 'zoo:nobody'",
-    "collect policy=zoo:nobody out=data": "unknown policy 'zoo:nobody'",
-    "collect policy=nowhere out=data": "there is none at that path",
-    "collect policy=random": "out is missing",
-    "collect policy=random out=data contexts=dataset contexts.path=nowhere": "nowhere does not exist",
-    "report nowhere": "nowhere is no folder",
-    "leaderboard validate nowhere.json": "nowhere.json does not exist",
-    "contexts import nowhere data": "nowhere does not exist",
-    "benchmarks.generalization train=nowhere": "unknown city 'nowhere'",
-    "benchmarks.tradeoffs train=./nowhere": "nowhere is no folder",
-}
-
-
-@pytest.mark.parametrize("words", MISSING)
-def test_missing_paths_are_refused_before_pytorch_is_loaded(words: str, tmp_path: Path) -> None:
-    name, *rest = words.split(" ")
-    module = f"{name}.__main__" if name in ("contexts", "report") else name
-    program = (
-        f"import sys; from izoo.{module} import main; sys.exit((main({rest}) != 2) + 2 * ('torch' in sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert MISSING[words] in done.stderr and "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == [], "bad input must leave nothing behind"
-
-
 FILLING = {
     "collect": "policy=random frames=50 out={}",
     "evaluate": "policy=glide contexts=pcg_easy num_contexts=1 seeds=1 num_workers=0 out={}",
-    "benchmarks.generalization": "protocol=systematicity algos=[glide] test_limit=1 num_workers=0 out={}",
     "benchmarks.planner": "contexts=pcg_easy num_contexts=1 out={}",
-    "benchmarks.twin": "contexts=pcg_easy num_contexts=1 out={}",
 }
 """Commands that fill a folder, and the least that they need."""
 
@@ -339,31 +295,15 @@ def test_no_command_fills_a_folder_that_another_process_fills(name: str, tmp_pat
         assert list((tmp_path / "out").iterdir()) == []
 
 
-@pytest.mark.parametrize("words", ["train", "evaluate policy=glide", "collect out=data", "report nowhere"])
-def test_a_current_folder_that_was_removed_is_one_sentence(words: str, tmp_path: Path) -> None:
-    name, *rest = words.split(" ")
-    program = f"import os, sys; os.rmdir(os.getcwd()); from izoo.{name} import main; sys.exit(main({rest}))"
-    program = program.replace("izoo.report import", "izoo.report.__main__ import")
+def test_a_current_folder_that_was_removed_is_one_sentence(tmp_path: Path) -> None:
+    program = "import os, sys; os.rmdir(os.getcwd()); from izoo.train import main; sys.exit(main([]))"
     (tmp_path / "here").mkdir()
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path / "here", capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr == f"izoo {name}: the current folder has been removed; change to one that exists.\n"
+    assert done.stderr == "izoo train: the current folder has been removed; change to one that exists.\n"
 
 
-def test_results_do_not_go_into_a_folder_of_other_things(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("All of it.")
-    assert evaluate.main(["policy=glide", f"out={tmp_path}"]) == 2
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_unknown_nested_option_lists_its_siblings() -> None:
-    with pytest.raises(IzooError, match=r"env\.reward\.etta.*env\.reward\.eta"):
-        compose.compose_config("train", TrainConfig, ["env.reward.etta=1"])
-
-
-def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
-    chosen = compose.compose_config("train", TrainConfig, ["env.reward.delay=-0.3", "env.reward=fuel_team"]).env.reward
-    assert chosen == dataclasses.replace(RewardConfig.fuel_team(), delay=-0.3)
-    assert compose.compose_config("train", TrainConfig, ["env.reward=paper"]).env.reward == RewardConfig()
-    with pytest.raises(IzooError, match=r"env\.reward.*paper, fuel, fuel_team"):
-        compose.compose_config("train", TrainConfig, ["env.reward=fuell"])
+def test_a_refused_choice_names_the_option() -> None:
+    with pytest.raises(IzooError, match=r"contexts\.sources\[0\]\.lanes"):
+        compose_config(TrainConfig, ["contexts=mixed", "contexts.sources=[{name:pcg,lanes:2}]"])
+    assert isinstance(train.COMMAND, OptionCommand)

@@ -7,12 +7,12 @@ import torch
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
 from izoo.training.batch_statistics import episode_stats
-from izoo.training.environments import TrainingParallelEnv
+from izoo.training.environments import training_class
 
 
 def test_a_lost_episode_is_not_logged() -> None:
     config = EnvConfig(emit=(), horizon_s=60.0, warmup_s=5.0)
-    env = TrainingParallelEnv(2, contexts=procedural_context(inflow_vph_per_lane=600.0), config=config)
+    env = training_class("sumo")(2, contexts=procedural_context(inflow_vph_per_lane=600.0), config=config)
     try:
         state, steps = env.reset(), []
         for step in range(config.control_steps):

@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import files, train
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
@@ -283,7 +283,7 @@ def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
 
 
 def test_total_frames_are_rounded_up_to_whole_batches_of_all_workers() -> None:
-    config = compose_config("train", TrainConfig, ["num_workers=3", "algo.frames_per_batch=100"])
+    config = compose_config(TrainConfig, ["num_workers=3", "algo.frames_per_batch=100"])
     from izoo.training.batch_size import frames_per_batch
 
     assert frames_per_batch(config) == 102

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, MIN_SHARE, EnvConfig
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ class DirectAction:
     """
 
     name: Literal["direct"] = "direct"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
 
     def __post_init__(self) -> None:
         check_types("action", self)
@@ -162,6 +163,7 @@ class AdviseAction:
     """
 
     name: Literal["advise"] = "advise"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
     depth: float = 0.8
     brake_mps2: float = 1.5
     act_share: float = 0.06
@@ -207,6 +209,7 @@ class ResidualAction:
     """
 
     name: Literal["residual"] = "residual"
+    sets: ClassVar[Mapping[str, Any]] = BY_STEP
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35

@@ -12,6 +12,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from izoo.errors import IzooError
+
 OBSERVATION = ("agents", "observation")
 MASK = ("agents", "mask")
 DECIDES = ("agents", "decides")
@@ -32,6 +34,10 @@ POTENTIAL = ("agents", "potential")
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}
+
+MOST_WEIGHTS = 10**8
+"""Weights of a network, in all: 400 MB, and twice as much again for Adam."""
+TYPICAL_FEATURES = 60
 
 
 Keys = tuple[str | tuple[str, ...], ...]
@@ -114,6 +120,15 @@ def deciding(batch: TensorDictBase, mask: str | tuple[str, ...] = MASK) -> Any:
 def explores() -> bool:
     """Return whether TorchRL's exploration type asks policies to draw their actions."""
     return exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+def check_widths(option: str, widths: Sequence[int]) -> None:
+    """Raise :class:`IzooError` unless these are widths of hidden layers that fit into a memory."""
+    if not widths or min(widths) < 1:
+        raise IzooError(f"{option} is {list(widths)}; it needs one or more positive widths, like [128,128].")
+    weights = sum(before * after for before, after in itertools.pairwise((TYPICAL_FEATURES, *widths)))
+    if weights > MOST_WEIGHTS:
+        raise IzooError(f"{option} is {list(widths)}: {weights:,} weights, more than {MOST_WEIGHTS:,}; give fewer.")
 
 
 class Standardise(nn.Module):

@@ -9,30 +9,73 @@ search of its own, told by the contexts of its kind.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from izoo.algos.actions.action_modes import DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
-from izoo.algos.learners.cmaes import CMAES, own_numbers
-from izoo.algos.learners.glide_search_config import GlideSearchConfig
+from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
+from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
+from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError
 
 KINDS = ("one lane", "several lanes")
 """Kinds of roads with numbers of their own."""
 KIND = "road_kind"
 """Key ``[*B, 1]`` int8: of which of :data:`KINDS` the context is; -1 where there is no CV."""
+
+
+@dataclass(frozen=True)
+class GlideSearchConfig(CMAESConfig):
+    """Hyper-parameters of CMA-ES over the settings of glide, one set for roads of one lane and one for several.
+
+    Attributes:
+        name: the algorithm.
+        population: rules of a generation, each of which plays the same contexts and seeds (arXiv 1604.00772: 4 + 3 ln
+            n, which is 13 for 23 numbers; ours 16). It divides ``num_envs``.
+        initial_spread: standard deviation of the first generation's numbers (ours 0.5: settings differ by a sixth).
+        most_difference: as for CMA-ES (ours a tenth).
+    """
+
+    name: Literal["glide_search"] = "glide_search"  # type: ignore[assignment]
+    initial_spread: float = 0.5
+    most_difference: float | None = 0.1
+    needs_env: ClassVar[bool] = True
+    runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "teams": {
+            **ON_TWIN,
+            "action": DirectAction(),
+            "env": {
+                **BY_STEP,
+                "hold_s": 2.0,
+                "num_agents": 64,
+                "num_vehicles": 192,
+                "horizon_s": 600.0,
+                "reward": dataclasses.replace(RewardConfig.fuel_team(), delay=-0.2),
+                "neighbours": ("leader", "follower"),
+                "observed": ("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"),
+            },
+            "twin": {"surrogate": "compiled", "compare_every": 0, "stagger": False},
+            "num_envs": 512,
+            "total_frames": 3_072_000,
+            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": "twin"},
+            "evaluation": {"contexts": 16, "seeds": 3},
+        }
+    }
 
 
 @dataclass(frozen=True)
@@ -258,6 +301,8 @@ class GlideSearch(CMAES):
     Raises:
         IzooError: an action mode was chosen that makes commands of something else.
     """
+
+    options = GlideSearchConfig
 
     config: GlideSearchConfig
 

@@ -19,7 +19,8 @@ makes everyone within ``range_m`` a neighbour, so that no vehicle on the own roa
 from __future__ import annotations
 
 import math
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Literal, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -28,12 +29,13 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 
 from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
-from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
 from izoo.algos.losses import MaskedGraphPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, places
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
+from izoo.errors import IzooError, check_range
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""
@@ -43,6 +45,65 @@ ROW = [base.OBSERVATION, FRAME, COLUMN, REACH]
 BIN_ROWS = 16
 """Fewest rows of a set that attention works on, where there are that many; larger sets pad more, smaller ones cost more
 calls."""
+
+
+@dataclass(frozen=True)
+class GCRLConfig(PPOConfig):
+    """Hyper-parameters of graph RL: those of PPO, and of the graph network.
+
+    Sources: "DGN" is arXiv 1810.09202, appendix; "released" is the IntersectionZoo code's ``ppo_gat_training.py``,
+    whose settings the preset ``paper`` takes. (There the nodes of a graph are the rows of a minibatch, whatever step or
+    episode they stem from, and actor and critic share the network; here nodes are the vehicles of one step, and actor
+    and critic share nothing.)
+
+    Attributes:
+        name: the algorithm.
+        neighbours: how many of the nearest vehicles are neighbours, ties included; ``null``: all (DGN 3; released: all;
+            ours 4).
+        range_m: vehicles farther away than this are no neighbours; ``null``: any distance (DGN and released: none; ours
+            100, the order of the distances over which one driver's speed reaches those behind).
+        layers: convolutions (DGN 2; released 2; ours 2).
+        heads: attention heads per convolution (DGN 8; released 4; ours 4).
+        hidden: widths of the encoder's layers; the last is also that of every convolution, shared among its heads (DGN
+            512, 128; released 64, where each head is that wide; ours 128, 128).
+    """
+
+    name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
+    neighbours: int | None = 4
+    range_m: float | None = 100.0
+    layers: int = 2
+    heads: int = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.neighbours is not None:
+            check_range("algo.neighbours", self.neighbours, 0, 4096)
+        if self.range_m is not None:
+            check_range("algo.range_m", self.range_m, 0.0, 1e6, "m")
+        for name in ("layers", "heads"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 4096)
+        if self.hidden[-1] % self.heads:
+            raise IzooError(
+                f"the last of algo.hidden={list(self.hidden)} must be a multiple of algo.heads={self.heads}: the heads "
+                "share it."
+            )
+
+    @classmethod
+    def paper(cls) -> GCRLConfig:
+        """Return the preset ``paper``: the released code's settings, and RLlib 2.11's defaults where it has none.
+
+        The code also asks for minibatches of 32 rows, by an option (``mini_batch_size_per_learner``) of RLlib's new API
+        stack alone, while its model (``TorchModelV2``) runs on the old one: there they stay at 128.
+        """
+        return replace(
+            cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
+            epochs=10,
+            max_grad_norm=4.0,
+            hidden=(64,),
+            activation="relu",
+            neighbours=None,
+            range_m=None,
+        )
 
 
 def reach_m(position_m: Tensor, others: Tensor, count: int | None, range_m: float | None) -> Tensor:
@@ -222,6 +283,7 @@ class GraphPolicy(SamplingPolicy):
 class GCRL(SetPPO):
     """PPO whose actor and critic are graph networks."""
 
+    options = GCRLConfig
     config: GCRLConfig
 
     def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:

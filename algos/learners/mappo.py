@@ -9,23 +9,90 @@ al., arXiv 1810.00825). Keeping the own embedding matters, since vehicles leave 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, Literal
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ppo_config import MAPPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
 from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.fleet_features import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out
+from izoo.errors import IzooError, check_range
 
 TEAM_BASELINE = "team_baseline"
 """Key of the control variate ``[*B, T, 1]`` under ``"next"``: see :meth:`MAPPO.advantages`."""
 COUNT_SCALE = 10.0
 """The number of agents enters the critic divided by this."""
+
+
+@dataclass(frozen=True)
+class MAPPOConfig(PPOConfig):
+    """Hyper-parameters of MAPPO: those of PPO, and of the critic over the set.
+
+    The paper names MAPPO but trains it with the defaults of RLlib 2.11, which has no such algorithm; the example it
+    ships (``rllib/examples/centralized_critic.py``) is PPO with another critic, for two agents. So the preset ``paper``
+    is PPO's, with the set critic as here.
+
+    Attributes:
+        name: the algorithm.
+        credit: ``agent``: every CV's advantage is estimated from its own rewards, which end when it leaves; ``team``:
+            one is estimated from the team's rewards, which go on, and shared by all CVs. ``team`` needs a reward that
+            is the team's: ``env.reward=fuel_team``, or ``env.reward.eta=1``.
+        critic_sees: ``cvs``: the critic sees the CVs, each as it observes; ``all``: also, from above, every vehicle of
+            the region while training (:mod:`izoo.algos.networks.fleet_features`). The policy sees neither.
+        control_variate: ``team`` takes from the team's reward what it was at the same time of the uncommanded episode
+            of the same context and seed, which says how busy it is there just then, whatever the CVs do; that goes with
+            ``credit=team``, and ``vehicle``, as for PPO, with ``credit=agent``.
+        critic_queries: learned queries, each of which gathers its own summary of the set (Lee et al. use 1 where one
+            output is wanted; ours 4: one mean for each of several kinds of vehicle, such as queued and arriving).
+        critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
+    """
+
+    name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
+    credit: Literal["agent", "team"] = "agent"
+    critic_sees: Literal["cvs", "all"] = "cvs"
+    control_variate: Literal["none", "vehicle", "team"] = "none"  # type: ignore[assignment]
+    critic_queries: int = 4
+    critic_embedding: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        fitting = "team" if self.credit == "team" else "vehicle"
+        if self.control_variate not in ("none", fitting):
+            raise IzooError(
+                f"algo.control_variate={self.control_variate} does not go with the returns of algo.credit="
+                f"{self.credit}; choose {fitting} or none."
+            )
+        check_range("algo.critic_queries", self.critic_queries, 1, 64)
+        check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
+
+    @property
+    def emits(self) -> tuple[str, ...]:
+        """Groups that the environment has to emit for this algorithm."""
+        team = ("team_reward",) if self.credit == "team" else ()
+        return (*team, *super().emits, *(("vehicles",) if self.critic_sees == "all" else ()))
+
+    def check_run(self, run: Any) -> None:
+        """Raise :class:`IzooError` where other options of a run do not go with these."""
+        super().check_run(run)
+        if self.credit == "team" and run.env.reward.eta != 1.0:
+            raise IzooError(
+                f"algo.credit=team estimates one advantage for the whole team, but env.reward.eta is "
+                f"{run.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
+                "or algo.credit=agent."
+            )
+
+    @classmethod
+    def paper(cls) -> MAPPOConfig:
+        """Return the preset ``paper``: RLlib 2.11's defaults of PPO, and the critic as here."""
+        return cls(**vars(PPOConfig.paper()) | {"name": "mappo"})
 
 
 class SetCritic(SetNetwork):
@@ -103,6 +170,7 @@ class TeamCritic(SetCritic):
 class MAPPO(SetPPO):
     """PPO with a centralised critic; the policy needs one agent's observation alone."""
 
+    options = MAPPOConfig
     config: MAPPOConfig
 
     def make_critic(self, features: int) -> ValueOperator:

@@ -6,24 +6,227 @@ batch ``[N, T]``; then the valid entries are flattened, once for all minibatches
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
-from izoo.algos.actions.action_modes import PointMass
+from izoo.algos.actions.action_modes import SPREADS, AdviseAction, PointMass
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import EXPERT_ACTION, WarmStart
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.envs.config import BY_STEP, RewardConfig
+from izoo.errors import IzooError, check_range, check_types
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
+
+
+@dataclass(frozen=True)
+class PPOConfig(AlgoConfig):
+    """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
+
+    Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which
+    the paper used; "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs.
+
+    Attributes:
+        name: the algorithm.
+        frames_per_batch: environment steps, over all workers, between two updates (RLlib collects whole episodes on
+            ten workers here: 10 x 1,950; ours: 3,900, two episodes).
+        rows_per_epoch: agent-steps drawn at random, without replacement, for each epoch; ``null`` uses all (RLlib).
+            The agents of one step are paid alike and see much the same, so a part of them carries most of the
+            information (ours).
+        epochs: passes over the batch (RLlib 30; ours 4).
+        minibatch_rows: agent-steps per gradient step (RLlib 128; ours 1,024, for speed).
+        lr: Adam's learning rate (RLlib 5e-5; Schulman 3e-4; ours 5e-4, annealed).
+        anneal_lr: lower the learning rate linearly to 0 over the run (Schulman, Andrychowicz; RLlib does not).
+        gamma: discount per step of 0.5 s (RLlib 0.99: a horizon of 50 s; ours the same).
+        gae_lambda: trace decay of generalised advantage estimation (RLlib 1.0; Schulman 0.95, which is ours).
+        clip_epsilon: bound on the change of the probability ratio (RLlib 0.3; Schulman 0.2, which is ours).
+        value_coeff: weight of the value loss (RLlib 1.0; ours 0.5). The networks are separate, so with Adam it matters
+            for gradient clipping alone.
+        value_loss: ``l2`` (RLlib) or ``smooth_l1`` (ours: bounded gradients).
+        value_norm: ``none`` (RLlib, ours), or how the scale of value targets is followed, in which the value function
+            then learns, since returns differ a hundredfold between contexts: ``running``, mean and spread of all
+            targets so far; ``popart``, of those of the last hundred batches or so (TorchRL's modules of these names).
+        value_error_clip: squared value errors above this give no gradient (RLlib 10); ``null`` for none (ours).
+        entropy_coeff: weight of the entropy bonus (RLlib 0; ours the same).
+        kl_coeff: initial weight of the penalty on the divergence from the collecting policy (RLlib 0.2; ours 0).
+        kl_target: divergence at which that weight stays; it grows above twice this, and shrinks below half of it (RLlib
+            0.01).
+        target_kl: a batch is learned from no further once the policy diverges, on a minibatch, from the one that
+            collected by more than one and a half times this (as in Stable-Baselines3; 0.01 to 0.02 is usual); ``null``:
+            all epochs (RLlib, ours). Nothing is learned from the minibatch that shows it.
+        separate_clips: bound the gradients of actor and critic each by itself, so that large value errors do not
+            silence the actor (RLlib, ours: both together).
+        max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
+        reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
+            are of order 1 and the value function learns within a few batches).
+        control_variate: ``vehicle``: from what a vehicle is paid is taken what the same vehicle is paid, from the same
+            time on, in the uncommanded episode of the same context and seed, which is played beside the training: less
+            variance, no bias (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
+            nothing (ours).
+        warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
+            Needs ``action=advise``, in which both can leave a CV alone.
+        warm_start_frames: environment steps, over all environments, of the imitation.
+        warm_start_lr: learning rate of the imitation; ``null``: ``lr``.
+        kl_to_start: weight of a penalty on the divergence from the imitation as it was at its end; it falls linearly to
+            0 at the end of the run (ours 1; 0: none).
+        standardise: subtract the mean from each feature of an observation and divide it by its spread, as they are in
+            the first batch (Andrychowicz: of all observations so far; RLlib and ours: not).
+        hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
+        activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
+        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
+            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5). With
+            ``action=advise`` or ``residual`` it does nothing at first instead.
+        initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
+            With ``action=advise`` or ``residual`` it is ``action.spread`` instead.
+    """
+
+    name: Literal["ppo"] = "ppo"
+    frames_per_batch: int = 3900
+    rows_per_epoch: int | None = 32768
+    epochs: int = 4
+    minibatch_rows: int = 1024
+    lr: float = 5e-4
+    anneal_lr: bool = True
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip_epsilon: float = 0.2
+    value_coeff: float = 0.5
+    value_loss: Literal["l2", "smooth_l1"] = "smooth_l1"
+    value_norm: Literal["none", "running", "popart"] = "none"
+    value_error_clip: float | None = None
+    entropy_coeff: float = 0.0
+    kl_coeff: float = 0.0
+    kl_target: float = 0.01
+    target_kl: float | None = None
+    separate_clips: bool = False
+    max_grad_norm: float | None = 0.5
+    reward_scale: float = 0.1
+    control_variate: Literal["none", "vehicle"] = "none"
+    warm_start: Literal["none", "glide"] = "none"
+    warm_start_frames: int = 100_000
+    warm_start_lr: float | None = None
+    kl_to_start: float = 1.0
+    standardise: bool = False
+    hidden: tuple[int, ...] = (128, 128)
+    activation: Literal["tanh", "relu", "silu"] = "tanh"
+    initial_accel_mps2: float = 0.5
+    initial_spread: float = 0.35
+
+    def __post_init__(self) -> None:
+        check_types("algo", self)
+        for name in ("frames_per_batch", "epochs", "minibatch_rows"):
+            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
+        if self.rows_per_epoch is not None:
+            check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
+        if self.target_kl is not None:
+            check_range("algo.target_kl", self.target_kl, 1e-6, 100.0)
+        for name in ("gamma", "gae_lambda"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
+        for name in ("lr", "reward_scale", "kl_target"):
+            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
+        check_range("algo.clip_epsilon", self.clip_epsilon, 1e-12, 0.999)
+        check_range("algo.initial_spread", self.initial_spread, *SPREADS)
+        for name in ("value_coeff", "entropy_coeff", "kl_coeff"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 1e6)
+        for name in ("max_grad_norm", "value_error_clip"):
+            if getattr(self, name) is not None:
+                check_range(f"algo.{name}", getattr(self, name), 1e-9, 1e9)
+        check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
+        if self.warm_start_lr is not None:
+            check_range("algo.warm_start_lr", self.warm_start_lr, 1e-12, 100.0)
+        check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
+        base.check_widths("algo.hidden", self.hidden)
+
+    takes_start = True
+    estimates_advantages = True
+    runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "vehicle": {**ON_TWIN, "num_envs": 64, "total_frames": 92_160, "validation": {"every_batches": 20}},
+        "imitation": {
+            **ON_TWIN,
+            "action": AdviseAction(),
+            "env": {**BY_STEP, "hold_s": 2.0, "reward": RewardConfig()},
+            "num_envs": 32,
+            "total_frames": 96_000,
+            "validation": {"every_batches": 2, "contexts": 6, "seeds": 3, "simulator": "sumo"},
+        },
+    }
+
+    @property
+    def emits(self) -> tuple[str, ...]:
+        """Groups that the environment has to emit for this algorithm."""
+        return ("number",) if self.control_variate == "vehicle" else ()
+
+    def check_run(self, run: Any) -> None:
+        """Raise :class:`IzooError` where other options of a run do not go with these."""
+        super().check_run(run)
+        if self.warm_start != "none" and run.action.name != "advise":
+            raise IzooError(
+                f"algo.warm_start={self.warm_start} imitates a driver that leaves most CVs alone, which action="
+                f"{run.action.name} cannot say; choose action=advise, or algo.warm_start=none."
+            )
+
+    @classmethod
+    def vehicle(cls) -> PPOConfig:
+        """Return the preset ``vehicle``: for tasks in which a CV decides once, with few and long decisions."""
+        return cls(
+            frames_per_batch=1536,
+            epochs=6,
+            lr=5e-3,
+            separate_clips=True,
+            max_grad_norm=1.0,
+            control_variate="vehicle",
+            activation="relu",
+        )
+
+    @classmethod
+    def imitation(cls) -> PPOConfig:
+        """Return the preset ``imitation``: the policy imitates glide, every 2 s, for the whole run."""
+        return cls(
+            frames_per_batch=9600,
+            minibatch_rows=512,
+            lr=2e-3,
+            separate_clips=True,
+            max_grad_norm=2.0,
+            warm_start="glide",
+            warm_start_frames=96_000,
+            activation="relu",
+        )
+
+    @classmethod
+    def paper(cls) -> PPOConfig:
+        """Return the preset ``paper``: RLlib 2.11's defaults, as the paper used them.
+
+        RLlib samples a normal distribution and clips it to the action range, where this squashes it with a tanh.
+        """
+        return cls(
+            frames_per_batch=19500,
+            rows_per_epoch=None,
+            epochs=30,
+            minibatch_rows=128,
+            lr=5e-5,
+            anneal_lr=False,
+            gae_lambda=1.0,
+            clip_epsilon=0.3,
+            value_coeff=1.0,
+            value_loss="l2",
+            value_error_clip=10.0,
+            kl_coeff=0.2,
+            max_grad_norm=None,
+            reward_scale=1.0,
+            hidden=(256, 256),
+            initial_accel_mps2=-0.95,
+            initial_spread=1.0,
+        )
 
 
 def make_actor(
@@ -66,6 +269,7 @@ class PPO:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
     """
 
+    options: type[AlgoConfig] = PPOConfig
     advantage: Tensor
 
     def __init__(

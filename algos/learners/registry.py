@@ -1,17 +1,19 @@
-"""The algorithms and drivers that can be chosen by name: one line for each.
+"""The algorithms and drivers that can be chosen by name, and hyper-parameters in general.
 
-Nothing here loads PyTorch before an algorithm is built, so that commands can read names and options at once.
+Nothing here loads PyTorch: an algorithm's module is imported once its options, or the algorithm, are asked for.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-import importlib
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from izoo.errors import IzooError, unknown_choice
+from izoo.imports import imported
 
 if TYPE_CHECKING:
     import torch
@@ -24,6 +26,9 @@ DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "g
 """Scripted drivers (:data:`izoo.algos.drivers.by_name.DRIVERS`); ``cap_SHARE`` is one for any share:
 :func:`cap_share`."""
 CAP = "cap_"
+
+ON_TWIN: Mapping[str, Any] = {"simulator": "twin", "twin": {"surrogate": "compiled"}}
+"""Options of a run that plays on the twin."""
 
 
 def cap_share(name: str) -> float | None:
@@ -43,83 +48,120 @@ def cap_share(name: str) -> float | None:
     return share
 
 
+@dataclass(frozen=True)
 class AlgoConfig:
-    """Hyper-parameters of an algorithm: a frozen dataclass whose field ``name`` is its name in :data:`ALGORITHMS`.
+    """Hyper-parameters of an algorithm; further ones are fields of a frozen dataclass that is derived from this.
 
     Attributes:
-        name: the algorithm.
+        name: the algorithm: a key of :data:`ALGORITHMS`, or ``module:Class``.
         frames_per_batch: environment steps, over all workers, between two updates.
     """
 
-    name: str
-    frames_per_batch: int
+    name: str = ""
+    frames_per_batch: int = 1950
     needs_env: ClassVar[bool] = False
     """Whether the algorithm is also told the settings of the environment, ``env=``."""
+    takes_start: ClassVar[bool] = False
+    """Whether it can begin with the policy of another run."""
+    estimates_advantages: ClassVar[bool] = False
+    """Whether it estimates advantages, which say how much a context still teaches."""
+    runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Options of the run that go with a preset, by its name: how it acts, what it sees, how long it learns."""
 
     @property
     def candidates(self) -> int:
         """How many policies are compared in each batch, which then holds whole episodes; 1: there is one policy."""
         return 1
 
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> type[AlgoConfig]:
-        """Return the class of the hyper-parameters whose ``name`` stands in ``values``.
+    @property
+    def emits(self) -> tuple[str, ...]:
+        """Groups that the environment has to emit for this algorithm."""
+        return ("team_reward",) if self.candidates > 1 else ()
 
-        Raises:
-            IzooError: there is no such algorithm.
+    def check_run(self, run: Any) -> None:
+        """Raise :class:`IzooError` where other options of a run do not go with these.
+
+        Args:
+            run: an :class:`izoo.conf.train_options.TrainConfig`.
         """
-        name = values.get("name")
-        if not isinstance(name, str) or name not in ALGORITHMS:
-            raise unknown_choice("algo.name", name, ALGORITHMS)
-        return _imported(ALGORITHMS[name].config)
+        if run.levels.draw == "prioritised" and not self.estimates_advantages:
+            raise IzooError(
+                f"levels.draw=prioritised scores contexts by estimated advantages, and algo={self.name} has none; "
+                "choose algo=ppo, mappo or gcrl, or levels.draw=uniform."
+            )
+        if run.start is not None and not self.takes_start:
+            raise IzooError(
+                f"start={run.start} begins with the policy of another run, which algo={self.name} cannot: what it "
+                "keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."
+            )
 
 
-@dataclass(frozen=True)
-class Home:
-    """Where an algorithm lives, as ``module:Class``.
+class Home(typing.NamedTuple):
+    """Where an algorithm lives.
 
     Attributes:
-        algorithm: called with its hyper-parameters, the length of an observation, the bounds of its action, and
-            ``device=``, it returns an :class:`izoo.algos.learners.base.Algorithm`.
-        config: its :class:`AlgoConfig`; the defaults are the choice ``algo=NAME``. In a module of its own commands need
-            not load PyTorch to read it.
-        presets: class methods of the config; each is the choice ``algo=NAME_PRESET``.
+        place: ``module:Class``. The class is called with its hyper-parameters, the length of an observation, the bounds
+            of its action, and ``device=``, and is an :class:`izoo.algos.learners.base.Algorithm`. Its attribute
+            ``options`` is the class of its hyper-parameters; without one it has those of :class:`AlgoConfig`.
+        presets: class methods of ``options``; each is the choice ``algo=NAME_PRESET``.
     """
 
-    algorithm: str
-    config: str
+    place: str
     presets: tuple[str, ...] = ()
 
 
+_LIKE_PPO = ("paper", "vehicle", "imitation")
 ALGORITHMS = {
-    "ppo": Home("izoo.algos.learners.ppo:PPO", "izoo.algos.learners.ppo_config:PPOConfig", ("paper",)),
-    "ddpg": Home("izoo.algos.learners.ddpg:DDPG", "izoo.algos.learners.ddpg_config:DDPGConfig", ("paper",)),
-    "td3": Home("izoo.algos.learners.td3:TD3", "izoo.algos.learners.ddpg_config:TD3Config"),
-    "mappo": Home("izoo.algos.learners.mappo:MAPPO", "izoo.algos.learners.ppo_config:MAPPOConfig", ("paper",)),
-    "cmaes": Home("izoo.algos.learners.cmaes:CMAES", "izoo.algos.learners.cmaes_config:CMAESConfig"),
-    "glide_search": Home(
-        "izoo.algos.learners.glide_search:GlideSearch", "izoo.algos.learners.glide_search_config:GlideSearchConfig"
-    ),
-    "gcrl": Home("izoo.algos.learners.graph_ppo:GCRL", "izoo.algos.learners.ppo_config:GCRLConfig", ("paper",)),
+    "ppo": Home("izoo.algos.learners.ppo:PPO", _LIKE_PPO),
+    "ddpg": Home("izoo.algos.learners.ddpg:DDPG", ("paper",)),
+    "td3": Home("izoo.algos.learners.td3:TD3"),
+    "mappo": Home("izoo.algos.learners.mappo:MAPPO", _LIKE_PPO),
+    "gcrl": Home("izoo.algos.learners.graph_ppo:GCRL", _LIKE_PPO),
+    "cmaes": Home("izoo.algos.learners.cmaes:CMAES", ("teams",)),
+    "glide_search": Home("izoo.algos.learners.glide_search:GlideSearch", ("teams",)),
 }
 
 
 def choices() -> tuple[str, ...]:
-    """Return what ``algo=`` may be: every algorithm, and every preset of one."""
+    """Return what ``algo=`` may be by name: every algorithm, and every preset of one."""
     return tuple(
         sorted(choice for name, home in ALGORITHMS.items() for choice in (name, *(f"{name}_{p}" for p in home.presets)))
     )
 
 
+def algorithm_class(name: str) -> Any:
+    """Return the class of an algorithm: by its name, or ``module:Class``.
+
+    Raises:
+        IzooError: there is none.
+    """
+    if name not in ALGORITHMS and ":" not in name:
+        raise unknown_choice("algo", name, choices())
+    return imported("algo", ALGORITHMS[name].place if name in ALGORITHMS else name)
+
+
+def options_class(name: str) -> type[AlgoConfig]:
+    """Return the class of the hyper-parameters of an algorithm; see :func:`algorithm_class`."""
+    return getattr(algorithm_class(name), "options", AlgoConfig)
+
+
 def preset(choice: str) -> AlgoConfig:
-    """Return the hyper-parameters that a choice of :func:`choices` stands for."""
-    for name, home in ALGORITHMS.items():
-        for made in home.presets:
-            if choice == f"{name}_{made}":
-                return getattr(_imported(home.config), made)()
-    if choice not in ALGORITHMS:
-        raise unknown_choice("algo", choice, choices())
-    return _imported(ALGORITHMS[choice].config)()
+    """Return the hyper-parameters that a choice of ``algo=`` stands for: see :func:`choices`, or ``module:Class``."""
+    name, made = _split(choice)
+    config = getattr(options_class(name), made)() if made else options_class(name)()
+    return config if name in ALGORITHMS else dataclasses.replace(config, name=name)
+
+
+def run_options(choice: str) -> Mapping[str, Any]:
+    """Return the options of a run that go with a choice of ``algo=``, by group and name."""
+    name, made = _split(choice)
+    return options_class(name).runs.get(made, {}) if made else {}
+
+
+def _split(choice: str) -> tuple[str, str]:
+    """Return the algorithm's name, and the preset's or an empty text."""
+    presets = {f"{name}_{made}": (name, made) for name, home in ALGORITHMS.items() for made in home.presets}
+    return presets.get(choice, (choice, ""))
 
 
 def make_algorithm(
@@ -131,15 +173,10 @@ def make_algorithm(
     from izoo.envs.mdp.frame import observation_names
 
     told = {"env": env} if algo.needs_env else {}
-    build = functools.partial(_imported(ALGORITHMS[algo.name].algorithm), device=device, **told)
+    build = functools.partial(algorithm_class(algo.name), device=device, **told)
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float32)  # that of observations
     try:
         return action.algorithm(build, algo, len(observation_names(env)), env)
     finally:
         torch.set_default_dtype(before)
-
-
-def _imported(place: str) -> Any:
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)

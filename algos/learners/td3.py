@@ -6,16 +6,46 @@ than the critics. Everything else, replay and exploration included, is :mod:`izo
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
-from izoo.algos.learners.ddpg import DDPG
-from izoo.algos.learners.ddpg_config import TD3Config
+from izoo.algos.learners.ddpg import DDPG, DDPGConfig
 from izoo.algos.losses import MaskedTD3Loss
+from izoo.errors import check_range
+
+
+@dataclass(frozen=True)
+class TD3Config(DDPGConfig):
+    """Hyper-parameters of TD3: those of DDPG, and of its three changes.
+
+    The paper has no TD3, so there is no preset ``paper``.
+
+    Attributes:
+        name: the algorithm.
+        policy_delay: gradient steps of the critics for each one of the actor and of the target networks (TD3 2; ours
+            the same).
+        target_noise: spread of the noise on the target network's action, in half widths of the action's range (TD3
+            0.2; ours the same).
+        target_noise_clip: most of that noise (TD3 0.5; ours the same).
+    """
+
+    name: Literal["td3"] = "td3"  # type: ignore[assignment]
+    stores: Literal["commanded", "applied"] = "applied"
+    policy_delay: int = 2
+    target_noise: float = 0.2
+    target_noise_clip: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range("algo.policy_delay", self.policy_delay, 1, 10**6)
+        for name in ("target_noise", "target_noise_clip"):
+            check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)
 
 
 class TD3(DDPG):
     """DDPG with the three changes; the arguments are the same."""
 
+    options = TD3Config
     config: TD3Config
     critic_name = "qvalue"
     gradient_steps = 0

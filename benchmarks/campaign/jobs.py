@@ -1,195 +1,294 @@
-"""A benchmark as a list of jobs over one results folder: what is done is skipped, what was begun goes on.
+"""A part of a campaign: what it trains and plays. What is done is skipped, and what was begun goes on.
 
-What is trained follows from the run folders, and what is tested from the rows of the store.
+What is trained follows from the run folders, and what is tested from the rows of the part's store.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import torch
+
+from izoo import tasks, zoo
 from izoo.algos.drivers.glide import Glide, GlideConfig
-from izoo.benchmarks.campaign.comparing import check_settings, summaries
-from izoo.benchmarks.campaign.generalization_options import SWEPT, Entry, GeneralizationConfig
+from izoo.algos.learners.registry import make_algorithm
+from izoo.benchmarks import planner
+from izoo.benchmarks.campaign.experiment import UNTRAINED, Entry, Experiment
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
-from izoo.benchmarks.campaign.policies import selected, untrained
-from izoo.benchmarks.campaign.task_plan import evaluation_env, make_plan, train_config
-from izoo.benchmarks.campaign.training_runs import Key, TrainingRuns
-from izoo.conf.mapping import to_mapping
-from izoo.envs.twin import backend
-from izoo.envs.twin.net.supported import check_contexts
-from izoo.metrics.summary import TRAINING, Summary
+from izoo.benchmarks.campaign.training_runs import TRAIN_FOLDER, TrainingRuns
+from izoo.cli.compose import compose_config
+from izoo.conf.mapping import from_mapping
+from izoo.conf.quoting import written
+from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
+from izoo.cores import usable_cores
+from izoo.envs.config import EnvConfig
+from izoo.metrics.pairing import BASELINES
+from izoo.metrics.summary import TRAINING
 from izoo.results.policies import as_policy
-from izoo.results.rollout import Play, Policy, missing, play_missing
-from izoo.results.store import Store
+from izoo.results.rollout import Play, evaluated, missing, play_missing
+from izoo.results.selection import EpisodeSeeds
+from izoo.results.store import SHARED, Store
+from izoo.tasks import Task, limited
 from izoo.training import checkpoint, run_folder
-from izoo.training.loggers import MetricsTable
 from izoo.training.option_checks import check_options
-from izoo.training.plots import compare_curves
+from izoo.zoo import catalog
 
-CURVES_FILE = "learning_curves.png"
-MAY_DIFFER = ("out", "num_workers", "runs_at_once", "cache", "human_vehicles", "trained_in", "verbose")
-"""Options that change no number (but for rounding, where a run has fewer cores)."""
-MAY_GROW = ("algos", "seeds", "untrained_seeds", "test_limit", "train_contexts", "eval_seeds", "floors_mps", *SWEPT)
-"""Options that may get more values than before; what is there stays."""
+ROLES = ("train", "validation", "test")
 
 
-@dataclass(frozen=True)
-class Job:
-    """One training run or one evaluation."""
+@dataclasses.dataclass(frozen=True)
+class Machine:
+    """Where and how a campaign runs; nothing here changes its numbers.
 
-    kind: Literal["train", "evaluate"]
-    entry: Entry
-    seed: int
-
-    @property
-    def key(self) -> Key:
-        """The entry's name and the training seed."""
-        return self.entry.name, self.seed
-
-    def __str__(self) -> str:
-        return f"{self.kind} {self.entry.name}" + (f", seed {self.seed}" if self.entry.seeded else "")
-
-
-class Campaign:
-    """A benchmark of resolved options, and its results folder.
-
-    Raises:
-        IzooError: the options name something that cannot be used.
+    Attributes:
+        dataset: folder of the measured intersections.
+        threads: of the twin.
+        num_workers: processes that play SUMO.
+        runs_at_once: training runs that learn at the same time.
+        cache: folder of the baselines' episodes; ``None``: the user's.
     """
 
-    def __init__(self, config: GeneralizationConfig, folder: Path) -> None:
-        self.config, self.folder = config, folder
-        self.entries = config.entries()
-        self.plan = make_plan(config)
-        self.tests = {self.plan.task: self.plan.test}
-        if self.plan.seen:
-            self.tests[self.plan.task + TRAINING] = self.plan.seen
-        if config.human_vehicles:
-            as_humans = [context.replace(cv_vehicle="human") for context in self.plan.test]
-            self.tests[f"{self.plan.task}, human vehicles"] = as_humans
-        self.envs = {entry.name: evaluation_env(config, entry) for entry in self.entries}
-        # Composed before anything runs, so that an option that does not fit stops the benchmark at once.
-        wanted = {
-            (entry.name, seed): train_config(config, self.plan, entry, seed)
-            for entry in self.entries
-            if entry.kind == "trained"
-            for seed in config.seeds_of(entry)
-        }
-        self.runs = TrainingRuns(wanted, folder, owes_validation=config.select == "best")
-        self._check_simulators()
-        self.store = Store(folder, task=self.plan.task, config=evaluation_env(config))
+    dataset: str | None = None
+    threads: int | None = None
+    num_workers: int = 2
+    runs_at_once: int = 1
+    cache: str | None = None
 
-    def _check_simulators(self) -> None:
-        """Raise :class:`IzooError` where a run or the twin cannot play what it shall, before anything is played."""
-        for run in self.runs.wanted.values():
-            check_options(run)
-        if self.config.simulator == "twin":
-            for env in self.envs.values():
-                backend.check_settings(env)
-            check_contexts([*self.plan.test, *self.plan.seen])
+
+class Job(NamedTuple):
+    """A training run, or the tests of one policy on one simulator."""
+
+    kind: Literal["train", "test"]
+    entry: str
+    seed: int
+    simulator: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.entry}, seed {self.seed}" + (f", {self.simulator}" if self.simulator else "")
+
+
+class PartRun:
+    """A part of an experiment, and its results folder.
+
+    Args:
+        experiment: which it is of.
+        name: of the part.
+        folder: of the campaign.
+        machine: how to run.
+
+    Raises:
+        IzooError: the experiment names something that cannot be used.
+    """
+
+    def __init__(self, experiment: Experiment, name: str, folder: Path, machine: Machine) -> None:
+        self.name, self.folder, self.machine = name, folder / name, machine
+        self.experiment = experiment
+        self.part, self.entries = experiment.parts[name], experiment.entries_of(name)
+        self.task = self._task()
+        self.tests = {self.task.name: self.task.test_set(self.part.contexts)}
+        if self.part.training_contexts:
+            seen = limited(self.task.train.build(), self.part.training_contexts, self.task.test_seed + 1)
+            self.tests[self.task.name + TRAINING] = seen
+        trainer = self.part.trained_in
+        self.trainer = self if trainer is None else PartRun(experiment, trainer, folder, machine)
+        # Composed before anything runs, so that an option that does not fit stops the campaign at once.
+        configs = {
+            (entry, seed): self.trainer.options(entry.removesuffix(UNTRAINED), seed)
+            for entry, (kind, of) in self.entries.items()
+            if kind in ("trained", "untrained")
+            for seed in range(of.seeds or self.part.seeds)
+        }
+        self.configs = configs
+        trained = {key: config for key, config in configs.items() if self.entries[key[0]][0] == "trained"}
+        validated = {entry for entry, (_, of) in self.entries.items() if of.select == "best"}
+        self.runs = TrainingRuns(trained, self.trainer.folder, validated)
+        for config in trained.values():
+            check_options(config)
+        self.store = Store(self.folder, task=self.task.name, config=evaluated(self.task.env))
+
+    def _task(self) -> Task:
+        part = self.part
+        path = self.machine.dataset if reads_folder(part.task) else None
+        return tasks.make(part.task, adoption=part.adoption, cv_vehicle=part.cv_vehicle, path=path)
+
+    @functools.cache  # noqa: B019 - as long as the command
+    def _options(self, name: str) -> TrainConfig:
+        entry = self.experiment.known(self.name)[name]
+        said = {"contexts.adoption": self.part.adoption, "contexts.cv_vehicle": self.part.cv_vehicle}
+        said |= {"contexts.path": self.machine.dataset if reads_folder(self.part.task) else None}
+        said |= {"twin.threads": self.machine.threads}
+        words = [f"task={self.part.task}", *self.part.train, *entry.train, "evaluation.contexts=0"]
+        words += [f"{name}={written(value)}" for name, value in said.items() if value is not None]
+        return compose_config(TrainConfig, last_of(words))
+
+    def options(self, name: str, seed: int) -> TrainConfig:
+        """Return the options of a training run."""
+        start = self.experiment.known(self.name)[name].start
+        run = None if start is None else str(self.folder / TRAIN_FOLDER / start / f"seed{seed}")
+        return dataclasses.replace(self._options(name), seed=seed, start=run)
+
+    def env(self, name: str) -> EnvConfig:
+        """Return the environment of an entry's tests: its own, with episodes as the task has them."""
+        kind, entry = self.entries.get(name, ("scripted", Entry(policy=name)))
+        shipped = catalog.named(entry.policy or "")
+        if kind in ("trained", "untrained"):
+            own = self.configs[name, 0].env
+        elif kind == "planner":
+            own = planner.settings(self._planner(entry))
+        elif shipped:
+            own = zoo.load(shipped).env
+        else:
+            own = self.task.env
+            own = own if ":" in (entry.policy or "") else own.with_accelerations()
+        return evaluated(dataclasses.replace(own, emit=(), **{key: getattr(self.task.env, key) for key in SHARED}))
+
+    def _planner(self, entry: Entry) -> planner.PlannerConfig:
+        env = self.task.env.with_accelerations()
+        return dataclasses.replace(from_mapping(planner.PlannerConfig, entry.planner), env=env)
 
     def jobs(self) -> list[Job]:
-        """Return all jobs, seed by seed, so that a part of the benchmark already compares every entry."""
-        jobs = [Job("evaluate", entry, 0) for entry in self.entries if not entry.seeded]
-        for seed in range(self.config.seeds or 0):
-            for entry in self.entries:
-                if entry.kind == "trained":
-                    jobs.append(Job("train", entry, seed))
-                if entry.seeded and seed in self.config.seeds_of(entry):
-                    jobs.append(Job("evaluate", entry, seed))
-        return jobs
+        """Return all jobs, seed by seed, so that a part that is not finished already compares every entry."""
+        found = [Job("test", name, 0, simulator) for name in BASELINES for simulator in self.part.simulators]
+        for seed in range(max((seed + 1 for _, seed in self.configs), default=1)):
+            for name, (kind, _) in self.entries.items():
+                if seed and (name, seed) not in self.configs:
+                    continue
+                if kind == "trained" and self.part.trained_in is None:
+                    found.append(Job("train", name, seed))
+                simulators = ("twin",) if kind == "planner" else self.part.simulators
+                found += [Job("test", name, seed, each) for each in simulators if self._plays_in(each, seed)]
+        return found
 
-    def run(self) -> list[Summary]:
-        """Do what is not done, write curves and summaries, and return a summary for each task.
+    def _plays_in(self, simulator: str, seed: int) -> bool:
+        most = self.part.sumo_seeds
+        return simulator == "twin" or most is None or seed < most
+
+    def missing(self) -> list[Job]:
+        """Return the jobs whose frames or rows are not there."""
+        return [job for job in self.jobs() if not self._is_there(job)]
+
+    def _is_there(self, job: Job) -> bool:
+        if job.kind == "train":
+            return self.runs.frames((job.entry, job.seed)) >= self.configs[job.entry, job.seed].total_frames
+        return not any(missing(self.store, plays, job.simulator) for plays in self._plays(job).values())
+
+    def play(self) -> None:
+        """Do what is not done.
 
         Raises:
-            IzooError: something in the folder does not belong to this benchmark.
+            IzooError: something in the folder does not belong to this part.
             KeyboardInterrupt: Ctrl-C; what was begun goes on at the next start.
         """
-        check_settings(self.folder, to_mapping(self.config), MAY_DIFFER, MAY_GROW)
         with self.store.open():
             for contexts in self.tests.values():
                 self.store.keep_contexts(contexts)
-            if self.config.trained_in is not None:
-                self.runs.take_over(Path(self.config.trained_in))
-            self._do(self.jobs())
-        self._draw_curves()
-        return summaries(self.folder, self.store.table, self.tests)
+            jobs = self.jobs()
+            todo = [job for job in jobs if not self._is_done(job)]
+            print(f"\n{self.name}: {len(jobs) - len(todo)} of {len(jobs)} jobs are done already.", flush=True)
+            with ParallelRuns(self.machine.runs_at_once) as beside:
+                for number, job in enumerate(todo, len(jobs) - len(todo) + 1):
+                    print(f"\n[{number}/{len(jobs)}] {self.name}: {job}", flush=True)
+                    key = job.entry, job.seed
+                    if job.kind == "test":
+                        self._test(job)
+                    elif self.machine.runs_at_once == 1:
+                        self.runs.train(key)
+                    else:
+                        self.runs.train_in_parallel(beside, list(self._ready(todo, job)))
 
-    def _do(self, jobs: list[Job]) -> None:
-        todo = [job for job in jobs if not self._is_done(job)]
-        print(f"{len(jobs) - len(todo)} of {len(jobs)} jobs are done already. Results: {self.folder}", flush=True)
-        with ParallelRuns(self.config.runs_at_once) as beside:
-            for number, job in enumerate(todo):
-                print(f"\n[{len(jobs) - len(todo) + number + 1}/{len(jobs)}] {job}", flush=True)
-                if job.kind == "evaluate":
-                    self._evaluate(job)
-                elif self.config.runs_at_once == 1:
-                    self.runs.train(job.key)
-                else:
-                    self.runs.train_beside(beside, [other.key for other in todo[number:] if other.kind == "train"])
+    def _ready(self, todo: list[Job], job: Job) -> Iterable[tuple[str, int]]:
+        """Yield the runs that may begin with that of ``job``: those that do not wait for another one's end."""
+        for other in todo[todo.index(job) :]:
+            start = self.entries[other.entry][1].start
+            if other.kind == "train" and (start is None or self.runs.is_trained((start, other.seed))):
+                yield other.entry, other.seed
 
     def _is_done(self, job: Job) -> bool:
-        if job.kind == "train":
-            return self.runs.is_trained(job.key)
-        if job.entry.kind == "trained" and not self.runs.is_trained(job.key):
+        trained = self.entries.get(job.entry, ("", None))[0] == "trained"
+        if trained and not self.trainer.runs.is_trained((job.entry, job.seed)):
             return False
-        self._admit(job)
-        return not any(missing(self.store, plays, self.config.simulator) for plays in self._plays(job).values())
+        if job.kind == "train":
+            return True
+        if job.entry in self.entries and (self.store.done or trained):
+            self._admit(job)
+        return self._is_there(job)
 
-    def _admit(self, job: Job) -> Policy:
+    def _admit(self, job: Job) -> Any:
         """Tell the store which weights are tested, which drops rows of others, and return the policy."""
-        entry, env = job.entry, self.envs[job.entry.name]
-        known: dict[str, Any] = {}
-        if entry.kind == "trained":
-            path = selected(self.runs.run_dir(job.key), self.config.select)
-            given: Any = run_folder.load_policy(path)
-            known = {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
-        elif entry.kind == "untrained":
-            given = untrained(train_config(self.config, self.plan, entry, job.seed))
-        elif entry.floor_mps is not None:
-            given = Glide(env, GlideConfig(floor_mps=entry.floor_mps))
-        else:
-            given = entry.policy
-        named = as_policy(given, env, entry.name)
-        if entry.seeded:
-            known |= {"kind": entry.kind, "algo": entry.algo}
-        self.store.admit({job.key: dataclasses.replace(named.record, **known)})
+        kind, entry = self.entries.get(job.entry, ("scripted", Entry(policy=job.entry)))
+        env, known = self.env(job.entry), {}  # type: EnvConfig, dict[str, Any]
+        given: Any = entry.policy
+        if kind in ("trained", "untrained"):
+            config = self.configs[job.entry, job.seed]
+            known = {"kind": kind, "algo": config.algo.name}
+            if kind == "trained":
+                run_dir = self.trainer.runs.run_dir((job.entry, job.seed))
+                path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
+                given = run_folder.load_policy(path)
+                known |= {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
+            else:
+                given = untrained(config)
+        elif kind == "planner":
+            given, known = planner.Planning(self._planner(entry)), {"source": self._planner(entry).source}
+        elif entry.glide:
+            given = Glide(env, from_mapping(GlideConfig, entry.glide))
+        named = as_policy(given, env, job.entry)
+        self.store.admit({(job.entry, job.seed): dataclasses.replace(named.record, **known)})
         return named.policy
 
-    def _evaluate(self, job: Job) -> None:
-        policy = self._admit(job)
-        wants_best = self.config.select == "best" and job.entry.kind == "trained"
-        if wants_best and checkpoint.best_of(self.runs.run_dir(job.key)) is None:
-            print("The run was too short to be validated: its last weights are tested.", flush=True)
+    def _test(self, job: Job) -> None:
+        policy, twin = self._admit(job), job.simulator == "twin"
+        options: dict[str, Any] = {"workers": self.machine.num_workers, "cache": self.machine.cache}
+        if twin:
+            options["workers"] = self.machine.threads or usable_cores()
+        if self.entries.get(job.entry, ("", None))[0] == "planner":
+            options |= {"record": ("team_reward",), "side_by_side": planner.AT_ONCE}
         for task, plays in self._plays(job).items():
-            play_missing(
-                self.store,
-                plays,
-                {job.key: policy},
-                self.envs[job.entry.name],
-                self.config.simulator,
-                task=task,
-                workers=self.config.num_workers or 0,
-                cache=self.config.cache,
-            )
+            policies: Any = {} if job.entry in BASELINES else {(job.entry, job.seed): policy}
+            play_missing(self.store, plays, policies, self.env(job.entry), job.simulator, task=task, **options)
 
     def _plays(self, job: Job) -> dict[str, list[Play]]:
-        """Return what a job plays, by task."""
+        """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all."""
+        kind, entry = self.entries.get(job.entry, ("scripted", Entry()))
+        each, seeds = self.task.test_episodes, max((seed + 1 for _, seed in self.configs), default=1)
+        if job.simulator == "sumo" and self.part.sumo_seeds is not None:
+            seeds = min(seeds, self.part.sumo_seeds)
+        own = range(seeds) if kind == "scripted" else (job.seed,)
+        numbers = [k * each + episode for k in own for episode in range(each)]
+        drawn = EpisodeSeeds(self.task.test_seed, max(numbers, default=0) + 1)
         return {
-            task: [Play(*job.key, context, seed) for context in contexts for seed in self.plan.seeds.of(context)]
+            task: [
+                Play(job.entry, job.seed, context, drawn.of(context)[number])
+                for context in self._contexts(entry, contexts)
+                for number in numbers
+            ]
             for task, contexts in self.tests.items()
+            if kind != "planner" or not task.endswith(TRAINING)
         }
 
-    def _draw_curves(self) -> None:
-        """Draw the learning curves of all training runs, where there are any."""
-        curves: dict[str, list[MetricsTable]] = {}
-        for name, seed in self.runs.wanted:
-            table = MetricsTable.read(self.runs.run_dir((name, seed)) / run_folder.METRICS_FILE)
-            curves.setdefault(name, []).append(table)
-        if curves:
-            compare_curves(curves, self.folder / CURVES_FILE, f"{self.plan.task}: training")
+    def _contexts(self, entry: Entry, contexts: list[Context]) -> list[Context]:
+        return contexts if entry.contexts is None else limited(contexts, entry.contexts)  # type: ignore[arg-type]
+
+
+def reads_folder(task: str) -> bool:
+    """Whether a task's contexts lie in a folder that has to be named."""
+    return any(hasattr(getattr(tasks.make(task), role), "path") for role in ROLES)
+
+
+def untrained(config: TrainConfig) -> Any:
+    """Return the policy with which a training run begins."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        policy: Any = make_algorithm(config.algo, config.action, config.env).policy
+        return policy.eval()
+
+
+def last_of(words: Iterable[str]) -> list[str]:
+    """Return option words, of those that set the same one the last."""
+    return list({word.partition("=")[0]: word for word in words}.values())

@@ -15,8 +15,8 @@ from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistic
 from izoo.benchmarks.fidelity.single_vehicle import Departure
 from izoo.console import Progress
 from izoo.contexts.context import Context
-from izoo.envs import EcoDrivingEnv
-from izoo.envs.config import SIMULATORS, STEP, EnvConfig
+from izoo.envs import SIMULATORS, EcoDrivingEnv
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.snapshot import Scene
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road

@@ -19,7 +19,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks.timing.bare_variants import Bare, BareSideBySide
 from izoo.benchmarks.timing.stopwatch import CHUNK, seconds_per_step

@@ -14,11 +14,13 @@ import numpy as np
 from izoo.compiling import compiling_once
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
+from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import KEEP_LANE, EnvConfig
 from izoo.envs.mdp.columns import ACCEL, DEFERRED, SPEED
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
+from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.step import make_frame
 from izoo.envs.sumo.session import SumoSession, readable_paths, sumo_arguments
@@ -240,3 +242,9 @@ def _due_by_step(depart_s: np.ndarray, config: EnvConfig) -> list[int]:
     begin_s = np.arange(config.warmup_steps + config.total_steps) * config.step_s
     # SUMO reads times in whole milliseconds.
     return np.searchsorted(np.round(depart_s, 3), begin_s + 1e-6, side="right").tolist()  # type: ignore[no-any-return]
+
+
+def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], SumoSimulator]:
+    """Return the frames and the backend of one environment in this process."""
+    frames = map_frames(bytearray(frame_bytes(config, 1)), config, 1)
+    return frames, SumoSimulator(config, row_of(frames, 0), load_weights())

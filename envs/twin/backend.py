@@ -349,3 +349,9 @@ def _use_one_torch_thread() -> None:
 def _close(crew: Crew, preparer: ThreadPoolExecutor) -> None:
     preparer.shutdown(cancel_futures=True)
     crew.close()
+
+
+def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], TwinBackend]:
+    """Return the frames and the backend of one environment, with the surrogate that SUMO's environments have."""
+    backend = TwinBackend(config, 1, surrogate="compiled")
+    return backend.frames, backend

@@ -15,11 +15,11 @@ import numpy as np
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
-from izoo.emissions.weights import load_weights
+from izoo.envs import simulator_of
 from izoo.envs.backend import Backend, Play
-from izoo.envs.config import KEEP_LANE, SIMULATORS, STEP, EnvConfig, checked_config
+from izoo.envs.config import KEEP_LANE, STEP, EnvConfig, checked_config
 from izoo.envs.mdp.columns import NUMBER
-from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
+from izoo.envs.mdp.frame import row_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
 from izoo.envs.render import draw
 from izoo.envs.sumo.session import has_screen
@@ -27,6 +27,7 @@ from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.commands import Commands
 from izoo.envs.views.controlled_vehicles import EPISODES_SEARCHED, first_with_cvs
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
+from izoo.imports import imported
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts
@@ -63,11 +64,11 @@ class ViewSession:
         in_process: bool,
         simulator: str = "sumo",
     ) -> None:
-        check_choice("simulator", simulator, SIMULATORS)
+        chosen = simulator_of(simulator)
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
-        if render_mode == "human" and simulator == "twin":
-            raise IzooError("render_mode='human' shows SUMO, and the twin has no window; use render_mode='rgb_array'.")
+        if render_mode == "human" and not chosen.window:
+            raise IzooError(f"render_mode='human' needs a window, and {chosen.label} has none; use 'rgb_array'.")
         if render_mode == "human" and not has_screen():
             raise IzooError("render_mode='human' needs a screen, and DISPLAY is not set; use render_mode='rgb_array'.")
         config = checked_config(config)
@@ -86,19 +87,13 @@ class ViewSession:
 
     def _make_backend(self) -> None:
         backend: Backend
-        if self._simulator == "twin":
-            from izoo.envs.twin.backend import TwinBackend
-
-            backend = twin = TwinBackend(self.config, 1, surrogate="compiled")
-            self.frame = row_of(twin.frames, 0)
-        elif self._in_process:
-            from izoo.envs.sumo.simulator import SumoSimulator
-
-            self.frame = row_of(map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1), 0)
-            backend = SumoSimulator(self.config, self.frame, load_weights())
+        chosen = simulator_of(self._simulator)
+        if self._in_process or chosen.batched:
+            frames, backend = imported("simulator", chosen.single)(self.config)
         else:
             backend = workers = SumoWorkers(self.config, 1, poll=False)
-            self.frame = row_of(workers.frames, 0)
+            frames = workers.frames
+        self.frame = row_of(frames, 0)
         self._backend = backend
         self._finalizer = weakref.finalize(self, backend.close)
 

@@ -9,20 +9,23 @@ from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 
-from izoo import zoo
+from izoo import tasks, zoo
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.mapping import to_mapping, with_given
+from izoo.conf.mapping import to_mapping
+from izoo.conf.quoting import written
 from izoo.console import counted
 from izoo.contexts.context import Context
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
+from izoo.report.leaderboard import write_entries
 from izoo.report.tables import print_summary
 from izoo.results.playing import Policy
 from izoo.results.policies import as_policy
-from izoo.results.rollout import evaluate_policy, evaluated
+from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.results.store import PolicyRecord, read_table
 from izoo.training import checkpoint, run_folder
@@ -47,14 +50,19 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
 
     Args:
         config: the options.
-        given: names of the options that were written on the command line; matters where a run is given.
+        given: the options that were written; what the others are instead, :func:`defaults` says.
     """
-    subject = resolve(config, given)
+    del given
+    subject = resolve(config)
     source = subject.contexts.build()
-    contexts = choose_contexts(source, config.num_contexts, config.seed)
-    seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
+    if config.task is None:
+        contexts = choose_contexts(source, config.num_contexts, config.seed)
+        seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
+    else:
+        contexts = tasks.limited(source, config.num_contexts)
+        seeds = EpisodeSeeds(tasks.TEST_SEED + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / EVALUATIONS / _label(subject, config, contexts)
-    where = "" if config.simulator == "sumo" else " on the twin"
+    where = f" on {simulator_of(config.simulator).label}"
     what = f"contexts={subject.contexts.name}, {describe(contexts, seeds, subject.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
     size = len(source) if isinstance(source, Sized) else len(contexts)
@@ -70,7 +78,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         seeds,
         subject.env,
         name=subject.name,
-        task=_task(subject.contexts),
+        task=_task(config),
         train_seed=subject.train_seed,
         simulator=config.simulator,
         workers=config.num_workers,
@@ -83,55 +91,60 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
     if others:
         print(f"{counted(others, 'other context')} of earlier evaluations in {out}: they are in the summary as well.")
     print(f"Results: {out}", flush=True)
+    for path in write_entries(out):
+        print(f"Leaderboard file: {path}", flush=True)
     print_summary(summarise(table), verbose=config.verbose)
     return out
 
 
-def resolve(config: EvaluateConfig, given: frozenset[str]) -> Subject:
+def resolve(config: EvaluateConfig) -> Subject:
     """Return what to evaluate.
 
     Raises:
         IzooError: neither or both of ``run`` and ``policy``, or a run that observes something else than ``env`` says.
     """
-    if "env.drain_s" in given and not config.env.drain_s:
+    if not config.env.drain_s:
         raise IzooError("env.drain_s is 0, but evaluated episodes are played out; give a time, such as 600.")
     if (config.run is None) == (config.policy is None):
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
-        name, env = config.policy.rpartition(":")[2], config.env
         shipped = zoo.named(config.policy)
-        if shipped:
-            found = zoo.load(shipped)
-            name, env = found.name, evaluated(with_given(found.env, env, given, "env"))
-        found_policy = as_policy(config.policy, env, name)
-        return Subject(name, found_policy.policy, config.contexts, env, Path.cwd(), found_policy.record)
+        name = zoo.load(shipped).name if shipped else config.policy.rpartition(":")[2]
+        found_policy = as_policy(config.policy, config.env, config.name or name)
+        return Subject(
+            found_policy.name, found_policy.policy, config.contexts, config.env, Path.cwd(), found_policy.record
+        )
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, state = run_folder.load_algorithm(path)
-    env = evaluated(with_given(zoo.full_episodes(trained.env), config.env, given, "env"))
-    there, given_names = observation_names(trained.env), observation_names(env)
-    if there != given_names:
-        changed = [f"+{name}" for name in given_names if name not in there]
-        changed += [f"-{name}" for name in there if name not in given_names]
+    there, here = observation_names(trained.env), observation_names(config.env)
+    if there != here:
+        changed = [f"+{name}" for name in here if name not in there] + [
+            f"-{name}" for name in there if name not in here
+        ]
         raise IzooError(
             f"the run {folder} was trained on other observations than the env options describe "
             f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
         )
-    zoo.check_actions(f"the policy of {folder}", trained.env, env)
-    changed = [option for option in sorted(given) if option.startswith("contexts.")]
-    if changed and "contexts" not in given:  # as in a sweep over runs
-        raise IzooError(f"{changed[0]} is given, and it is not known of which contexts; give contexts=NAME as well.")
-    contexts = config.contexts if changed or "contexts" in given else trained.contexts
-    run_folder.check_drivers(folder, trained, contexts)
-    name = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
+    zoo.check_actions(f"the policy of {folder}", trained.env, config.env)
+    run_folder.check_drivers(folder, trained, config.contexts)
+    label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
-    return Subject(name, algorithm.policy.eval(), contexts, env, folder, record, trained.seed)
+    return Subject(
+        config.name or label, algorithm.policy.eval(), config.contexts, config.env, folder, record, trained.seed
+    )
 
 
-def _task(contexts: ContextsConfig) -> str:
-    """Name what is tested: the contexts, their place and split."""
-    parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
-    return " ".join(str(part) for part in parts if part)
+def _task(config: EvaluateConfig) -> str:
+    """Name what is tested: a task, and in what it was changed; or the contexts, their place and split."""
+    contexts = config.contexts
+    if config.task is None:
+        parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
+        return " ".join(str(part) for part in parts if part)
+    task = tasks.make(config.task)
+    whole = to_mapping(task.test)
+    changed = {key: value for key, value in to_mapping(contexts).items() if key != "path" and whole.get(key) != value}
+    return ", ".join([task.name, *(f"{key}={written(value)}" for key, value in changed.items())])
 
 
 def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:
@@ -139,4 +152,4 @@ def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]
     played = [context.content_hash for context in contexts]  # what lies in a folder of contexts may change
     parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed, played]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
-    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == "sumo" else f"-{config.simulator}")
+    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == REFERENCE else f"-{config.simulator}")

@@ -6,9 +6,15 @@ import dataclasses
 import inspect
 import re
 import textwrap
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from izoo.conf.recipes import RECIPES
+from omegaconf import OmegaConf
+
+from izoo import tasks
+from izoo.conf.choices import TAKES_OWN, groups
+from izoo.conf.mapping import to_mapping
+from izoo.conf.quoting import written
 
 if TYPE_CHECKING:
     from izoo.cli.option_command import OptionCommand
@@ -18,66 +24,57 @@ HELP_WIDTH = 110
 
 def to_yaml(config: Any) -> str:
     """Return a configuration dataclass as YAML."""
-    from omegaconf import OmegaConf
-
-    from izoo.conf.mapping import to_mapping
-
     return OmegaConf.to_yaml(OmegaConf.create(to_mapping(config)))
 
 
-def help_text(command: OptionCommand, config_class: type, groups: dict[str, tuple[str, ...]]) -> str:
-    """Return the help page: usage, examples, choices, and every option with its default and meaning."""
+def help_text(command: OptionCommand, config: Any) -> str:
+    """Return the help page: usage, examples, choices, and every option of ``config`` with its value and meaning."""
     place = f" {command.place.upper()}" if command.place else ""
     lines = [command.summary, "", f"Usage: python -m izoo.{command.name}{place} [option=value ...]", "", "Examples:"]
     lines += [f"  python -m {example}" for example in command.examples]
-    lines += ["", "Flags:", "  -h, --help      this page", "  -m, --multirun  run once for each combination of"]
-    lines[-1] += " comma-separated values, as in seed=0,1,2"
-    lines += ["  --cfg           print the resolved options and stop; with -m, those of every combination"]
-    default = config_class()
-    fields = [field.name for field in dataclasses.fields(config_class)]
-    chosen = [name for name in groups if name in fields]
+    lines += [
+        *("", "Flags:"),
+        "  -h, --help      this page; of other choices' options too, as in --help algo=ddpg",
+        "  -m, --multirun  run once for each combination of comma-separated values, as in seed=0,1,2",
+        "  --cfg           print the resolved options and stop; with -m, those of every combination",
+    ]
+    chosen = {group: names for group, names in groups().items() if hasattr(config, group.partition(".")[0])}
     if chosen:
-        lines += ["", "Choices:"]
-        lines += [f"  {name}={' | '.join(groups[name])}" for name in chosen]
-    if command.recipes:
-        lines += ["", "Recipes, sets of options that go together and that others change:"]
-        lines += [f"  recipe={name}: {about}" for name, (about, _) in RECIPES.items()]
-    note = " (another choice has options of its own: --cfg shows them)" if chosen else ""
-    lines += ["", f"Options, with their defaults{note}:"]
-    nested = [name for name in fields if dataclasses.is_dataclass(getattr(default, name))]
-    lines += _describe({name: getattr(default, name) for name in fields if name not in nested}, "", config_class)
-    for name in nested:
-        lines += ["", f"{name}:"]
-        lines += _describe_group(getattr(default, name), name)
+        own = {group: " | module:name" if group in TAKES_OWN else "" for group in chosen}
+        lines += ["", "Choices:", *(f"  {group}={' | '.join(names)}{own[group]}" for group, names in chosen.items())]
+    if hasattr(config, "task"):
+        lines += ["", "Tasks, or module:NAME; what is known to learn there in brackets:", *_tasks()]
+    lines += ["", "Options, with their defaults:", *_describe(config, "")]
     return "\n".join(lines)
 
 
-def _describe_group(group: Any, path: str) -> list[str]:
-    values = {field.name: getattr(group, field.name) for field in dataclasses.fields(group) if field.name != "name"}
-    plain = {key: value for key, value in values.items() if not dataclasses.is_dataclass(value)}
-    lines = _describe(plain, f"{path}.", type(group))
-    for key, value in values.items():
-        if key not in plain:
-            lines += _describe_group(value, f"{path}.{key}")
-    return lines
+def _tasks() -> Iterator[str]:
+    for name, task in tasks.tasks().items():
+        if not name.endswith(tasks.PAPER):
+            yield from _wrapped(f"task={name}: {task.about} [{task.learns}]", 2, 6)
+    yield from _wrapped(f"task=NAME{tasks.PAPER}: any of these as in the paper: its decisions and reward.", 2, 6)
 
 
-def _describe(values: dict[str, Any], prefix: str, owner: type) -> list[str]:
-    meanings = attribute_docs(owner)
-    lines = []
+def _wrapped(text: str, first: int, further: int) -> list[str]:
+    return textwrap.wrap(text, HELP_WIDTH, initial_indent=" " * first, subsequent_indent=" " * further)
+
+
+def _describe(config: Any, prefix: str) -> Iterator[str]:
+    """Yield the options of a group, then its groups."""
+    meanings = attribute_docs(type(config))
+    values = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    nested = {name: value for name, value in values.items() if dataclasses.is_dataclass(value)}
     for name, value in values.items():
-        lines.append(f"  {prefix}{name}={as_word(value)}")
-        lines += textwrap.wrap(meanings.get(name, ""), HELP_WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
-    return lines
+        if name not in nested and (name != "name" or not prefix):
+            yield f"  {prefix}{name}={written(to_mapping(value))}"
+            yield from _wrapped(meanings.get(name, ""), 6, 6)
+    for name, value in nested.items():
+        yield from ("", f"{prefix}{name}{_named(value)}:")
+        yield from _describe(value, f"{prefix}{name}.")
 
 
-def as_word(value: Any) -> str:
-    """Return a value as it is written on a command line."""
-    if isinstance(value, (list, tuple)):
-        return "[" + ",".join(as_word(item) for item in value) + "]"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def _named(config: Any) -> str:
+    return f"={config.name}" if hasattr(config, "name") else ""
 
 
 def attribute_docs(owner: type) -> dict[str, str]:

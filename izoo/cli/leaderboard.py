@@ -68,7 +68,6 @@ def _said(group: Mapping[str, Any]) -> list[str]:
 def _draw_arguments(parser: argparse.ArgumentParser) -> None:
     _files(parser)
     parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG")
-    parser.add_argument("--histograms", action="store_true", help="a histogram over contexts per entry")
 
 
 @unheard()
@@ -77,7 +76,7 @@ def _draw(options: argparse.Namespace) -> None:
         raise IzooError(f"--out is {options.out}, but the picture is a PNG; give a name that ends so, such as all.png.")
     from izoo.report import leaderboard
 
-    leaderboard.draw(_read(options.files), options.out, options.histograms)
+    leaderboard.draw(_read(options.files), options.out)
     print(f"Picture: {options.out}", flush=True)
 
 
@@ -87,19 +86,6 @@ def _table(options: argparse.Namespace) -> None:
 
     groups = leaderboard.merge(_read(options.files))["groups"]
     print("\n\n".join("\n\n".join([leaderboard.board(group).markdown(), *_said(group)]) for group in groups))
-
-
-def _convert_arguments(parser: argparse.ArgumentParser) -> None:
-    _files(parser)
-    parser.add_argument("--out", type=Path, required=True, help="the folder of the new files; their names stay")
-
-
-@unheard()
-def _convert(options: argparse.Namespace) -> None:
-    from izoo.report.superseded import convert
-
-    written = convert(_paths(options.files), options.out)
-    print(f"{len(written)} files in {options.out}, superseded: only the paper's form can be computed from their rows.")
 
 
 def _read(paths: Sequence[Path]) -> list[Any]:
@@ -138,6 +124,5 @@ LEADERBOARD = SubcommandCommand(
         Subcommand("merge", "rank the files, by task", _merge_arguments, _merge),
         Subcommand("draw", "draw what they saved, by task", _draw_arguments, _draw),
         Subcommand("table", "print them as tables in Markdown", _files, _table),
-        Subcommand("convert", "rewrite files of the format before this one", _convert_arguments, _convert),
     ),
 )

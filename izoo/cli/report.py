@@ -36,6 +36,7 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
         folder,
         None if config.out is None else expanded(config.out),
         config.title,
+        task=config.task,
         replay=config.replay,
         imports=config.imports,
         partial=config.partial,

@@ -96,18 +96,14 @@ def _card(name: str, config: Any, frames: int, evaluation: Path | None) -> str:
 
 def _changed(config: Any) -> list[str]:
     """Return the options of a run that are not the defaults, as they are written on a command line."""
+    from izoo.cli.compose import compose_config
     from izoo.conf.mapping import to_mapping
     from izoo.conf.train_options import TrainConfig
 
-    groups = {name: getattr(config, name).name for name in ("algo", "action", "contexts")}
-    bases = {
-        name: to_mapping(type(getattr(config, name))()) if group != getattr(TrainConfig(), name).name else None
-        for name, group in groups.items()
-    }
-    default = to_mapping(TrainConfig())
-    written = [f"{name}={groups[name]}" for name, base in bases.items() if base is not None]
-    default |= {name: base for name, base in bases.items() if base is not None}
-    return [*written, *_differences(to_mapping(config), default)]
+    words = [] if config.task is None else [f"task={config.task}"]
+    words += [f"{group}={getattr(config, group).name}" for group in ("algo", "action", "contexts")]
+    default = compose_config(TrainConfig, words)
+    return [*words, *_differences(to_mapping(config), to_mapping(default))]
 
 
 def _differences(values: dict[str, Any], default: Any, prefix: str = "") -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -19,8 +19,9 @@ from izoo.contexts.procedural import (
     ProceduralSource,
     check_support,
 )
-from izoo.contexts.source import ContextSource, MixedSource
+from izoo.contexts.source import ContextList, ContextSource, MixedSource
 from izoo.errors import IzooError, check_choice, check_types
+from izoo.imports import imported
 
 PRESETS = {
     "systematicity_train": SYSTEMATICITY_TRAIN,
@@ -150,7 +151,30 @@ class MixedContexts:
         return MixedSource([source.build() for source in self.sources])
 
 
-ContextsConfig: TypeAlias = SingleContextsConfig | MixedContexts
+@dataclass(frozen=True)
+class OwnContexts:
+    """A source of one's own.
+
+    Attributes:
+        name: ``module:name``: contexts, or a source, or a class or function without arguments that makes one.
+    """
+
+    name: str = ""
+
+    def build(self) -> ContextSource:
+        """Return the source; raises :class:`IzooError` where it is none."""
+        found = imported("contexts", self.name)
+        found = found() if callable(found) and not hasattr(found, "__len__") else found
+        if not isinstance(found, ContextSource):
+            if not isinstance(found, Sequence):
+                raise IzooError(
+                    f"contexts={self.name} is a {type(found).__name__}; give something with sample(generator)."
+                )
+            found = ContextList(found)
+        return found
+
+
+ContextsConfig: TypeAlias = SingleContextsConfig | MixedContexts | OwnContexts
 
 
 def _setting(name: str, value: Any) -> Any:

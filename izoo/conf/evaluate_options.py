@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from izoo.algos.learners.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.errors import check_choice, check_range, check_types
+from izoo.errors import IzooError, check_choice, check_range, check_types
 from izoo.files import expanded
 
 DRAIN_S = 600.0
@@ -22,11 +23,15 @@ class EvaluateConfig:
     """Options of an evaluation.
 
     Attributes:
+        task: a task of :mod:`izoo.tasks`: its test contexts, environment and episode seeds, where these are not given;
+            null: none, or, with a run, the one that it was trained for.
         run: folder of a training run, or one of its checkpoint files.
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
             ``glide``, ``cap_0.6``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
             ``python -m izoo.zoo export`` wrote (``FILE.pt``), or ``module:function``.
+        name: what tables call it; runs of several training seeds that have the same name, and the same ``out``, are one
+            entry. null: the run's folder, or the policy.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
@@ -45,24 +50,34 @@ class EvaluateConfig:
         verbose: print every table; ``-v`` is short for it.
     """
 
+    task: str | None = None
     run: str | None = None
     checkpoint: str = "last"
     policy: str | None = None
+    name: str | None = None
     contexts: ContextsConfig = field(default_factory=CityContexts)
     env: EnvConfig = field(default_factory=lambda: EnvConfig(drain_s=DRAIN_S))
     num_contexts: int | None = 16
     seeds: int = 3
     seed: int = 0
     out: str | None = None
-    simulator: Literal["sumo", "twin"] = "sumo"
+    simulator: str = REFERENCE
     num_workers: int = 2
     executor: Literal["processes", "batch", "ray"] | None = None
     cache: str | None = None
     verbose: bool = False
+    role: ClassVar[str] = "test"
+    """Whose contexts of a task are meant."""
 
     def __post_init__(self) -> None:
         check_types("", self)
         check_episodes(self)
+        simulator_of(self.simulator)
+        if self.run is None and self.checkpoint != "last":
+            raise IzooError(
+                f"checkpoint={self.checkpoint} chooses among those of a run's folder, but run is not given; give "
+                "run=RUN_DIR, or leave checkpoint out."
+            )
         if self.policy is not None:
             check_policy("policy", self.policy)
         for name in ("run", "out", "cache"):

@@ -1,16 +1,19 @@
-"""Turns composed options (plain mappings) into the frozen dataclasses, and back, naming whatever does not fit."""
+"""Turns composed options (plain mappings) into frozen dataclasses and back.
+
+What an option may be is checked by its dataclass; here plain values become what its fields hold: tuples, whole numbers,
+and the dataclass that a group's ``name`` chooses.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import re
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-from izoo.algos.learners.registry import AlgoConfig
+from izoo.algos.learners.registry import AlgoConfig, options_class
 from izoo.errors import IzooError, plain_number, unknown_choice
 
 T = TypeVar("T")
@@ -19,22 +22,19 @@ T = TypeVar("T")
 def from_mapping(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
     """Build the dataclass ``cls`` from ``values``.
 
-    A field whose type is a union of dataclasses is resolved by the mapping's ``name``, which each of those classes
-    declares as a ``Literal`` field; that of an algorithm's hyper-parameters by its name in the registry.
-
     Args:
         cls: a dataclass.
         values: one entry per field that is not to keep its default.
         path: option path of ``values``, for messages.
 
     Raises:
-        IzooError: a key is unknown, a value has the wrong type, or the dataclass refuses it.
+        IzooError: a key is unknown, or the dataclass refuses a value.
     """
-    hints: dict[str, Any] = field_types(cls)
+    kinds = field_types(cls)
     for key in values:
-        if key not in hints:
-            raise unknown_choice("option", _join(path, key), [_join(path, name) for name in hints])
-    return cls(**{key: _convert(hints[key], value, _join(path, key)) for key, value in values.items()})
+        if key not in kinds:
+            raise unknown_choice("option", _join(path, key), [_join(path, name) for name in kinds])
+    return cls(**{key: _convert(kinds[key], value, _join(path, key)) for key, value in values.items()})
 
 
 def to_mapping(config: Any) -> Any:
@@ -73,7 +73,7 @@ def _with_option(base: Any, chosen: Any, path: Sequence[str]) -> Any:
 def field_types(cls: Any) -> dict[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
     hints = typing.get_type_hints(cls)
-    return {field.name: hints[field.name] for field in dataclasses.fields(cls) if field.init}
+    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
 
 
 def _join(path: str, key: str) -> str:
@@ -81,85 +81,45 @@ def _join(path: str, key: str) -> str:
 
 
 def _convert(kind: Any, value: Any, path: str) -> Any:
-    """Return ``value`` as ``kind``; integers pass for floats, whole floats for integers, and nothing else bends."""
-    origin = get_origin(kind)
-    if kind is Any:
-        return value
+    """Return ``value`` as ``kind`` where it can be; else as it is, for the dataclass to refuse."""
+    origin, args = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
-        return _convert_union(get_args(kind), value, path)
-    if origin is Literal:
-        if value not in get_args(kind):
-            raise unknown_choice(path, value, get_args(kind))
-        return value
-    if origin in (tuple, list):
-        return _convert_sequence(kind, value, path)
-    if kind is AlgoConfig:
-        if not isinstance(value, Mapping):
-            raise IzooError(f"{path} is {value!r}; it is a group of options, one of which is name.")
-        kind = AlgoConfig.of(value)
+        return _convert_union(args, value, path)
     if dataclasses.is_dataclass(kind):
-        group: Any = kind
         if not isinstance(value, Mapping):
-            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(group))}.")
+            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(kind))}.")
+        group: Any = options_class(str(value.get("name"))) if kind is AlgoConfig else kind
         return from_mapping(group, value, path)
-    return _convert_scalar(kind, value, path)
+    if origin in (tuple, list) and isinstance(value, (tuple, list)):
+        return origin(_convert(args[0], item, f"{path}[{index}]") for index, item in enumerate(value))
+    value = plain_number(value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if number and (kind in (float, str) or (kind is int and value == int(value))):
+        return kind(value)
+    return value
 
 
 def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
-    if value is None and type(None) in kinds:
-        return None
+    """Return ``value`` as the first of ``kinds`` that it can be; among groups of options, as the one of its name."""
     groups: list[Any] = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     if groups and isinstance(value, Mapping):
-        names = {get_args(field_types(kind)["name"])[0]: kind for kind in groups if "name" in field_types(kind)}
-        name = value.get("name")
-        if not isinstance(name, str) or name not in names:
-            raise unknown_choice(_join(path, "name"), name, names)
-        return from_mapping(names[name], value, path)
-    problems = []
+        name, names = value.get("name"), {field_types(kind)["name"]: kind for kind in groups}
+        for declared, kind in names.items():
+            if name in get_args(declared) or (declared is str and ":" in str(name)):
+                return from_mapping(kind, value, path)
+        raise unknown_choice(
+            _join(path, "name"), name, [get_args(declared)[0] for declared in names if declared is not str]
+        )
     for kind in kinds:
-        try:
-            return _convert(kind, value, path)
-        except IzooError as problem:
-            problems.append(problem)
-    raise problems[0]
+        converted = _convert(kind, value, path)
+        if _is(converted, kind):
+            return converted
+    return value
 
 
-def _convert_sequence(kind: Any, value: Any, path: str) -> Any:
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise IzooError(f"{path} is {value!r}; {_list_remedy(value, path)}")
-    args = get_args(kind)
-    if get_origin(kind) is list or (len(args) == 2 and args[1] is Ellipsis):
-        converted = [_convert(args[0], item, f"{path}[{index}]") for index, item in enumerate(value)]
-        return get_origin(kind)(converted)
-    if len(args) != len(value):
-        raise IzooError(f"{path} is {list(value)!r}; it must have {len(args)} entries.")
-    return tuple(
-        _convert(arg, item, f"{path}[{index}]") for index, (arg, item) in enumerate(zip(args, value, strict=True))
-    )
-
-
-def _list_remedy(value: Any, path: str) -> str:
-    """Say how a list is written; one that has arrived as text, for its entries hold ``=``, lacks quotes."""
-    if not (isinstance(value, str) and value.startswith("[") and value.endswith("]") and "=" in value):
-        return "it must be a list, for example [1,2]."
-    # A comma inside an entry, as in a.b=[8,8], stands before no name; inside braces it may.
-    whole = ["a=1", "b=2"] if "{" in value else re.split(r",(?=[\s\"']*[\w.]+=)", value[1:-1])
-    quoted = ",".join(f'"{entry}"' for entry in (part.strip(" \"'") for part in whole))
-    return f"put double quotes around entries that hold =, and single quotes around the option: '{path}=[{quoted}]'."
-
-
-def _convert_scalar(kind: Any, value: Any, path: str) -> Any:
-    value = plain_number(value)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if is_number and not math.isfinite(value):
-        raise IzooError(f"{path} is {value!r}; it must be a finite number.")
-    if kind is float and is_number:
-        return float(value)
-    if kind is int and is_number and float(value).is_integer():
-        return int(value)
-    if kind is str and (isinstance(value, str) or is_number):
-        return str(value)
-    if kind not in (int, float) and isinstance(kind, type) and isinstance(value, kind):
-        return value
-    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): "null"}
-    raise IzooError(f"{path} is {value!r}; it must be {words.get(kind, kind)}.")
+def _is(value: Any, kind: Any) -> bool:
+    if kind is Any:
+        return True
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    return type(value) is (get_origin(kind) or kind)

@@ -29,10 +29,5 @@ def written(value: Any, elsewhere: Collection[str] = (), name: str = "") -> str:
         return "null" if value is None else str(value).lower()
     if name in elsewhere:
         return "FOLDER"
-    text = str(value)
+    text = f"{value:.6g}" if isinstance(value, float) and float(f"{value:.6g}") == value else str(value)
     return text if re.fullmatch(r"[\w.+/-]+", text) else quoted(text)
-
-
-def literal(text: str) -> str:
-    """Return :func:`quoted` of a text in which ``${...}`` stands for itself."""
-    return quoted(re.sub(r"(\\*)\$\{", lambda match: match[1] * 2 + "\\${", text))

@@ -17,6 +17,7 @@ class ReportConfig:
             the runs differ is printed and written to ``sweep.csv`` there, a row per run to ``sweep_runs.csv``, and the
             learning curves to ``sweep.png``. Runs that have not finished are counted and named. The other options are
             refused for a sweep.
+        task: show no other task of the folder.
         out: the page; null: ``RESULTS/report.html``.
         title: its title; null: what the folder says.
         replay: show the best and the worst context of every policy, played again beside uncommanded. That takes some
@@ -26,6 +27,7 @@ class ReportConfig:
     """
 
     results: str | None = None
+    task: str | None = None
     out: str | None = None
     title: str | None = None
     replay: bool = True

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from izoo.algos.actions.action_modes import ActionConfig, DirectAction
-from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.algos.learners.registry import AlgoConfig
+from izoo.algos.learners.registry import AlgoConfig, preset
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
-from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.errors import IzooError, check_range, check_types
 from izoo.files import expanded
 
@@ -164,10 +164,11 @@ class ValidationConfig:
     every_batches: int = 10
     contexts: int = 8
     seeds: int = 3
-    simulator: Literal["sumo", "twin"] = "sumo"
+    simulator: str = REFERENCE
 
     def __post_init__(self) -> None:
         check_types("validation", self)
+        simulator_of(self.simulator, "validation.simulator")
         check_range("validation.every_batches", self.every_batches, 0, 10**9)
         check_range("validation.contexts", self.contexts, 1, 10**6)
         check_range("validation.seeds", self.seeds, 1, 10**6)
@@ -201,6 +202,8 @@ class TrainConfig:
     """Options of a training run.
 
     Attributes:
+        task: a task of :mod:`izoo.tasks`, which sets the contexts, the environment, what actions stand for and the
+            simulator, where these are not given; null: none.
         algo: the algorithm and its hyper-parameters.
         action: whether the policy commands accelerations (``direct``), desired speeds that the vehicle's own
             car-following keeps to (``speed``), advises the simulator's own driver (``advise``) or corrects a scripted
@@ -231,7 +234,8 @@ class TrainConfig:
             where given.
     """
 
-    algo: AlgoConfig = field(default_factory=PPOConfig)
+    task: str | None = None
+    algo: AlgoConfig = field(default_factory=functools.partial(preset, "ppo"))
     action: ActionConfig = field(default_factory=DirectAction)
     contexts: ContextsConfig = field(default_factory=CityContexts)
     levels: LevelsConfig = field(default_factory=LevelsConfig)
@@ -241,7 +245,7 @@ class TrainConfig:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
-    simulator: Literal["sumo", "twin"] = "sumo"
+    simulator: str = REFERENCE
     twin: TrainingTwinConfig = field(default_factory=TrainingTwinConfig)
     seed: int = 0
     num_workers: int = 2
@@ -251,6 +255,8 @@ class TrainConfig:
     start: str | None = None
     run_dir: str | None = None
     resume: str | None = None
+    role: ClassVar[str] = "train"
+    """Whose contexts of a task are meant."""
 
     def __post_init__(self) -> None:
         check_types("", self)
@@ -258,37 +264,21 @@ class TrainConfig:
         check_range("num_workers", self.num_workers, 1, 1024)
         if self.resume is None:  # a run that goes on has its own simulator
             check_num_envs(self.simulator, self.num_envs)
-        if self.simulator == "twin" and self.collector.name != "parallel":
+        simulator = simulator_of(self.simulator)
+        if simulator.batched and self.collector.name != "parallel":
             raise IzooError(
-                f"collector={self.collector.name} is a way to step SUMO; with simulator=twin leave collector out, and "
-                "set num_envs and twin.threads."
+                f"collector={self.collector.name} is a way to step environments in processes; with simulator="
+                f"{self.simulator} leave collector out, and set num_envs."
             )
         check_range("total_frames", self.total_frames, 1, 10**12)
         self._fit_action()
-        warm_start = getattr(self.algo, "warm_start", "none")
-        if warm_start != "none" and self.action.name != "advise":
+        self.algo.check_run(self)
+        for group in self.algo.emits:
+            self._emit(group)
+        if self.levels.draw == "prioritised" and not simulator.saves:
             raise IzooError(
-                f"algo.warm_start={warm_start} imitates a driver that leaves most CVs alone, which action="
-                f"{self.action.name} cannot say; choose action=advise, or algo.warm_start=none."
-            )
-        if getattr(self.algo, "credit", "agent") == "team":
-            self._credit_the_team()
-        if self.algo.candidates > 1:
-            self._emit(TEAM_REWARD)
-        if getattr(self.algo, "control_variate", "none") == "vehicle":
-            self._emit("number")
-        if getattr(self.algo, "critic_sees", "cvs") == "all":
-            self._emit("vehicles")
-        if self.levels.draw == "prioritised" and (self.simulator != "twin" or not hasattr(self.algo, "gae_lambda")):
-            raise IzooError(
-                f"levels.draw=prioritised scores contexts by the advantages that PPO, MAPPO and graph RL estimate, and "
-                f"saves its place with the twin, but algo is {self.algo.name} and simulator {self.simulator}; choose "
-                "algo=ppo, mappo or gcrl and simulator=twin, or levels.draw=uniform."
-            )
-        if self.start is not None and not hasattr(self.algo, "warm_start"):
-            raise IzooError(
-                f"start={self.start} begins with the policy of another run, which algo={self.algo.name} cannot: what "
-                "it keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."
+                f"levels.draw=prioritised saves its place with the simulator, which {simulator.label} cannot; choose "
+                "simulator=twin, or levels.draw=uniform."
             )
         for name in ("start", "run_dir", "resume"):
             _make_absolute(self, name)
@@ -297,7 +287,7 @@ class TrainConfig:
     def staggered(self) -> int:
         """How many of the first episodes begin at random phases."""
         by_step = self.env.decide == STEP and self.algo.candidates == 1
-        if self.simulator == "sumo" or not self.twin.stagger or not by_step:
+        if not simulator_of(self.simulator).saves or not self.twin.stagger or not by_step:
             return 0
         return self.num_envs or TWIN_ENVS
 
@@ -312,16 +302,6 @@ class TrainConfig:
                 f"env.action=speed takes desired speeds, but the policy's actions are those of action="
                 f"{name}; choose action=speed or arrive, or env.action=acceleration."
             )
-
-    def _credit_the_team(self) -> None:
-        """Refuse a reward that is not the team's, and let the environment emit the team's."""
-        if self.env.reward.eta != 1.0:
-            raise IzooError(
-                f"algo.credit=team estimates one advantage for the whole team, but env.reward.eta is "
-                f"{self.env.reward.eta:g}: CVs are paid differently. Choose env.reward=fuel_team or env.reward.eta=1, "
-                "or algo.credit=agent."
-            )
-        self._emit(TEAM_REWARD)
 
     def _emit(self, group: str) -> None:
         """Let the environment emit what the learner needs."""
@@ -356,7 +336,7 @@ class CollectConfig:
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
     shard_frames: int = 100_000
-    simulator: Literal["sumo", "twin"] = "sumo"
+    simulator: str = REFERENCE
     twin: TwinConfig = field(default_factory=TwinConfig)
     seed: int = 0
     num_workers: int = 2
@@ -374,12 +354,14 @@ class CollectConfig:
 
 def check_num_envs(simulator: str, num_envs: int | None) -> None:
     """Raise :class:`IzooError` where the number of environments is out of range, or would be ignored."""
+    chosen = simulator_of(simulator)
     if num_envs is None:
         return
     check_range("num_envs", num_envs, 1, MAX_ENVS)
-    if simulator == "sumo":
+    if not chosen.batched:
         raise IzooError(
-            f"num_envs is {num_envs}, but on SUMO every environment is a process: set num_workers, or simulator=twin."
+            f"num_envs is {num_envs}, but on {chosen.label} every environment is a process: set num_workers, or choose "
+            "simulator=twin."
         )
 
 

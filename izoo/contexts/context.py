@@ -51,7 +51,7 @@ class Context:
         season: one of :data:`SEASONS`, or ``None`` when the weather was given as numbers.
         engine: one of :data:`ENGINES`; electric CVs emit nothing, human-driven vehicles stay combustion.
         temperature_c, humidity_pct: the weather.
-        cv_vehicle: ``paper``: every CV has the published CV parameters when nobody commands it; ``human``: the
+        cv_vehicle: ``paper``: an uncommanded CV has the published CV parameters; ``human``: the
             driver and length that it would have had as a human-driven vehicle.
         drivers: the population that human drivers are drawn from; ``None``: the built-in one.
         fleet: shares of the four types of :data:`FLEET`, which sum to 1; ``None``: those of MOVES for 2019. Model years

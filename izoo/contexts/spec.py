@@ -205,7 +205,7 @@ class IntersectionSpec:
         imputed: names of the values that were guessed because the source lacks them.
         net_path: a finished SUMO net, for the published dataset.
         net_sha256: digest of that file, so that a context's hash covers its content.
-        lonlat: where it lies, in degrees; ``None`` where nobody knows.
+        lonlat: where it lies, in degrees; ``None`` where that is unknown.
     """
 
     name: str

@@ -17,30 +17,25 @@ import pkgutil
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from izoo.cli.help_page import as_word, attribute_docs
+from izoo import tasks
+from izoo.cli.help_page import attribute_docs
 from izoo.cli.option_command import OptionCommand
-from izoo.conf import compose
+from izoo.conf.choices import groups
+from izoo.conf.mapping import to_mapping
+from izoo.conf.quoting import written
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.envs.mdp.observation import observation_columns
 from izoo.envs.mdp.reward import TERMS
-from izoo.errors import IzooError, unknown_choice
+from izoo.errors import unknown_choice
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent.parent
-MARKER = re.compile(r"^<!-- (options|commands|source|observation|reward)(?:: (\S+))? -->$", re.MULTILINE)
+MARKER = re.compile(r"^<!-- (options|commands|tasks|source|observation|reward)(?:: (\S+))? -->$", re.MULTILINE)
 HELP_COLUMNS = "100"
-
-
-def option_docs(config: type) -> dict[str, str]:
-    """Return what the docstrings of a dataclass and of those it extends say of each option."""
-    docs: dict[str, str] = {}
-    for owner in reversed(config.__mro__):
-        docs |= attribute_docs(owner)
-    return docs
 
 
 def modules() -> dict[str, Any]:
@@ -64,84 +59,67 @@ def options_page(_: str = "") -> str:
     lines: list[str] = []
     for command in hydra_commands():
         config_class = command.config_class()
-        config: Any = compose.compose_config(command.name, config_class, [])
         lines += [f"## python -m izoo.{command.name}", "", command.summary, ""]
-        lines += _table(config_class, {"default": config}, "")
-    for group, choices in compose.choices().items():
+        lines += _table(config_class, {"default": config_class()}, "")
+    for group, choices in groups().items():
         lines += [f"## {group}=", ""]
-        for config_class, presets in _by_class(group, choices).items():
+        for config_class, presets in _by_class(choices).items():
             lines += [f"### {', '.join(f'`{group}={choice}`' for choice in presets)}", ""]
             lines += _table(config_class, presets, f"{group}.")
-            for name, nested in _nested(next(iter(presets.values()))):
-                lines += _table(type(nested), {"default": nested}, f"{group}.{name}.")
-    return "\n".join(lines)
+    return "\n".join([*lines, "## env", "", *_table(EnvConfig, {"default": EnvConfig()}, "env.")])
 
 
-def _by_class(group: str, choices: tuple[str, ...]) -> dict[type, dict[str, Any]]:
-    """Return the choices of a group, composed, by the dataclass that they fill."""
+def _by_class(choices: Mapping[str, Callable[[], Any]]) -> dict[type, dict[str, Any]]:
+    """Return the choices of a group by the dataclass that they fill."""
     found: dict[type, dict[str, Any]] = {}
-    for choice in choices:
-        config = options_of(group, choice)
+    for choice, make in choices.items():
+        config = make()
         found.setdefault(type(config), {})[choice] = config
     return found
 
 
-def options_of(group: str, choice: str) -> Any:
-    """Return what ``group=choice`` stands for, composed by the first command that has such options.
-
-    Raises:
-        IzooError: no command has.
-    """
-    for command in hydra_commands():
-        with contextlib.suppress(IzooError, AttributeError):
-            config = getattr(compose.compose_config(command.name, command.config_class(), [f"{group}={choice}"]), group)
-            # Commands have other defaults for the environment, which has one choice; the page shows its own.
-            return type(config)() if choice == "default" else config
-    raise IzooError(f"no command has the option {group}={choice}; izoo/conf has a file that nothing reads.")
-
-
-def _nested(config: Any) -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            yield field.name, value
-
-
 def _table(config_class: type, presets: dict[str, Any], prefix: str) -> list[str]:
     """Return a Markdown table: a row per option that is a value, a column per preset."""
-    docs = option_docs(config_class)
+    docs = attribute_docs(config_class)
     lines = [f"| option | {' | '.join(presets)} | meaning |", "|---" * (len(presets) + 2) + "|"]
-    groups = compose.choices()
     for field in dataclasses.fields(config_class):
-        values = [getattr(preset, field.name) for preset in presets.values()]
+        path, values = f"{prefix}{field.name}", [getattr(preset, field.name) for preset in presets.values()]
         if field.name == "name":
             continue
-        if dataclasses.is_dataclass(values[0]):
-            shown = [f"`{_choice(value)}`" if field.name in groups else "see below" for value in values]
-            if field.name not in groups and not prefix:
-                lines += _rows(f"{field.name}.", values[0])
-                continue
-        else:
-            shown = [f"`{as_word(value)}`" for value in values]
-        lines.append(f"| `{prefix}{field.name}` | {' | '.join(shown)} | {_meaning(docs, field.name)} |")
+        if dataclasses.is_dataclass(values[0]) and path not in groups() and path != "env":
+            lines += _rows(f"{path}.", values[0])
+            continue
+        shown = [
+            getattr(value, "name", "see below") if dataclasses.is_dataclass(value) else _word(value) for value in values
+        ]
+        lines.append(f"| `{path}` | {' | '.join(f'`{text}`' for text in shown)} | {_meaning(docs, field.name)} |")
     return [*lines, ""]
 
 
 def _rows(prefix: str, config: Any) -> list[str]:
     """Rows of a group of options that has no choices."""
-    docs = option_docs(type(config))
+    docs = attribute_docs(type(config))
     return [
-        f"| `{prefix}{field.name}` | `{as_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
+        f"| `{prefix}{field.name}` | `{_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
         for field in dataclasses.fields(config)
     ]
 
 
+def _word(value: Any) -> str:
+    """Return a value as it is written; a group of options has a table of its own."""
+    return getattr(value, "name", "see below") if dataclasses.is_dataclass(value) else written(to_mapping(value))
+
+
+def tasks_table(_: str = "") -> str:
+    """Return the tasks as a table."""
+    lines = ["| task | asks | known to learn there |", "|---|---|---|"]
+    return "\n".join(
+        [*lines, *(f"| `{name}` | {task.about} | {task.learns} |" for name, task in tasks.tasks().items())]
+    )
+
+
 def _meaning(docs: dict[str, str], name: str) -> str:
     return html.escape(docs.get(name, ""), quote=False).replace("|", "\\|")
-
-
-def _choice(config: Any) -> str:
-    return str(getattr(config, "name", "default"))
 
 
 def argparse_commands() -> dict[str, Callable[[list[str]], object]]:
@@ -210,6 +188,7 @@ def reward_table(_: str = "") -> str:
 MARKERS: dict[str, Callable[[str], str]] = {
     "options": options_page,
     "commands": commands_page,
+    "tasks": tasks_table,
     "source": source,
     "observation": observation_table,
     "reward": reward_table,

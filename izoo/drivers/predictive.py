@@ -30,7 +30,7 @@ MOVING_MPS = 2.0
 
 @dataclass(frozen=True)
 class Check:
-    """A summary of the data beside those of the replicas.
+    """A summary of the data, compared with those of the replicas.
 
     Attributes:
         name: what is summarised, with its unit.

@@ -23,6 +23,13 @@ PAIR = ("simulator", "context_hash", "seed", "approach")
 CONTEXT = ["train_seed", "context_hash"]
 
 
+def simulators(table: pd.DataFrame) -> list[str]:
+    """Return what played a table, the one that played most episodes first; of two that played as many, SUMO."""
+    episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
+    counts = episodes["simulator"].value_counts()
+    return sorted(counts.index, key=lambda name: (-counts[name], name))
+
+
 class Paired(NamedTuple):
     """Contexts that a policy was compared in, three tables with the same rows.
 

@@ -23,6 +23,7 @@ from izoo.metrics.pairing import (
     intersections_of,
     of_policy,
     pair,
+    simulators,
 )
 from izoo.metrics.statistics import (
     MIN_INTERSECTIONS,
@@ -50,7 +51,7 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
-        table: rows of episodes of policies, with those of baselines. Of two simulators SUMO is summed up.
+        table: rows of episodes of policies, with those of baselines; of two simulators the one that played most counts.
         reference: an entry that the others are compared with; without one, all are compared pairwise.
         trained_on: rows of the same policies on contexts of their training.
 
@@ -69,19 +70,19 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     """
     if table.empty:
         raise IzooError("there are no episodes to sum up; evaluate a policy first.")
-    simulators = sorted(table["simulator"].unique())  # "sumo" comes before "twin"
-    rows = table[table["simulator"] == simulators[0]]
+    played = simulators(table)
+    rows = table[table["simulator"] == played[0]]
     without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
     left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()
     counted = rows[~rows["context_hash"].isin(without.index[without["cohort"] <= 0.0])]
     pairs = _pairs(rows)
     block = _main_block(counted)
-    training = None if trained_on is None else trained_on[trained_on["simulator"] == simulators[0]]
+    training = None if trained_on is None else trained_on[trained_on["simulator"] == played[0]]
     entries = {name: _entry(rows, name, pairs[name], block) for name in pairs}
     pairwise = _pairwise(pairs, block, reference)
     return {
         "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
-        "simulators": simulators,
+        "simulators": played,
         "n": {
             "contexts": int(counted["context_hash"].nunique()),
             "intersections": int(counted["intersection"].nunique()),

@@ -37,7 +37,7 @@ def main_program(root: Any, path: str) -> Any:
     """Return the program of the main signal, with its phases: of several the last, which SUMO plays.
 
     Raises:
-        IzooError: there is none, or it is no fixed-time program of the letters that can be represented.
+        IzooError: there is none, or it is not a fixed-time program in letters that can be represented.
     """
     for feature, remedy in _programs(root):
         raise IzooError(f"{path}: {feature}; {remedy}.")

@@ -368,7 +368,7 @@ class _Reader:
         return next_lane, prev_lane
 
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        # Nobody changes across a lane that is closed to cars.
+        # No vehicle changes across a lane that is closed to cars.
         place = {(row["edge"], row["place"]): number for number, row in enumerate(self.rows)}
         right = [place.get((row["edge"], row["place"] - 1), -1) for row in self.rows]
         left = [place.get((row["edge"], row["place"] + 1), -1) for row in self.rows]

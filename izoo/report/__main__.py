@@ -2,8 +2,20 @@
 
 import sys
 
-from izoo.cli.entries import REPORT as COMMAND
+from izoo.cli.option_command import OptionCommand
 
+COMMAND = OptionCommand(
+    name="report",
+    summary="Write results as one HTML page that opens from disk; of a sweep, show its runs side by side.",
+    examples=(
+        "izoo.report results/busy_lane out=report.html",
+        "izoo.report results/campaign task=busy_lane",
+        "izoo.report runs/DATE-sweep",
+    ),
+    config="izoo.conf.report_options:ReportConfig",
+    work="izoo.cli.report:report",
+    place="results",
+)
 main = COMMAND.main
 
 if __name__ == "__main__":

@@ -24,22 +24,21 @@ import pandas as pd
 from jsonschema import Draft202012Validator
 
 from izoo.console import counted
-from izoo.envs import MODEL_VERSION
+from izoo.envs import MODEL_VERSION, REFERENCE, SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
-from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, PAIR, UNCOMMANDED, pair
+from izoo.metrics.pairing import BASELINES, PAIR, simulators
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
-from izoo.report.paper_results import BENEFIT, paper_table
-from izoo.report.tables import SAVED, Table
+from izoo.report.paper_results import paper_table
+from izoo.report.tables import Table
 from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, WHOLE
 from izoo.results.store import PolicyRecord, read_manifest, read_table
-from izoo.training.plots import Chart, save
 from izoo.training.plots import draw as draw_charts
+from izoo.training.plots import save
 
 FORMAT, MERGED_FORMAT = "izoo-leaderboard-3", "izoo-leaderboard-merged-3"
 SCHEMA_FILE = "leaderboard_schema.json"
@@ -77,7 +76,7 @@ def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = out or folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
-    table = table[table["task"] == manifest.task]
+    table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
     for name in sorted(set(table["policy"]) - set(BASELINES)):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))
@@ -96,7 +95,6 @@ def make_entry(
     model_version: int,
     versions: Mapping[str, str],
     rows: pd.DataFrame,
-    superseded: str = "",
 ) -> dict[str, Any]:
     """Return the content of a file.
 
@@ -104,12 +102,9 @@ def make_entry(
         policy: its record in the manifest, and its ``name``.
         task, model_version, versions: as in the manifest.
         rows: of the policy, human driving and uncommanded.
-        superseded: why its figures are of another measure; empty: they are not.
     """
-    columns = PAPER_COLUMNS if superseded else KEPT
     content = {"format": FORMAT, "policy": dict(policy), "task": task, "model_version": int(model_version)}
-    content |= {"versions": dict(versions), **({"superseded": superseded} if superseded else {})}
-    content["rows"] = packed(rows.reindex(columns=[name for name in columns if name in rows]))
+    content |= {"versions": dict(versions), "rows": packed(rows[[name for name in KEPT if name in rows]])}
     return {**content, "hash": content_hash(content)}
 
 
@@ -231,8 +226,6 @@ def read_entry(path: Path) -> Entry:
         json.dumps(content, allow_nan=False)  # Python's JSON reads NaN, and 1e999 as infinity
     except (OSError, ValueError, RecursionError) as error:
         raise IzooError(f"cannot read {path}: {error}; give a leaderboard file.") from error
-    if isinstance(content, dict) and content.get("format") == "izoo-leaderboard-2":
-        raise IzooError(f"{path} is of an earlier version: python -m izoo.leaderboard convert {path} --out FOLDER.")
     problems = sorted(Draft202012Validator(schema()).iter_errors(content), key=lambda error: list(map(str, error.path)))
     if problems:
         where = "/".join(str(part) for part in problems[0].absolute_path) or "the file"
@@ -259,8 +252,8 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
         faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
-    if set(table["simulator"]) == {"twin"}:
-        notes.append("played on the twin")
+    if REFERENCE not in (played := set(table["simulator"])):
+        notes.append(f"played on {' and '.join(SIMULATORS[name].label for name in sorted(played))}")
     return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
 
 
@@ -345,21 +338,9 @@ def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
     return {"name": name, "rank": rank, "source": entry.source, **kept, **marks}
 
 
-def draw(found: Sequence[Entry], path: Path, histograms: bool = False) -> None:
-    """Draw what entries saved, a panel per group of :func:`merge`, or a histogram over contexts per entry, as PNG."""
-    if histograms:
-        charts = [_histogram(entry) for entry in found if not entry.faults]
-    else:
-        charts = [plots.forest(board(group)) for group in merge(found)["groups"]]
-    save(draw_charts(charts, columns=2), path)
-
-
-def _histogram(entry: Entry) -> Chart:
-    title = f"{entry.name}: {entry.content['task']}"
-    if entry.superseded:
-        return plots.histogram(100.0 * paper_form(entry.table, entry.name)[0]["benefit"], title, "histogram", BENEFIT)
-    own = pair(entry.table[entry.table["simulator"] == entry.simulator], entry.name, UNCOMMANDED)
-    return plots.histogram(FIGURES[SAVED].value(own.own, own.baseline), title, "histogram")
+def draw(found: Sequence[Entry], path: Path) -> None:
+    """Draw what entries saved, a panel per group of :func:`merge`, as PNG."""
+    save(draw_charts([plots.forest(board(group)) for group in merge(found)["groups"]], columns=2), path)
 
 
 def _rounded(value: Any) -> Any:

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from plotly.offline import get_plotlyjs
 
 from izoo import __version__
-from izoo.errors import IzooError
+from izoo.errors import IzooError, check_choice
 from izoo.files import os_reason, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
@@ -30,7 +29,7 @@ from izoo.training.plots import Chart, curves
 
 PAGE_FILE = "report.html"
 TEMPLATES = "templates"
-SCRIPTS = ("common.js", "charts.js", "table.js", "replay.js")
+SCRIPTS = ("common.js", "features.js", "table.js", "replay.js")
 REPLAY_POLICIES = 6
 REPLAY_BYTES = 4_000_000
 """Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
@@ -53,6 +52,7 @@ def write_report(
     out: Path | None = None,
     title: str | None = None,
     *,
+    task: str | None = None,
     replay: bool = True,
     imports: bool = False,
     partial: bool = False,
@@ -64,6 +64,7 @@ def write_report(
         results: an evaluation, a training run, or a benchmark.
         out: the page; ``None``: ``report.html`` in that folder.
         title: of the page; ``None``: what the folder says.
+        task: show this one alone; ``None``: all.
         replay: show the best and the worst context of every policy; they are played again once, and then kept.
         imports: policies written ``module:function`` may be imported for that.
         partial: accept results that are not complete.
@@ -76,6 +77,9 @@ def write_report(
         IzooError: the folder holds no whole results, or the page cannot be written.
     """
     found = collect(results, partial)
+    if task is not None:
+        check_choice("task", task, [evaluation.task for evaluation in found.evaluations])
+        found = dataclasses.replace(found, evaluations=tuple(each for each in found.evaluations if each.task == task))
     found = dataclasses.replace(found, title=found.title if title is None else title)
     path = out or results / PAGE_FILE
     if path.is_dir():
@@ -104,7 +108,6 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
     drawn = _charts(results)
     policies = dict.fromkeys(name for evaluation in results.evaluations for name in evaluation.policies)
     content = {
-        "figures": {chart.name: plots.to_plotly(chart) for part in drawn.values() for chart in part},
         "rows": context_rows(results.evaluations),
         "columns": _columns(several=len(results.evaluations) > 1),
         "features": FEATURES,
@@ -125,11 +128,10 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
         facts=results.facts,
         parts=[_part(evaluation) for evaluation in results.evaluations],
         several=len(results.evaluations) > 1,
-        charts=drawn,
+        charts={part: [(chart, plots.svg(chart)) for chart in of] for part, of in drawn.items()},
         lost=lost,
         style=_asset("style.css"),
         script="\n".join(_asset(name) for name in SCRIPTS),
-        plotly=_pack(get_plotlyjs().encode()),
         content=_pack(_json(content)),
         replays=[base64.b64encode(packed).decode() for _, packed in played],
     )
@@ -150,8 +152,8 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "left_out": summary["n"]["left_out"],
         "movements": movements.html() if movements else "",
         "maps": town_maps(evaluation),
-        "paper": paper_table(evaluation.paper, "", evaluation.task).html(),
         "closed_by": {name: of["closed_by"] for name, of in evaluation.paper.items() if of["closed_by"]},
+        "paper": paper_table(evaluation.paper, "", evaluation.task).html() if published_for(evaluation.task) else "",
     }
 
 

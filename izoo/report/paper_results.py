@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from izoo.report.tables import Cell, Row, Table
+from izoo.tasks.built_in import PAPER
 
 COLUMNS = {
     "ratio_of_sums": "benefit, ratio of sums",
@@ -18,16 +18,14 @@ COLUMNS = {
     "share_kept": "kept throughput",
 }
 """Aggregates of :func:`izoo.metrics.paper_form.paper_form` that are shown: headings."""
-BENEFIT = "benefit over human driving, exact gate (%)"
 SIGNED = ("ratio_of_sums", "best_ratio_of_sums", "mean", "throughput_mean")
 
 
-@dataclass(frozen=True)
-class Published:
+class Published(NamedTuple):
     """One published result.
 
     Attributes:
-        protocol, algorithm: what was trained and tested.
+        algorithm: what was trained.
         at_zero: approaches in the histogram's bar at 0.
         approaches: all approaches of the histogram.
         benefit: emission benefit, ratio of sums; ``None`` where none was published.
@@ -35,7 +33,6 @@ class Published:
         throughput_kept: share of approaches whose throughput did not fall.
     """
 
-    protocol: str
     algorithm: str
     at_zero: int
     approaches: int
@@ -44,25 +41,29 @@ class Published:
     throughput_kept: float | None = None
 
 
-PUBLISHED = (
-    Published("Salt Lake City", "DDPG", 248, 1048, -0.0185, 0.0648, 0.802),
-    Published("Salt Lake City", "PPO", 913, 1048, -0.0959, 0.0154, 0.129),
-    Published("Atlanta", "DDPG", 858, 2152, -0.0129, 0.0445, 0.629),
-    Published("Atlanta", "PPO", 1581, 2152, -0.1486, 0.0269, 0.266),
-    Published("Salt Lake City -> Atlanta", "DDPG", 945, 2152),
-    Published("Salt Lake City -> Atlanta", "PPO", 1791, 2152),
-    Published("Systematicity", "DDPG", 40, 128),
-    Published("Systematicity", "PPO", 119, 128),
+_SALT_LAKE_CITY = (
+    Published("DDPG", 248, 1048, -0.0185, 0.0648, 0.802),
+    Published("PPO", 913, 1048, -0.0959, 0.0154, 0.129),
 )
+_TO_ATLANTA = (Published("DDPG", 945, 2152), Published("PPO", 1791, 2152))
+PUBLISHED = {
+    "salt_lake_city": _SALT_LAKE_CITY,
+    "measured": _SALT_LAKE_CITY,
+    "atlanta": (
+        Published("DDPG", 858, 2152, -0.0129, 0.0445, 0.629),
+        Published("PPO", 1581, 2152, -0.1486, 0.0269, 0.266),
+    ),
+    "salt_lake_city_to_atlanta": _TO_ATLANTA,
+    "measured_to_atlanta": _TO_ATLANTA,
+    "systematicity": (Published("DDPG", 40, 128), Published("PPO", 119, 128)),
+}
+"""By the task whose form of the paper it belongs to; the paper's Salt Lake City is the measured one."""
 
 
-def published_for(task: str) -> list[Published]:
-    """Return what the paper published for a task in its form, such as ``salt_lake_city_to_atlanta, paper``."""
-    words = [word for word in re.split("[^a-z]+", task.lower()) if word not in ("", "to")]
-    text = " ".join(dict.fromkeys(words))
-    found = [p.protocol for p in PUBLISHED if re.sub("[^a-z]+", " ", p.protocol.lower()) in text]
-    protocol = max(found, key=len, default="") if "paper" in words else ""
-    return [each for each in PUBLISHED if each.protocol == protocol]
+def published_for(task: str) -> tuple[Published, ...]:
+    """Return what the paper published for a task in its form, such as ``salt_lake_city_to_atlanta_paper``."""
+    name = task.removesuffix(PAPER)
+    return PUBLISHED.get(name, ()) if name != task else ()
 
 
 def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: str = "") -> Table:
@@ -80,10 +81,10 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: s
     theirs = []
     for each in published_for(task):
         known = {"best_ratio_of_sums": each.benefit, "throughput_mean": each.throughput_benefit}
-        known["share_kept"] = each.throughput_kept
-        theirs.append(
-            Row(f"{each.algorithm}, {each.protocol}", tuple(_percent(known.get(key), key) for key in COLUMNS))
-        )
+        known |= {"share_kept": each.throughput_kept, "share_gated": each.at_zero / each.approaches}
+        cells = {key: _percent(known.get(key), key) for key in COLUMNS}
+        cells["share_gated"] = dataclasses.replace(cells["share_gated"], note="benefit of 0")
+        theirs.append(Row(f"{each.algorithm}, published", tuple(cells.values())))
     return Table(title, ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
 
 

@@ -66,14 +66,12 @@ def read_run(run_dir: Path) -> dict[str, Any]:
         return {**row, "state": str(error)}
     row |= {OPTION + path: "" if value is None else str(value) for path, value in flat(to_mapping(config)).items()}
     table = MetricsTable.read(run_dir / run_folder.METRICS_FILE)
-    if table.rows:
-        row["frames"], row["seconds"] = int(table.rows[-1]["frames"]), float(table.rows[-1]["seconds"])
-        returns = table.series("return")[1]
-        row["return"] = float(np.mean(returns[-LAST_ROWS:])) if returns else None
+    (frames, seconds), (_, returns) = table.series("seconds"), table.series("return")
+    row |= {"frames": max(frames, default=0), "seconds": max(seconds, default=0.0), "evaluation": _evaluated(run_dir)}
+    row["return"] = float(np.mean(returns[-LAST_ROWS:])) if returns else None
     validated = MetricsTable.read(run_dir / VALIDATION_FILE).series(SAVED)[1]
     if validated:
         row |= {"best": max(validated), "last": validated[-1]}
-    row["evaluation"] = _evaluated(run_dir)
     return row | ({"state": "finished"} if row["frames"] >= config.total_frames else {})
 
 

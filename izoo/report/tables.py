@@ -19,7 +19,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from izoo.console import counted, plain
-from izoo.envs.config import SIMULATOR_NAMES
+from izoo.envs import SIMULATORS
 from izoo.metrics.episode_seeds import MIN_EPISODE_SEEDS
 from izoo.metrics.figures import FIGURES, HEADLINE, Figure
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
@@ -297,7 +297,7 @@ def counts(summary: Mapping[str, Any]) -> str:
     n = summary["n"]
     text = f"{counted(n['contexts'], 'context')} on {counted(n['intersections'], 'intersection')}, "
     text += f"{counted(n['eval_seeds'], 'episode seed')}, {n['episodes']} episodes, "
-    text += f"played on {' and '.join(SIMULATOR_NAMES[name] for name in summary['simulators'])}. "
+    text += f"played on {' and '.join(SIMULATORS[name].label for name in summary['simulators'])}. "
     if n["intersections"] == 1:
         text += (
             f"Brackets: 95 % intervals over the {n['eval_seeds']} episode seeds of this intersection (Student's t of "

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from izoo.contexts.context import Context
+from izoo.envs import simulator_of
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.files import cache_root, replacing
 from izoo.results.playing import Measured, Setup
@@ -41,7 +42,7 @@ class EpisodeCache:
     def __init__(self, folder: Path | str | None, setup: Setup) -> None:
         self.folder = cache_root() / "baselines" if folder is None else Path(folder)
         env = {name: value for name, value in settings(setup.config).items() if name not in UNSEEN}
-        surrogate = setup.surrogate if setup.simulator == "twin" else ""
+        surrogate = setup.surrogate if simulator_of(setup.simulator).batched else ""
         known = [env, setup.simulator, surrogate, MODEL_VERSION, versions()["sumo"], COLUMNS]
         self._known = json.dumps(known, sort_keys=True)
 

@@ -81,7 +81,7 @@ class Setup:
     Attributes:
         policies: packed (:func:`izoo.results.policies.pack`), by key.
         config: the environment; it emits what is recorded.
-        simulator: ``sumo`` or ``twin``.
+        simulator: a name of :data:`izoo.envs.SIMULATORS`.
         workers: processes, or threads on the twin.
         record: of :data:`RECORDS`.
         side_by_side: episodes that a batch holds.

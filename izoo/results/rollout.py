@@ -19,7 +19,8 @@ from izoo.algos.drivers.random import RandomDriver
 from izoo.conf.evaluate_options import DRAIN_S
 from izoo.console import Progress
 from izoo.contexts.context import Context
-from izoo.envs.config import SIMULATORS, EnvConfig
+from izoo.envs import simulator_of
+from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import expanded
 from izoo.metrics.pairing import BASELINES, HUMAN
@@ -43,7 +44,7 @@ from izoo.zoo.catalog import WEIGHTS
 
 EXECUTORS = {
     "processes": "izoo.results.process_executor:Processes",
-    "batch": "izoo.results.twin_executor:Batch",
+    "batch": "izoo.results.batch_executor:Batch",
     "ray": "izoo.results.ray_executor:OnRay",
 }
 """What plays episodes: worker processes; side by side on the twin, in this process; processes of a Ray cluster."""
@@ -80,9 +81,9 @@ def rollout(
             block) is played by a fresh copy, a module in evaluation mode.
         config: the environment; what it emits is chosen here.
         task: column ``task`` of the rows.
-        simulator: ``sumo`` or ``twin``.
-        executor: one of :data:`EXECUTORS`; ``None``: ``batch`` on the twin, for policies that draw no random numbers,
-            and otherwise ``processes``.
+        simulator: a name of :data:`izoo.envs.SIMULATORS`.
+        executor: one of :data:`EXECUTORS`; ``None``: ``batch`` where the simulator steps environments side by side, for
+            policies that draw no random numbers, and otherwise ``processes``.
         workers: processes (0: this one plays), or threads of ``batch``.
         record: what to record of each episode (:data:`~izoo.results.playing.RECORDS`).
         cache: folder of the baselines' episodes; ``None``: in the user's cache.
@@ -94,7 +95,7 @@ def rollout(
         IzooError: bad input.
         EpisodeFailed: an episode raised or lost its process.
     """
-    check_choice("simulator", simulator, SIMULATORS)
+    simulator_of(simulator)
     check_range("num_workers", workers, 0, 1024)
     for name in record:
         check_choice("record", name, RECORDS)
@@ -121,10 +122,10 @@ def executor_for(simulator: str, policies: Mapping[Key, Policy], executor: str |
     """
     draws = any(isinstance(policy, RandomDriver) for policy in policies.values())
     if executor is None:
-        return "batch" if simulator == "twin" and not draws else "processes"
+        return "batch" if simulator_of(simulator).batched and not draws else "processes"
     check_choice("executor", executor, EXECUTORS)
-    if executor == "batch" and simulator != "twin":
-        raise IzooError(f"executor=batch plays on the twin, but simulator is {simulator}; choose simulator=twin.")
+    if executor == "batch" and not simulator_of(simulator).batched:
+        raise IzooError(f"executor=batch plays side by side, and simulator={simulator} cannot; choose simulator=twin.")
     if executor == "batch" and draws:
         raise IzooError("executor=batch cannot play a policy that draws random numbers; choose executor=processes.")
     return executor
@@ -184,10 +185,7 @@ def evaluate_policy(
         records[own] = _record(chosen.record, record, out)
     executor = executor_for(simulator, policies, executor)
     check_range("num_workers", workers, 0, 1024)
-    if simulator == "twin":
-        from izoo.envs.twin.backend import check_settings  # it compiles, and most evaluations need none
-
-        check_settings(config)
+    simulator_of(simulator).check_settings(config)
     every = list({context.content_hash: context for context in contexts}.values())
     keys = [key if isinstance(key, tuple) else (key, 0) for key in records]
     store = Store(out, task=task, config=config)

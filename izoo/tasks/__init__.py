@@ -4,7 +4,7 @@
 :class:`Task` in any module: ``task=my_module:MINE``.
 """
 
-from izoo.tasks.built_in import make, names, tasks
-from izoo.tasks.task import Task, limited
+from izoo.tasks.built_in import PAPER, make, names, tasks
+from izoo.tasks.task import TEST_SEED, Task, limited
 
-__all__ = ["Task", "limited", "make", "names", "tasks"]
+__all__ = ["PAPER", "TEST_SEED", "Task", "limited", "make", "names", "tasks"]

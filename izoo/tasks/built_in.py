@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
-from typing import Any
+from collections.abc import Sequence
 
 from izoo.algos.actions.action_modes import DirectAction, SpeedAction
+from izoo.algos.learners import registry
 from izoo.conf.built_in import CityContexts, Split
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
@@ -16,13 +16,14 @@ from izoo.contexts.cities.weather import WEATHER_PUBLISHED
 from izoo.envs.config import BEFORE, VEHICLE, EnvConfig
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, unknown_choice
+from izoo.imports import imported
 from izoo.tasks.task import INITIAL_SHARE, Task
 
+SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 PAPER = "_paper"
 """Ends the names of tasks in the paper's form."""
 ON_TWIN = {
-    "simulator": "twin",
-    "twin": {"surrogate": "compiled"},
+    **registry.ON_TWIN,
     "validation": {"contexts": 32, "seeds": 1, "simulator": "twin"},
     "evaluation": {"contexts": 16, "seeds": 1},
 }
@@ -36,8 +37,9 @@ def _city(city: str, split: Split) -> CityContexts:
     return CityContexts(city=city, split=split, weather="published" if city in WEATHER_PUBLISHED else "county")
 
 
-def _task(name: str, about: str, learns: str, *roles: ContextsConfig, **changes: Any) -> Task:
-    return Task(name, about, learns, *roles, **{"env": ONCE, "action": _SPEED, "training": ON_TWIN, **changes})
+def _task(name: str, about: str, learns: str, roles: Sequence[ContextsConfig], env: EnvConfig = ONCE) -> Task:
+    train, validation, test = roles
+    return Task(name, about, learns, train, validation, test, env, _SPEED, ON_TWIN)
 
 
 def _busy_lane() -> Task:
@@ -54,7 +56,7 @@ def _busy_lane() -> Task:
         "one-lane approaches near capacity, where smooth driving helps most: can it learn at all?",
         "PPO that decides once per vehicle (algo=ppo_vehicle: what make train does), imitation "
         "(algo=ppo_imitation) and search (algo=cmaes_teams)",
-        *(busy, busy, busy),
+        (busy, busy, busy),
         env=dataclasses.replace(ONCE, num_agents=32, num_vehicles=128),
     )
 
@@ -65,7 +67,7 @@ def _systematicity() -> Task:
         "systematicity",
         "wide procedural ranges, tested inside a box that training excludes",
         "nothing beyond uncommanded driving is known to",
-        *(wide, wide, PcgContexts(preset="systematicity_grid")),
+        (wide, wide, PcgContexts(preset="systematicity_grid")),
     )
 
 
@@ -75,12 +77,8 @@ def _in_city(city: str) -> Task:
         city,
         f"approaches of {words}, rebuilt from published statistics; intersections split 80/10/10",
         _SEARCH if city == "salt_lake_city" else "not tried yet",
-        *(_city(city, split) for split in ("train", "validation", "test")),
+        [_city(city, split) for split in SPLITS],
     )
-
-
-def _measured(split: Split) -> DatasetContexts:
-    return DatasetContexts(split=split)
 
 
 def _paper_form(task: Task) -> Task:
@@ -106,7 +104,7 @@ def _paper_form(task: Task) -> Task:
 def tasks() -> dict[str, Task]:
     """Return every task that has a name, in the order of the help."""
     slc, atlanta = "salt_lake_city", "atlanta"
-    measured = tuple(_measured(split) for split in ("train", "validation", "test"))
+    measured = [DatasetContexts(split=split) for split in SPLITS]
     own = [
         _busy_lane(),
         _systematicity(),
@@ -115,19 +113,19 @@ def tasks() -> dict[str, Task]:
             f"{slc}_to_{atlanta}",
             "trained in Salt Lake City and tested, zero-shot, in Atlanta",
             _SEARCH,
-            *(_city(slc, "train"), _city(slc, "validation"), _city(atlanta, "test")),
+            [_city(slc, "train"), _city(slc, "validation"), _city(atlanta, "test")],
         ),
         _task(
             "measured",
             "measured intersections of the published dataset, split 80/10/10; needs contexts.path=DATASET",
             _SEARCH,
-            *measured,
+            measured,
         ),
         _task(
             f"measured_to_{atlanta}",
             "trained on measured intersections and tested, zero-shot, in Atlanta; needs contexts.path=DATASET",
             _SEARCH,
-            *(*measured[:2], _city(atlanta, "test")),
+            [*measured[:2], _city(atlanta, "test")],
         ),
     ]
     return {task.name: task for task in (*own, *map(_paper_form, own))}
@@ -156,11 +154,7 @@ def make(
         IzooError: there is no such task.
     """
     if ":" in name:
-        module, _, attribute = name.partition(":")
-        try:
-            task = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
-            raise IzooError(f"task={name}: {error}.") from error
+        task = imported("task", name)
         if not isinstance(task, Task):
             raise IzooError(f"task={name} is a {type(task).__name__}; give an izoo.tasks.Task.")
     elif name in tasks():

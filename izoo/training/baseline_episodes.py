@@ -132,7 +132,7 @@ class BaselineSchedule:
                 self._plays(block * self.block),
                 {},
                 self.env,
-                simulator="twin",
+                simulator=self.config.simulator,
                 executor="batch",
                 workers=usable_cores() if twin.threads is None else twin.threads,
                 record=self.record,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from izoo.conf.train_options import TWIN_ENVS, TrainConfig
+from izoo.envs import simulator_of
 
 
 def num_envs(config: TrainConfig) -> int:
     """Return how many environments a batch comes from."""
-    if config.simulator == "twin":
+    if simulator_of(config.simulator).batched:
         return TWIN_ENVS if config.num_envs is None else config.num_envs
     return 1 if config.collector.name == "single" else config.num_workers
 

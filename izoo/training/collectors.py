@@ -17,10 +17,11 @@ from izoo.algos.learners.base import Keys
 from izoo.conf.train_options import TrainConfig
 from izoo.console import workers_ignore_interrupts
 from izoo.contexts.source import Schedule
+from izoo.envs import simulator_of
 from izoo.results import ray_cluster
 from izoo.training.batch_size import frames_per_batch, num_envs
 from izoo.training.command_replay import EpisodeHistory
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv, TrainingTwinEnv, random_phases
+from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
 from izoo.training.process_collector import ProcessCollector, process_collector, worker_envs
 
 
@@ -31,9 +32,10 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        histories: the episodes in progress of a run that is resumed on SUMO, one per environment (:func:`num_envs`).
-        twin: where those of a run on the twin stood (:meth:`environments`).
-        keeps: the keys that batches from the twin hold; ``None``: all that there are.
+        histories: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`), where each
+            is stepped in a process.
+        left_at: where environments side by side stood (:meth:`environments`).
+        keeps: the keys that batches of environments side by side hold; ``None``: all that there are.
     """
 
     def __init__(
@@ -42,27 +44,29 @@ class BatchSource:
         policy: TensorDictModuleBase,
         schedule: Schedule,
         histories: Sequence[EpisodeHistory] = (),
-        twin: Mapping[str, Any] = MappingProxyType({}),
+        left_at: Mapping[str, Any] = MappingProxyType({}),
         keeps: Keys | None = None,
     ) -> None:
         frames = frames_per_batch(config)
-        self._twin: TrainingTwinEnv | None = None
+        simulator = simulator_of(config.simulator)
+        self._batched: TrainingBatchEnv | None = None
+        self._saves = simulator.saves
         with workers_ignore_interrupts():
-            if config.simulator == "twin":
-                self._twin = _twin_env(config, schedule, twin, keeps)
+            if simulator.batched:
+                self._batched = _side_by_side(config, schedule, left_at, keeps)
                 # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
-                self._collector: BaseCollector = in_process(self._twin, policy, frames, use_buffers=False)
+                self._collector: BaseCollector = in_process(self._batched, policy, frames, use_buffers=False)
             elif config.collector.name in _APART:
                 self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
             else:
-                self._collector = in_process(_sumo_env(config, schedule, histories), policy, frames)
+                self._collector = in_process(_by_process(config, schedule, histories), policy, frames)
         self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
         """Return the next batch ``[N, T]``, which is valid until the one after it."""
         batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
-        if self._twin is not None:
-            return self._twin.complete(batch)
+        if self._batched is not None:
+            return self._batched.complete(batch)
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
@@ -72,14 +76,9 @@ class BatchSource:
         elif not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
-    @property
-    def twin(self) -> TrainingTwinEnv | None:
-        """The environments, where they are on the twin."""
-        return self._twin
-
     def environments(self) -> dict[str, Any]:
-        """Return where the environments stand after the last batch; nothing where they are not on the twin."""
-        return {} if self._twin is None else self._twin.state_dict()
+        """Return where the environments stand after the last batch; nothing where they cannot be saved."""
+        return self._batched.state_dict() if self._batched is not None and self._saves else {}
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
@@ -90,16 +89,19 @@ class BatchSource:
         gc.collect()
 
 
-def _sumo_env(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]) -> EnvBase:
+def _by_process(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]) -> EnvBase:
+    """Return environments of which each is stepped in a process; one alone in this process."""
     options: dict[str, Any] = {"config": config.env, "seed": config.seed, "histories": histories}
     if config.collector.name == "single":
-        return TrainingEnv(schedule, **options)
-    return TrainingParallelEnv(config.num_workers, contexts=schedule, shard=0, **options)
+        return TrainingEnv(schedule, simulator=config.simulator, **options)
+    return training_class(config.simulator)(config.num_workers, contexts=schedule, shard=0, **options)
 
 
-def _twin_env(config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None) -> TrainingTwinEnv:
+def _side_by_side(
+    config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None
+) -> TrainingBatchEnv:
     count = num_envs(config)
-    return TrainingTwinEnv(
+    return training_class(config.simulator)(
         count,
         contexts=schedule,
         config=config.env,

@@ -6,6 +6,7 @@ reason the group of vehicles, where it is emitted, is what critics look at (:mod
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,16 +18,17 @@ from torchrl.data import Composite, Unbounded
 
 from izoo.algos.learners.base import OBSERVATION, Keys
 from izoo.algos.networks import fleet_features
-from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
+from izoo.envs import simulator_of
+from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.observation_buffer import Tape
-from izoo.envs.twin_env import TwinEnv
+from izoo.imports import imported
 from izoo.training import command_replay
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
 NUMBERS = "context_ids"
-"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; emitted on the twin."""
+"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; where environments are batched."""
 OBSERVATIONS = (OBSERVATION, ("next", *OBSERVATION))
 """Keys of what a step acts on and of what it leads to."""
 
@@ -105,12 +107,8 @@ class TrainingEnv(_Training, EcoDrivingEnv):
     """:class:`~izoo.envs.EcoDrivingEnv` with :data:`TOTALS` and histories."""
 
 
-class TrainingParallelEnv(_Training, SumoParallelEnv):
-    """:class:`~izoo.envs.SumoParallelEnv` with :data:`TOTALS` and histories."""
-
-
-class TrainingTwinEnv(_Training, TwinEnv):
-    """:class:`~izoo.envs.TwinEnv` with :data:`TOTALS` and :data:`NUMBERS`.
+class TrainingBatchEnv(_Training):
+    """Environments that step side by side in this process, with :data:`TOTALS` and :data:`NUMBERS`.
 
     Args:
         keeps: keys of a step that are handed on when it is over; ``None``: all. The policy sees everything.
@@ -165,15 +163,23 @@ class TrainingTwinEnv(_Training, TwinEnv):
         self._left_at = self._phases = None
         if state:
             self.load_state_dict(state)
-            return self.present()
+            return self.present()  # type: ignore[operator]
         frame = super()._reset(tensordict, **options)
-        return frame if phases is None else self.advance(phases)
+        return frame if phases is None else self.advance(phases)  # type: ignore[operator]
 
     def _look_ahead(self) -> None:
         # Levels are drawn here and now: the thread that prepares the episodes would draw them at any time.
         if isinstance(self.schedule, PrioritizedLevelReplay):
             self.schedule.draw(self._next_episode.tolist())
-        super()._look_ahead()
+        super()._look_ahead()  # type: ignore[misc]
+
+
+@functools.cache
+def training_class(simulator: str) -> Any:
+    """Return the class of a simulator's environments side by side, with what training needs."""
+    chosen = simulator_of(simulator)
+    several = imported("simulator", chosen.several)
+    return type(f"Training{several.__name__}", (TrainingBatchEnv if chosen.batched else _Training, several), {})
 
 
 def random_phases(num_envs: int, decisions: int, seed: int) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import nn
@@ -16,7 +17,7 @@ from izoo.conf.mapping import with_given
 from izoo.conf.train_options import TWIN_ENVS, CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import SumoParallelEnv, TwinEnv
+from izoo.envs import make, simulator_of
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
@@ -105,25 +106,18 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 
 
 def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
-    if config.simulator == "sumo":
-        return SumoParallelEnv(_environments(config), contexts=schedule, config=config.env, seed=config.seed, shard=0)
-    twin = config.twin
-    if twin.surrogate == "cuda":
-        check_gpu("twin.surrogate", "torch")
-    return TwinEnv(
-        _environments(config),
-        schedule,
-        config=config.env,
-        seed=config.seed,
-        shard=0,
-        threads=twin.threads,
-        surrogate=twin.surrogate,
-    )
+    options: dict[str, Any] = {}
+    if simulator_of(config.simulator).batched:
+        options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
+        if config.twin.surrogate == "cuda":
+            check_gpu("twin.surrogate", "torch")
+    count = _environments(config)
+    return make(config.simulator, count, schedule, config.env, seed=config.seed, shard=0, **options)
 
 
 def _environments(config: CollectConfig) -> int:
     """Return how many environments step together."""
-    if config.simulator == "sumo":
+    if not simulator_of(config.simulator).batched:
         return config.num_workers
     return TWIN_ENVS if config.num_envs is None else config.num_envs
 

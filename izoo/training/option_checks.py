@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from izoo.conf.train_options import TrainConfig
+from izoo.envs import simulator_of
 from izoo.envs.config import SPEED, STEP
-from izoo.envs.twin.backend import check_settings
 from izoo.errors import IzooError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster
@@ -23,13 +23,13 @@ def check_options(config: TrainConfig) -> None:
             f"env.drain_s is {config.env.drain_s:g}, but training episodes end at their horizon; leave it at 0. "
             "Evaluations play their episodes out by themselves."
         )
-    if config.simulator == "twin":
-        check_settings(config.env)
-        if config.twin.surrogate == "cuda":
-            check_gpu("twin.surrogate", "torch")
+    simulator = simulator_of(config.simulator)
+    simulator.check_settings(config.env)
+    if simulator.batched and config.twin.surrogate == "cuda":
+        check_gpu("twin.surrogate", "torch")
     _check_decisions(config)
     policies, envs = config.algo.candidates, num_envs(config)
-    if policies > 1 and (config.simulator != "twin" or envs % policies or config.env.reward.eta != 1.0):
+    if policies > 1 and (not simulator.batched or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(
             f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares what "
             f"their teams are paid, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
@@ -44,10 +44,11 @@ def _check_decisions(config: TrainConfig) -> None:
     """Raise :class:`IzooError` where the options of a run need decisions, or a simulator, that it does not have."""
     algo, decide = config.algo, config.env.decide
     variate = getattr(algo, "control_variate", "none")
-    if variate != "none" and config.simulator != "twin":
+    simulator = simulator_of(config.simulator)
+    if variate != "none" and not simulator.batched:
         raise IzooError(
-            f"algo.control_variate={variate} plays every training episode a second time, uncommanded, which only the "
-            "twin does during training; choose simulator=twin, or algo.control_variate=none."
+            f"algo.control_variate={variate} plays every training episode a second time, uncommanded, which "
+            f"{simulator.label} does not during training; choose simulator=twin, or algo.control_variate=none."
         )
     if algo.candidates > 1 and config.env.action == SPEED:
         raise IzooError(

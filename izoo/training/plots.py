@@ -92,7 +92,6 @@ class Chart:
         x_range: of the axis; ``None``: what the data need.
         y_most: where bars are cut; their counts stand in ``text``.
         zero: mark the line at 0 of the measured axis.
-        height_px: on a page.
     """
 
     name: str
@@ -106,7 +105,6 @@ class Chart:
     x_range: tuple[float, float] | None = None
     y_most: float | None = None
     zero: bool = False
-    height_px: int = 320
 
 
 def learning_curve(table: MetricsTable, path: Path, title: str, validation: MetricsTable | None = None) -> None:
@@ -151,7 +149,7 @@ def curves(
             ends = [f"{c} ends at {t.series(name)[1][-1]:.4g}" for c, of in kept.items() for t in of]
             alt, kind = f"{label} against {FRAMES}; {'; '.join(ends)}.", "validation-" if window == 1 else ""
             place = f"curve-{kind}{name.replace('_', '-')}"
-            charts.append(Chart(place, label, series, FRAMES, alt=alt, height_px=280))
+            charts.append(Chart(place, label, series, FRAMES, alt=alt))
     return charts
 
 

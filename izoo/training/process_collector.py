@@ -59,14 +59,16 @@ class ProcessCollector(MultiSyncCollector):
                     "resume=RUN_DIR."
                 ) from error
             # TorchRL notices too, but then stumbles over the other processes, or over the pipe.
-            for number, process in enumerate(self.procs):
-                code = _exit_code(process)
-                if code not in (None, -signal.SIGTERM):  # with which TorchRL ends the others
-                    raise UnfinishedError(
-                        f"process {number} of {self.num_workers} that collect has ended (exit code {code}); what it "
-                        "wrote before says why, unless it was killed. Go on with resume=RUN_DIR."
-                    ) from error
-            raise
+            codes = {number: _exit_code(process) for number, process in enumerate(self.procs)}
+            ended = [number for number, code in codes.items() if code not in (None, -signal.SIGTERM)]
+            if not ended and "process failed" in str(error):  # TorchRL itself ends the others with SIGTERM
+                ended = [number for number, code in codes.items() if code is not None]
+            if not ended:
+                raise
+            raise UnfinishedError(
+                f"process {ended[0]} of {self.num_workers} that collect has ended (exit code {codes[ended[0]]}); what "
+                "it wrote before says why, unless it was killed. Go on with resume=RUN_DIR."
+            ) from error
 
     def hand_over(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to the processes; TorchRL would wait forever for one that does not take them.

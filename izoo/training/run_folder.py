@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.base import Algorithm, innermost
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping

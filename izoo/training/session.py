@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 
 from izoo.algos.learners.base import MASK
 from izoo.console import Interrupt, Progress, graceful_interrupt
+from izoo.envs import simulator_of
 from izoo.errors import UnfinishedError
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
@@ -101,9 +102,10 @@ class Session:
         """Collect and learn, batch after batch."""
         state, reads = self.state, self.state.learner.reads
         batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
-        if self.config.simulator == "twin" and state.levels is not None:
+        batched = simulator_of(self.config.simulator).batched
+        if batched and state.levels is not None:
             self._baselines = BaselineComparison(self.config, state.draws, level=state.levels.level)
-        elif self.config.simulator == "twin":
+        elif batched:
             self._baselines = BaselineComparison(self.config, state.schedule())
         try:
             self.state.load(batches)
@@ -150,7 +152,7 @@ class Session:
             stats |= self._baselines.compare(batch)
         compared = time.perf_counter()
         torch.set_num_threads(min(self._threads, MAX_LEARNER_THREADS))
-        if self.config.simulator == "sumo":
+        if not simulator_of(self.config.simulator).batched:
             self.state.histories.add(batch)
         learned = self.state.learner.update(batch, self.state.frames / self.config.total_frames)
         if self.state.levels is not None:

@@ -25,7 +25,7 @@ from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
@@ -68,7 +68,7 @@ def nominal(**values: float) -> float:
 
 def make(algo: str, *words: str, action: str = "residual") -> TransformedAlgorithm:
     torch.manual_seed(3)
-    options = compose_config("train", TrainConfig, [f"algo={algo}", "algo.hidden=[8]", f"action={action}", *words])
+    options = compose_config(TrainConfig, [f"algo={algo}", "algo.hidden=[8]", f"action={action}", *words])
     algorithm = make_algorithm(options.algo, options.action, options.env)
     assert isinstance(algorithm, TransformedAlgorithm)
     return algorithm

@@ -13,8 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo import train
 from izoo.algos.actions.action_modes import PointMass
 from izoo.algos.learners import base
-from izoo.algos.learners.cmaes import CMAES
-from izoo.algos.learners.cmaes_config import CMAESConfig
+from izoo.algos.learners.cmaes import CMAES, CMAESConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.contexts.procedural import EASY
 from izoo.contexts.source import RandomSchedule

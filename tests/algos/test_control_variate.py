@@ -7,8 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import MAPPO, TEAM_BASELINE
-from izoo.algos.learners.ppo_config import MAPPOConfig
+from izoo.algos.learners.mappo import MAPPO, TEAM_BASELINE, MAPPOConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames

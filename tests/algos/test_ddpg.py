@@ -10,8 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg import DDPG
-from izoo.algos.learners.ddpg_config import DDPGConfig
+from izoo.algos.learners.ddpg import DDPG, DDPGConfig
 from izoo.algos.learners.replay import (
     ERROR,
     NEXT_OBSERVATION,

@@ -14,13 +14,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg import DDPG
-from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
-from izoo.algos.learners.graph_ppo import GCRL
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
-from izoo.algos.learners.td3 import TD3
+from izoo.algos.learners.ddpg import DDPG, DDPGConfig
+from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
+from izoo.algos.learners.td3 import TD3, TD3Config
 from tests.algos.frames import FEATURES, HIGH, LOW, alone, make_frames
 
 ON: dict[str, Any] = {"hidden": (8, 8), "minibatch_rows": 7}

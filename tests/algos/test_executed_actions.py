@@ -12,8 +12,9 @@ from izoo.algos.actions.action_wrappers import RAW_ACTION, SpeedCap
 from izoo.algos.actions.executed_actions import ExecutedAcceleration
 from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
+from izoo.algos.learners.ddpg import DDPGConfig
 from izoo.algos.learners.registry import make_algorithm
+from izoo.algos.learners.td3 import TD3Config
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, TwinEnv
 from izoo.envs.mdp.frame import observation_names

@@ -11,12 +11,11 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo_config import MAPPOConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.networks.fleet_features import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
-from izoo.training.environments import TrainingTwinEnv
+from izoo.training.environments import training_class
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 from tests.envs.worlds import crossing, defer, short
 
@@ -84,9 +83,9 @@ def test_the_critic_sees_human_drivers_and_the_policy_does_not(credit: str) -> N
 
 
 def test_training_environments_emit_what_it_needs_and_no_more() -> None:
-    config = compose_config("train", TrainConfig, ["algo=mappo", "algo.critic_sees=all"])
+    config = compose_config(TrainConfig, ["algo=mappo", "algo.critic_sees=all"])
     assert config.env.emit == ("vehicles",)
-    env = TrainingTwinEnv(2, crossing(), config=short(emit=("vehicles",)), threads=1)
+    env = training_class("twin")(2, crossing(), config=short(emit=("vehicles",)), threads=1)
     with contextlib.closing(env):
         check_env_specs(env)
         state = env.reset()

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from izoo.algos.learners import base, graph_ppo
-from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GraphNetwork
-from izoo.algos.learners.ppo_config import GCRLConfig
+from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GCRLConfig, GraphNetwork
 from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names

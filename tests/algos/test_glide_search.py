@@ -14,8 +14,7 @@ from izoo.algos.actions.action_modes import AdviseAction, DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.algos.learners import base
-from izoo.algos.learners.glide_search import GATE, GATE_STARTS, OTHERS, SETTINGS, GlideSearch
-from izoo.algos.learners.glide_search_config import GlideSearchConfig
+from izoo.algos.learners.glide_search import GATE, GATE_STARTS, OTHERS, SETTINGS, GlideSearch, GlideSearchConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.envs.config import EnvConfig

@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.graph_ppo import GCRLConfig
+from izoo.algos.learners.mappo import MAPPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
+from izoo.algos.learners.td3 import TD3Config
 from izoo.errors import IzooError
 
 BAD: list[tuple[Any, dict[str, list[Any]]]] = [

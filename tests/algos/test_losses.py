@@ -18,8 +18,7 @@ from torchrl.objectives.value import GAE
 
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg import Squash
-from izoo.algos.learners.mappo import TeamCritic
-from izoo.algos.learners.ppo_config import MAPPOConfig
+from izoo.algos.learners.mappo import MAPPOConfig, TeamCritic
 from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLoss, MaskedPPOLoss, MaskedTD3Loss
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.gaussian import normal_parameters, tanh_normal

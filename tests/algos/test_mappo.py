@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, SetCritic
-from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
-from izoo.conf.compose import compose_config
+from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
@@ -89,6 +89,6 @@ def test_the_paper_preset_is_rllibs_ppo() -> None:
 
 def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:
     with pytest.raises(IzooError, match=r"algo.credit=team .* env.reward.eta is 0.*fuel_team"):
-        compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
-    chosen = compose_config("train", TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
+        compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
+    chosen = compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
     assert chosen.env.emit == ("team_reward",)

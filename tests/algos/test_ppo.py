@@ -8,10 +8,9 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.graph_ppo import GCRL
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.networks.gaussian import SamplingPolicy
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
 

@@ -12,9 +12,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
-from izoo.algos.learners.graph_ppo import GCRL
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig
+from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
 from izoo.algos.networks.set_networks import COLUMN, FRAME, places
 from tests.algos.frames import FEATURES, HIGH, LOW, act, alone, make_frames

@@ -7,9 +7,8 @@ import copy
 import torch
 
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg_config import TD3Config
 from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
-from izoo.algos.learners.td3 import TD3
+from izoo.algos.learners.td3 import TD3, TD3Config
 from tests.algos.frames import FEATURES, HIGH, LOW
 from tests.algos.test_ddpg import SMALL, make_batch
 

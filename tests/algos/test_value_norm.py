@@ -9,9 +9,8 @@ from torch import nn
 from torchrl.modules import RunningValueNorm, ValueOperator
 
 from izoo.algos.learners import base
-from izoo.algos.learners.mappo import MAPPO
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import MAPPOConfig, PPOConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.losses.masked_gae import MaskedGAE
 from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns, shares
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint, run_folder
@@ -29,7 +29,7 @@ PATIENCE_S = 120.0
 def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
     run_dir = folder / name
     words = [*WORDS, f"total_frames={frames}", f"run_dir={run_dir}", *more]
-    return compose_config("train", TrainConfig, words), frozenset(), folder / f"{name}.log"
+    return compose_config(TrainConfig, words), frozenset(), folder / f"{name}.log"
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:

@@ -10,7 +10,7 @@ import torch
 
 from izoo.benchmarks import planner
 from izoo.benchmarks.planner import PlannerConfig
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv
 from izoo.envs.config import EnvConfig
@@ -28,7 +28,7 @@ def options(**changes: object) -> PlannerConfig:
 
 
 def test_yaml_equals_the_dataclass() -> None:
-    assert compose.compose_config("benchmarks.planner", PlannerConfig, []) == PlannerConfig()
+    assert compose.compose_config(PlannerConfig, []) == PlannerConfig()
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from izoo.benchmarks import twin
 from izoo.benchmarks.fidelity import twin_fidelity
 from izoo.benchmarks.fidelity.trajectory_diff import Watched, compare_steps, compared, ks_distance, parting, places
 from izoo.benchmarks.twin import FidelityConfig
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
@@ -195,7 +195,7 @@ def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
 
 
 def test_the_options_file_is_the_dataclass() -> None:
-    assert compose.compose_config("benchmarks.twin", FidelityConfig, []) == FidelityConfig()
+    assert compose.compose_config(FidelityConfig, []) == FidelityConfig()
 
 
 @pytest.mark.parametrize(

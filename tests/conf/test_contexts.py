@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from izoo.conf import compose
+from izoo.cli import compose
 from izoo.conf.built_in import CatalogueContexts, CityContexts
+from izoo.conf.choices import groups
 from izoo.conf.context_choices import MixedContexts, PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.mapping import from_mapping, to_mapping
@@ -32,11 +33,11 @@ CHOICES = {
 
 def chosen(*words: str):
     """What ``python -m izoo.train WORDS`` takes as its contexts."""
-    return compose.compose_config("train", TrainConfig, list(words)).contexts
+    return compose.compose_config(TrainConfig, list(words)).contexts
 
 
-def test_every_file_is_the_default_of_its_dataclass():
-    assert set(CHOICES) == set(compose.choices()["contexts"])
+def test_every_choice_is_its_dataclass():
+    assert set(CHOICES) == set(groups()["contexts"])
     for name, config in CHOICES.items():
         assert chosen(f"contexts={name}") == config
 

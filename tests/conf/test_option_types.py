@@ -17,9 +17,9 @@ import pytest
 from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
 from izoo.algos.drivers.glide import GlideConfig
 from izoo.algos.learners import registry
-from izoo.algos.learners.ppo_config import PPOConfig
-from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig
-from izoo.benchmarks.tradeoffs import TradeoffsConfig
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.benchmarks.campaign.__main__ import CampaignConfig
+from izoo.cli.compose import compose_config
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
@@ -29,7 +29,7 @@ from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.errors import IzooError
 
 CONFIGS: dict[str, Any] = {
-    **{f"train {name}": TrainConfig(algo=registry.preset(name)) for name in registry.choices()},
+    **{f"train {name}": compose_config(TrainConfig, [f"algo={name}"]) for name in registry.choices()},
     "train residual": TrainConfig(action=ResidualAction()),
     "train advise": TrainConfig(action=AdviseAction()),
     "train pcg": TrainConfig(contexts=PcgContexts()),
@@ -37,8 +37,7 @@ CONFIGS: dict[str, Any] = {
     "evaluate catalogue": EvaluateConfig(contexts=CatalogueContexts(ids=(1,))),
     "collect": CollectConfig(contexts=CityContexts()),
     "report": ReportConfig(),
-    "benchmarks.generalization": GeneralizationConfig(),
-    "benchmarks.tradeoffs": TradeoffsConfig(),
+    "benchmarks.campaign": CampaignConfig(),
 }
 """Options that between them hold every group."""
 NOT_A_NUMBER = ("soon", [], {}, True, math.nan, math.inf, -math.inf)

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from izoo import train
+from izoo import evaluate, train
+from izoo.cli import compose
 from izoo.cli.evaluate import resolve
-from izoo.conf import compose
 from izoo.conf.context_choices import DatasetContexts, MixedContexts, PcgContexts
-from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
@@ -53,7 +52,7 @@ FLEET = (0.5, 0.2, 0.1, 0.2)
 
 
 def chosen(*words: str) -> Any:
-    return compose.compose_config("train", TrainConfig, list(words)).contexts
+    return compose.compose_config(TrainConfig, list(words)).contexts
 
 
 @pytest.mark.parametrize(
@@ -189,19 +188,18 @@ def test_a_run_keeps_its_drivers_and_refuses_others(
     assert train.main([*TOY, f"contexts.drivers={own_file}", f"run_dir={run_dir}"]) == 0
     kept = run_dir / "drivers-1.json"
     assert kept.read_text() == before
-    play = EvaluateConfig(run=str(run_dir))
-    assert resolve(play, frozenset({"run"})).contexts.drivers == str(own_file)
+    play = evaluate.COMMAND.compose([f"run={run_dir}"])
+    assert resolve(play).contexts.drivers == str(own_file)
     for changed in (json.dumps(own_population(0.9)), None):
         own_file.unlink() if changed is None else own_file.write_text(changed)
         with pytest.raises(IzooError, match=f"does not hold the drivers any more .* put their copy back there: {kept}"):
-            resolve(play, frozenset({"run"}))
+            resolve(play)
         with pytest.raises(IzooError, match="put their copy back"):
             validate(checkpoint.find(run_dir))
         capsys.readouterr()
         assert train.main([f"resume={run_dir}", "total_frames=200"]) == 2
         assert "put their copy back" in capsys.readouterr().err
-    others = EvaluateConfig(run=str(run_dir), contexts=PcgContexts(preset="easy"))
-    assert resolve(others, frozenset({"run", "contexts"})).contexts.drivers is None
+    assert resolve(evaluate.COMMAND.compose([f"run={run_dir}", "contexts=pcg_easy"])).contexts.drivers is None
     own_file.write_text(before)
     assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0
 

@@ -162,9 +162,3 @@ def test_commands(capsys):
     assert "1306720" in capsys.readouterr().out
     assert main(["compare", "--city", "salt-lake-city"]) == 0
     assert "salt_lake_city" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("argv", [["show", "9999999"], ["count", "--city", "paris"], ["list", "--limit", "-1"]])
-def test_commands_name_bad_input(argv, capsys):
-    assert main(argv) == 2
-    assert capsys.readouterr().err.startswith("izoo contexts: ")

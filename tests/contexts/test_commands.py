@@ -132,6 +132,9 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
         (["try", "--city", "paris"], "unknown city"),
+        (["count", "--city", "paris"], "unknown city"),
+        (["show", "9999999"], "0 to 1306719"),
+        (["list", "--limit", "-1"], "--limit"),
     ):
         assert main(argv) == 2, argv
         err = capsys.readouterr().err

@@ -88,9 +88,11 @@ def test_systematicity_test_grid_is_the_published_one():
 
 
 def test_systematicity_train_never_enters_the_test_box():
+    one, two = (SYSTEMATICITY_TRAIN.sample(np.random.default_rng(7)) for _ in range(2))
+    assert one == two
     generator = np.random.default_rng(0)
     shapes = set()
-    for _ in range(3000):
+    for _ in range(1500):
         context = SYSTEMATICITY_TRAIN.sample(generator)
         assert not _in_test_box(context)
         values = _shape_and_ranges(context)
@@ -115,12 +117,6 @@ def test_the_exclusion_trips_when_it_is_left_out():
     generator = np.random.default_rng(0)
     assert any(_in_test_box(ProceduralSource(narrow).sample(generator)) for _ in range(50))
     assert not any(_in_test_box(ProceduralSource(narrow, [box]).sample(generator)) for _ in range(50))
-
-
-def test_same_generator_state_gives_the_same_context():
-    one = SYSTEMATICITY_TRAIN.sample(np.random.default_rng(7))
-    two = SYSTEMATICITY_TRAIN.sample(np.random.default_rng(7))
-    assert one == two
 
 
 def test_finite_sources_enumerate_in_a_stable_order():

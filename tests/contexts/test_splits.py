@@ -24,13 +24,9 @@ GOLDEN_TEST_SETS = {
 
 
 @pytest.mark.parametrize("city", CITIES)
-def test_golden_test_sets(city):
+def test_splits_partition_a_city_and_never_change(city):
     digest = hashlib.sha256(repr(city_split(city, "test")).encode()).hexdigest()
     assert digest[:16] == GOLDEN_TEST_SETS[city]
-
-
-@pytest.mark.parametrize("city", CITIES)
-def test_splits_partition_a_city(city):
     parts = [city_split(city, split) for split in SPLITS]
     assert sorted(sum(parts, ())) == list(range(SIZES[city])) == list(city_split(city))
     assert len(parts[1]) == len(parts[2]) == int(SIZES[city] / 10 + 0.5)

@@ -17,8 +17,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from izoo.cli.compose import combinations, compose_config
 from izoo.cli.option_command import OptionCommand
-from izoo.conf import compose
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
 
 
@@ -79,13 +79,9 @@ def _check_izoo(module_name: str, words: list[str]) -> None:
         module = importlib.import_module(f"{module_name}.__main__")
     command = getattr(module, "COMMAND", None)
     if isinstance(command, OptionCommand):
-        options = command.options([word for word in words if not word.startswith("-")])
-        if "-m" in words:
-            overrides = compose.parse(options, multirun=True)
-            compose.check_names(command.name, overrides)
-            compose.check_combinations(command.name, command.config_class(), overrides)
-        else:
-            compose.compose_config(command.name, command.config_class(), options)
+        options = command.named([word for word in words if not word.startswith("-")])
+        for combination in combinations(options) if "-m" in words else [options]:
+            compose_config(command.config_class(), combination)
         return
     if module_name.startswith("izoo.docs.examples."):
         inspect.signature(module.main).bind(*words)  # tests/test_examples.py runs it

@@ -17,8 +17,8 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from izoo.envs import EcoDrivingEnv, SumoParallelEnv
-from izoo.envs.config import SIMULATORS, EnvConfig, RewardConfig
+from izoo.envs import SIMULATORS, EcoDrivingEnv, SumoParallelEnv
+from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC
 from izoo.errors import IzooError

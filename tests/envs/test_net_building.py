@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from izoo.contexts.source import RoundRobinSchedule
-from izoo.envs.config import SIMULATORS
+from izoo.envs import SIMULATORS
 from izoo.errors import IzooError
 from izoo.files import CACHE_ENV
 from izoo.networks.net import netconvert

@@ -15,8 +15,7 @@ from tensordict import TensorDictBase
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.emissions.moves import MovesSurrogate
-from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
-from izoo.envs.config import SIMULATORS
+from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.mdp.blocked_demand import earliest_arrivals
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.views.gymnasium import EcoDrivingJoint

@@ -10,9 +10,8 @@ import torch
 
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
-from izoo.envs import EcoDrivingEnv, RewardConfig
+from izoo.envs import SIMULATORS, EcoDrivingEnv, RewardConfig
 from izoo.envs.backend import episode_traffic
-from izoo.envs.config import SIMULATORS
 from izoo.envs.mdp.blocked_demand import NEVER, idle_rates
 from izoo.envs.mdp.credit import BLOCKED, ENTERED
 from izoo.envs.mdp.units import human_units

@@ -13,8 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from izoo.algos.drivers.by_name import make_driver
 from izoo.contexts.context import Context
-from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.config import SIMULATORS
+from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
 from tests.envs.worlds import constant, crossing, defer, digest, one_lane, places, play, same, set_action
 

@@ -14,8 +14,7 @@ from tensordict import TensorDict
 
 import izoo.envs.views.gymnasium
 from izoo.contexts.source import RoundRobinSchedule
-from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.config import SIMULATORS
+from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig
 from izoo.envs.mdp.columns import LANE_POSITION, NUMBER, REGION_LANE, SPEED
 from izoo.envs.views.view_session import ViewSession
 from izoo.errors import IzooError

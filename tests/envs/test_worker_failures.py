@@ -58,16 +58,13 @@ def undisturbed(steps: int) -> TensorDict:
 
 
 @pytest.mark.parametrize(
-    ("number", "limit_s", "index"),
-    [pytest.param(signal.SIGKILL, 1.0, 0, marks=pytest.mark.slow), (signal.SIGSTOP, 4.0, 1)],
+    ("number", "index"), [pytest.param(signal.SIGKILL, 0, marks=pytest.mark.slow), (signal.SIGSTOP, 1)]
 )
-def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
+def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
     lost, other = process_of(pair, index), 1 - index
     os.kill(lost, number)
-    began = time.monotonic()
     frame = pair.step(steer(state.clone()))
-    assert time.monotonic() - began < limit_s
     # The lost step: truncated, nothing terminated, no reward, the last observation once more.
     row = frame["next"][index]
     assert row["truncated"].item() and row["done"].item() and not row["terminated"].item()

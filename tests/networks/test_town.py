@@ -88,7 +88,7 @@ def changed(**fields: Any) -> dict[str, Any]:
     ("plan", "message"),
     [
         (changed(duration_s=0), "phase 0 of its plan lasts 0.0 s"),
-        (changed(duration_s="33"), "a signal plan has the form .*'33' is no number"),
+        (changed(duration_s="33"), "a signal plan has the form .*'33' is not a number"),
         (changed(states=[["A", "C"]]), "a signal plan has the form"),
         (changed(states=[["A", "C", "green"]]), "phase 0 shows 'green'; choose one of: G, g, y, s, r"),
         (changed(states=[*THROUGH, *LEFTS, ["A", "A", "G"]]), "names the movement A to A, which no lane serves"),
@@ -112,7 +112,7 @@ def test_plans_that_cannot_be_shown(tmp_path: Path, plan: Any, message: str) -> 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"7": PLAN}, "a signal plan for '7', which is no intersection .* choose among 1"),
+        ({"7": PLAN}, "a signal plan for '7', which is not an intersection .* choose among 1"),
         ([PLAN], "no plans by inters"),
     ],
 )
@@ -122,7 +122,7 @@ def test_files_of_plans_that_do_not_fit(tmp_path: Path, content: Any, message: s
     with pytest.raises(IzooError, match="cannot read the signal plans"):
         build(tmp_path, signals=tmp_path / "none.json")
     (tmp_path / "broken.json").write_text("{")
-    with pytest.raises(IzooError, match="are no JSON"):
+    with pytest.raises(IzooError, match="are not JSON"):
         build(tmp_path, signals=tmp_path / "broken.json")
 
 
@@ -210,7 +210,7 @@ def test_a_build_shows_what_comes_per_hour(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("1,D,D,5", "counts.csv, 1: no lane serves D to D; choose among A to B, A to C"),
-        ("9,D,A,5", "has turning counts for '9', which is no intersection of the extract; choose among 1"),
+        ("9,D,A,5", "has turning counts for '9', which is not an intersection of the extract; choose among 1"),
         ("1,D,A,many", "line 2: 'many' is not a usable count"),
         ("1,D,A,-1", "line 2: '-1' is not a usable count"),
         ("1,D,A,5\n1,D,A,6", "line 3: 1 has two counts from D to A"),

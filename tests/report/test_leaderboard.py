@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,12 @@ from izoo import leaderboard as command
 from izoo.envs import MODEL_VERSION
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
-from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import summarise
 from izoo.report import leaderboard
 from izoo.report.leaderboard import board, check, content_hash, make_entry, merge, read_entry, unpacked, write_entry
-from izoo.report.superseded import convert
 from izoo.results.store import read_table
 from tests.report.made_tables import folder, table
 
-DATA = Path(__file__).parent / "data"
 PPO = (0.06, -1.0, 4)
 
 
@@ -76,10 +72,9 @@ def test_files_are_ranked_and_slower_entries_come_last(results: Path, capsys: py
     printed = capsys.readouterr().out
     assert printed.startswith("| entry | CO2 saved |") and printed.rstrip().endswith(group["summary"]["verdict"])
     assert command.main(["merge", str(out), "--out", str(results / "leaderboard" / "ppo.json")]) == 2
-    for words in ([], ["--histograms"]):
-        picture = results / "all.png"
-        assert command.main(["draw", str(results / "leaderboard"), "--out", str(picture), *words]) == 0
-        assert image.imread(picture).shape[2] == 4
+    picture = results / "all.png"
+    assert command.main(["draw", str(results / "leaderboard"), "--out", str(picture)]) == 0
+    assert image.imread(picture).shape[2] == 4
 
 
 def test_what_is_wrong_with_a_file_is_a_mark() -> None:
@@ -168,7 +163,6 @@ def _column(name: str, values: Any) -> Any:
         (_column("policy", {"values": ["ppo"], "index": [7] * 72}), "rows/policy: an index is beyond the values"),
         (_column("policy", {"values": ["ppo"], "index": [0] * 72}), "an episode's approach is there twice"),
         (_column("crossed", {"values": ["a"], "index": [0] * 72}), "rows/crossed: could not convert"),
-        (lambda of: {**of, "format": "izoo-leaderboard-2"}, "python -m izoo.leaderboard convert"),
     ],
 )
 def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, capsys: Any) -> None:
@@ -203,44 +197,6 @@ def test_names_and_tasks_are_shown_as_they_are(tmp_path: Path, capsys: pytest.Ca
     shown = capsys.readouterr()
     assert "Traceback" not in shown.err and not {"\x1b", "\x07", "\u202e"} & set(shown.out)
     assert "[red]ppo[/red]" in "".join(shown.out.split()) and "\\x1b" in shown.out
-
-
-def test_old_files_become_rows_of_the_papers_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every benefit of every approach, and all aggregates of the paper's form, are those of the old files."""
-    for path in DATA.glob("*.gz"):
-        (tmp_path / path.stem).write_bytes(gzip.decompress(path.read_bytes()))
-    assert command.main(["convert", str(tmp_path), "--out", str(tmp_path / "new")]) == 0
-    for path in sorted(tmp_path.glob("*.json")):
-        old, entry = json.loads(path.read_text()), read_entry(tmp_path / "new" / path.name)
-        assert entry.content["model_version"] == 0 and entry.marks[0].startswith("superseded")
-        rows, found = paper_form(entry.table, entry.name)
-        of = rows.set_index(["train_seed", "context_hash", "approach"])["benefit"]
-        for row in old["rows"]:
-            value = of[row["train_seed"], row["context_hash"], row["approach"]]
-            assert value == pytest.approx(row["benefit_exact"], abs=1e-6, nan_ok=True)
-        stated = old["aggregates"]["all"]
-        for part, name, key in (
-            ("exact", "mean", "mean"),
-            ("exact", "ratio_of_sums", "ratio_of_sums"),
-            ("exact", "share_gated", "share_gated"),
-            ("throughput", "mean", "throughput_mean"),
-            ("throughput", "share_kept", "share_kept"),
-        ):
-            assert found[key] == pytest.approx(stated[part][name]["value"], abs=1e-6)
-        assert (tmp_path / "new" / path.name).stat().st_size < path.stat().st_size / 3
-    assert set(entry.table["policy"]) == {"human", "uncommanded"}
-    both = read_entry(tmp_path / "new" / "ppo.json").table
-    assert set(both["policy"]) == {"ppo", "human", "uncommanded"}
-    capsys.readouterr()
-    assert command.main(["table", str(tmp_path / "new")]) == 0
-    assert capsys.readouterr().out.startswith("| entry | benefit, ratio of sums |")
-    with pytest.raises(IzooError, match="give a file of izoo-leaderboard-2"):
-        convert([_written(tmp_path / "cut.json", "{}")], tmp_path / "other")
-
-
-def _written(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
 
 
 def test_shipped_files_are_superseded_and_whole() -> None:

@@ -11,8 +11,8 @@ import pytest
 from matplotlib import image
 
 from izoo import train
-from izoo.algos.learners.ddpg_config import DDPGConfig
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.conf.train_options import TrainConfig, training_env
 from izoo.envs import RewardConfig
 from izoo.report import __main__ as report

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 from pathlib import Path
 
 import pytest
 import yaml
 
-import izoo.conf
 from izoo import train
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.mapping import with_given
 from izoo.contexts.source import ContextList
-from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.evaluate import main
 from izoo.results.rollout import DRAIN_S
 from izoo.results.selection import choose_contexts
@@ -140,26 +136,6 @@ def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert EvaluateConfig(out="~nobodyofthisname/x").out == str(tmp_path / "~nobodyofthisname" / "x")
     assert EvaluateConfig(out="~/x").out == str(tmp_path / "home" / "x")
-
-
-def test_yaml_equals_dataclass() -> None:
-    values = yaml.safe_load((Path(izoo.conf.__path__[0]) / "evaluate.yaml").read_text())
-    values.pop("defaults")
-    default = EvaluateConfig()
-    assert values.pop("env") == {"drain_s": default.env.drain_s}
-    plain = {f.name for f in dataclasses.fields(default)} - {"contexts", "env"}
-    assert values == {name: getattr(default, name) for name in plain}
-
-
-def test_a_run_keeps_its_environment_but_for_what_is_given() -> None:
-    trained = EnvConfig(num_agents=7, step_s=1.0)
-    chosen = EnvConfig(num_agents=9, horizon_s=300.0)
-    assert with_given(trained, chosen, frozenset(), "env") == trained
-    merged = with_given(trained, chosen, frozenset({"env.horizon_s", "contexts"}), "env")
-    assert merged == EnvConfig(num_agents=7, step_s=1.0, horizon_s=300.0)
-    paid = EnvConfig(reward=RewardConfig(eta=0.5, beta=-1.0))
-    merged = with_given(paid, EnvConfig(reward=RewardConfig(alpha=-1.0)), frozenset({"env.reward.alpha"}), "env")
-    assert merged.reward == RewardConfig(eta=0.5, beta=-1.0, alpha=-1.0), "one option of a group leaves the others"
 
 
 def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:

@@ -15,13 +15,13 @@ from izoo import train
 from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.mappo import TEAM_BASELINE
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
-from izoo.results.twin_executor import Batch
+from izoo.results.batch_executor import Batch
 from izoo.training import baseline_episodes, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
@@ -53,7 +53,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def config(*words: str) -> TrainConfig:
-    return compose_config("train", TrainConfig, [*WORDS, *words])
+    return compose_config(TrainConfig, [*WORDS, *words])
 
 
 def schedule(options: TrainConfig) -> RandomSchedule:

@@ -13,8 +13,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo import train
 from izoo.algos.actions.action_modes import ResidualAction
 from izoo.algos.learners import base
-from izoo.algos.learners.ddpg_config import DDPGConfig, TD3Config
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.graph_ppo import GCRLConfig
+from izoo.algos.learners.mappo import MAPPOConfig
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.algos.learners.td3 import TD3Config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError

@@ -17,10 +17,9 @@ from izoo.algos.actions.action_modes import SpeedAction
 from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.algos.learners.decisions import Decisions, shaped
-from izoo.algos.learners.ppo import PPO
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.learners.registry import make_algorithm
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS
@@ -40,7 +39,7 @@ HELD = ["env.hold_s=2", "algo.frames_per_batch=160"]
 
 
 def config(*words: str) -> TrainConfig:
-    return compose_config("train", TrainConfig, [*SMALL, *words])
+    return compose_config(TrainConfig, [*SMALL, *words])
 
 
 def batches(options: TrainConfig, policy: Any, count: int, folder: Path) -> list[TensorDictBase]:

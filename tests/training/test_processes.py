@@ -18,7 +18,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import CollectorConfig, TrainConfig
 from izoo.contexts.source import as_schedule

@@ -16,15 +16,16 @@ from tensordict import TensorDictBase
 
 from izoo import train
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig
+from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loop, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, training_class
 from tests.training import toy
 
 TOY = [
@@ -125,11 +126,11 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
         "validation.contexts=3",
         "validation.every_batches=0",
     ]
-    stored = compose_config("train", TrainConfig, words)
+    stored = compose_config(TrainConfig, words)
     run_folder.write_config(tmp_path, stored)
     given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
     names = frozenset(word.partition("=")[0] for word in given)
-    found, state, _ = loop._resumed(compose_config("train", TrainConfig, given), names, tmp_path)
+    found, state, _ = loop._resumed(compose_config(TrainConfig, given), names, tmp_path)
     assert state is None and found == run_folder.read_config(tmp_path)
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
@@ -152,7 +153,7 @@ def test_a_refused_resumption_leaves_the_run_as_it_was(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
-    run_folder.write_config(tmp_path, compose_config("train", TrainConfig, search))
+    run_folder.write_config(tmp_path, compose_config(TrainConfig, search))
     before = (tmp_path / run_folder.CONFIG_FILE).read_bytes()
     assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
     assert message in capsys.readouterr().err
@@ -165,7 +166,7 @@ SLOTS = 16
 
 
 def play(
-    env: TrainingParallelEnv, root: TensorDictBase, steps: int, generator: torch.Generator
+    env: EcoDrivingBase, root: TensorDictBase, steps: int, generator: torch.Generator
 ) -> tuple[TensorDictBase, TensorDictBase]:
     """Step with random commands; return the steps ``[2, T]`` and the state to act on next."""
     frames = []
@@ -181,12 +182,12 @@ def play(
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     histories = EpisodeHistories.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), steps, torch.Generator().manual_seed(3))
     histories.add(batch)
     again = EpisodeHistories.from_state(histories.state_dict())
     assert [past.episode for past in again.histories] == ([0, 1] if steps < 150 else [2, 3])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=again.histories)
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=again.histories)
     other = second.reset()
     for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
         assert torch.equal(root.get(key), other.get(key)), key
@@ -207,16 +208,16 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
 @pytest.mark.slow
 def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
     histories = EpisodeHistories.fresh(2)
-    first = TrainingParallelEnv(2, contexts=DENSE, config=ENV)
+    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
     batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
     histories.add(batch)
     first.close()
     young = EpisodeHistories([histories.histories[0], EpisodeHistory(7)])
-    second = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=young.histories)
+    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=young.histories)
     other = second.reset()
     assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
     assert second._next_episode.tolist() == [2, 9]
-    alone = TrainingParallelEnv(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
+    alone = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
     assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
     second.close()
     alone.close()

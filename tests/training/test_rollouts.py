@@ -17,15 +17,18 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.actions.action_modes import ResidualAction
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.algos.learners.ddpg_config import DDPGConfig
-from izoo.algos.learners.ppo_config import GCRLConfig, MAPPOConfig, PPOConfig
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.graph_ppo import GCRLConfig
+from izoo.algos.learners.mappo import MAPPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
 from izoo.envs.config import KEEP_LANE
 from izoo.errors import IzooError
 from izoo.training import collectors
-from izoo.training.environments import TrainingEnv, TrainingParallelEnv
+from izoo.training.environments import TrainingEnv, training_class
 from tests.envs.worlds import crossing
 
 GROUPS = ("vehicles", "signal", "context", "reward_vector", "metrics")
@@ -45,6 +48,13 @@ def policy_of(options: TrainConfig) -> TensorDictModuleBase:
     return make_algorithm(options.algo, options.action, CONFIG).policy
 
 
+def env_of(workers: int, contexts: Context, config: EnvConfig) -> EnvBase:
+    """Environments on SUMO as training has them."""
+    if workers == 1:
+        return TrainingEnv(contexts, config=config)
+    return training_class("sumo")(workers, contexts, config=config)
+
+
 @contextmanager
 def collecting(
     policy: TensorDictModuleBase,
@@ -55,7 +65,7 @@ def collecting(
 ) -> Iterator[Collector]:
     """A collector of batches ``[workers, STEPS]``, or ``[STEPS]`` where one environment is in this process."""
     contexts = crossing()
-    env = TrainingParallelEnv(workers, contexts, config=config) if workers > 1 else TrainingEnv(contexts, config=config)
+    env = env_of(workers, contexts, config)
     collector = collectors.in_process(around(env), policy, workers * STEPS)
     collector.exploration_type = exploration
     torch.manual_seed(1)
@@ -68,7 +78,7 @@ def collecting(
 def by_hand(name: str, config: EnvConfig, workers: int) -> TensorDict:
     """Two batches of :func:`collecting`, stepped by TorchRL's own loop."""
     policy, contexts = policy_of(OPTIONS[name]), crossing()
-    env = TrainingParallelEnv(workers, contexts, config=config) if workers > 1 else TrainingEnv(contexts, config=config)
+    env = env_of(workers, contexts, config)
     frames = []
     try:
         state = env.reset()

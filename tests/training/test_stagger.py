@@ -7,7 +7,7 @@ import contextlib
 import torch
 
 from izoo.algos.drivers.uncommanded import UncommandedDriver
-from izoo.conf.compose import compose_config
+from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.mdp.frame import TOTALS
@@ -28,7 +28,7 @@ def test_phases_are_spread_over_the_episode() -> None:
 
 
 def test_every_batch_sees_all_times_and_partial_episodes_are_not_scored() -> None:
-    config = compose_config("train", TrainConfig, WORDS)
+    config = compose_config(TrainConfig, WORDS)
     schedule = RandomSchedule(config.contexts.build(), config.seed)
     with contextlib.closing(BatchSource(config, UncommandedDriver(), schedule)) as source:
         batches = [source.next().clone() for _ in range(4)]

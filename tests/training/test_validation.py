@@ -18,10 +18,8 @@ import pytest
 import torch
 
 from izoo import evaluate, train
-from izoo.cli.evaluate import resolve
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import PcgContexts
-from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.train_options import TrainConfig, ValidationConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
@@ -95,11 +93,10 @@ def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -
 def test_a_run_of_short_episodes_is_evaluated_in_full_ones(run_dir: Path) -> None:
     trained = run_folder.read_config(run_dir).env
     assert trained.horizon_s < EnvConfig().horizon_s
-    full = resolve(EvaluateConfig(run=str(run_dir)), frozenset()).env
-    whole = EnvConfig()
-    assert full == dataclasses.replace(trained, horizon_s=whole.horizon_s, warmup_s=whole.warmup_s, drain_s=DRAIN_S)
-    told = EvaluateConfig(run=str(run_dir), env=EnvConfig(horizon_s=77.0))
-    assert resolve(told, frozenset({"env.horizon_s"})).env.horizon_s == 77.0
+    full, whole = evaluate.COMMAND.compose([f"run={run_dir}"]), EnvConfig()
+    changes = {"horizon_s": whole.horizon_s, "warmup_s": whole.warmup_s, "emit": whole.emit}
+    assert full.env == dataclasses.replace(trained, **changes, drain_s=DRAIN_S)
+    assert evaluate.COMMAND.compose([f"run={run_dir}", "env.horizon_s=77"]).env.horizon_s == 77.0
 
 
 def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) -> None:

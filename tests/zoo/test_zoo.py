@@ -15,14 +15,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import collect, evaluate, train, zoo
 from izoo.algos.actions.action_modes import AdviseAction
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
-from izoo.benchmarks.campaign.generalization_options import GeneralizationConfig, parse_entry
-from izoo.benchmarks.campaign.task_plan import evaluation_env
-from izoo.benchmarks.twin import LadderConfig, env_of
-from izoo.cli.entries import TRAIN
+from izoo.benchmarks.campaign.experiment import read_experiment
+from izoo.benchmarks.campaign.jobs import Machine, PartRun
+from izoo.benchmarks.twin import FidelityConfig, env_of
+from izoo.cli.compose import compose_config
 from izoo.cli.zoo import ZOO, _changed
-from izoo.conf.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv
@@ -154,7 +153,7 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     assert ZOO.main(["export", str(run), "--out", str(out)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"Play it: python -m izoo.evaluate policy={out}"
     card = (tmp_path / "mine.md").read_text()
-    assert "python -m izoo.train action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
+    assert "python -m izoo.train algo=ppo action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
     assert str(run.parent) not in card, "a card names no folder of a machine"
     from izoo.training import run_folder
 
@@ -183,14 +182,14 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
         ("contexts=pcg", "contexts.lane_count={1:0.25,2:0.75}", "contexts.exclude=[{lane_count:[2,3],green_s:26..29}]"),
         ("contexts=mixed", "contexts.sources=[{name:city,city:atlanta},{name:dataset,path:/home/me/secret}]"),
         ("contexts=city", "contexts.city=atlanta", "contexts.split=all", "start=/home/me/secret"),
-        ("recipe=busy_lane", "env.lane_change=false", "algo.hidden=[16,16]"),
+        ("task=busy_lane", "algo=ppo_vehicle", "env.lane_change=false", "algo.hidden=[16,16]"),
     ],
 )
 def test_the_command_on_a_card_can_be_run(words: tuple[str, ...]) -> None:
-    config = compose_config("train", TrainConfig, TRAIN.options(words))
+    config = compose_config(TrainConfig, words)
     command = " ".join(_changed(config))
     assert "secret" not in command
-    again = compose_config("train", TrainConfig, shlex.split(command))
+    again = compose_config(TrainConfig, shlex.split(command))
     for name in ("algo", "action", "env", "simulator", "twin", "num_envs", "total_frames", "seed"):
         assert getattr(again, name) == getattr(config, name), name
     assert again.contexts.name == config.contexts.name
@@ -222,16 +221,18 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(exported.parent)
-    config = GeneralizationConfig(algos=("mine.pt", "glide"), horizon_s=300.0).resolved()
-    assert config.algos == (str(exported), "glide"), "a benchmark goes on from any folder"
+    (tmp_path / "mine.yaml").write_text(
+        "entries: {mine: {policy: mine.pt}}\nparts: {lane: {task: busy_lane, entries: [mine], contexts: 1}}\n"
+    )
+    run = PartRun(read_experiment(str(tmp_path / "mine.yaml")), "lane", tmp_path, Machine())
     monkeypatch.chdir(tmp_path)
-    (mine,) = (entry for entry in config.entries() if entry.name == "mine")
-    assert (mine.kind, mine.policy, mine.seeded) == ("scripted", str(exported), False)
-    own = evaluation_env(config, mine)
-    assert own.hold_s == 2.0 != evaluation_env(config).hold_s and own.horizon_s == 300.0
-    named = as_policy(str(exported), own, mine.name)
+    ((kind, mine),) = run.entries.values()
+    assert (kind, mine.policy) == ("scripted", str(exported)), "a campaign goes on from any folder"
+    own = run.env("mine")
+    assert own.hold_s == 2.0 != run.env("human").hold_s and own.horizon_s == run.task.env.horizon_s
+    named = as_policy(str(exported), own, "mine")
     assert named.record.weights == weights_hash(zoo.load(str(exported)).policy)
-    everybody = env_of(LadderConfig(policies=("glide", str(exported))), frozenset())
+    everybody = env_of(FidelityConfig(policies=("glide", str(exported))), frozenset())
     assert everybody == zoo.read(exported).env
 
 
@@ -274,9 +275,6 @@ def test_other_files_are_no_entries(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert said in error and error.count("\n") == 1 and not out.exists()
         with pytest.raises(IzooError):
             as_policy(str(tmp_path / name), EnvConfig())
-        if name != "old.pt":  # which is found out once PyTorch is there
-            with pytest.raises(IzooError):
-                parse_entry(str(tmp_path / name))
 
 
 def test_a_wrong_file_is_refused_before_pytorch_is_loaded(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def _repeated(spec: IntersectionSpec, plan: SignalPlan, leg: str) -> GhostProgra
         else:
             raise IzooError(
                 f"intersection {spec.name}: the straight movement of leg {leg} is red for {duration_s:g} s, which "
-                f"leaves the turning source of its ghost no green beside {yellow_s:g} s of yellow."
+                f"leaves the turning source of its ghost no green next to {yellow_s:g} s of yellow."
             )
     start_s = sum(duration_s for duration_s, _ in runs[: begins[0]])
     return GhostProgram(plan.offset_s + spec.ghosts.offset_s + start_s, tuple(phases))

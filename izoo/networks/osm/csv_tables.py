@@ -1,4 +1,4 @@
-"""Tables that users give beside an extract, as CSV."""
+"""CSV tables that users give with an extract."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def read_rows(
         path: the file.
         what: it holds, for messages.
         columns: that it must have, in any order and case.
-        or_columns: of which it must have one or more; others are empty.
+        or_columns: at least one of these it must have too; those it lacks are empty.
 
     Raises:
         IzooError: the file cannot be read, or lacks columns.

@@ -163,7 +163,7 @@ class _Builder:
         """Give intersections what a ``file`` says of them, by their keys."""
         if astray := sorted(set(values) - set(self.specs)):
             raise IzooError(
-                f"{file} has {what} for {astray[0]!r}, which is no intersection of the extract; choose among "
+                f"{file} has {what} for {astray[0]!r}, which is not an intersection of the extract; choose among "
                 f"{', '.join(self.specs)}."
             )
         for key, value in values.items():
@@ -227,7 +227,7 @@ class _Builder:
         return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
 
     def _grade(self, nodes: tuple[int, ...]) -> float | None:
-        """Rise over run towards the stop line; ``None`` where a height is missing or the slope is no street's."""
+        """Rise over run towards the stop line; ``None`` where a height is missing or the slope is implausible."""
         if self.elevation is None:
             return None
         run = sum(self.graph.distance(one, two) for one, two in itertools.pairwise(nodes))

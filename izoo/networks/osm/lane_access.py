@@ -76,7 +76,7 @@ def shuts_cars_out(value: str) -> bool:
 
 
 def lane_marks(tags: Mapping[str, str], oneway: int, direction: int) -> LaneMarks:
-    """Return whose the lanes of a direction are."""
+    """Return which vehicles the lanes of a direction are for."""
 
     def listed(key: str) -> list[str] | None:
         text = directional(tags, oneway, f"{key}:lanes", direction)

@@ -121,7 +121,7 @@ def _walk(
     while length < MAX_LENGTH_M and nodes[-1] not in others and nodes[-1] not in core.nodes:
         step = _onward(graph, nodes[-2], nodes[-1], pieces[-1].way, arrives)
         if step is None:
-            # A signal on the last node is the neighbour's, whose other streets are outside the extract.
+            # A signal on the last node belongs to the neighbour; its other streets are outside the extract.
             onward = len({other for other, _, _ in graph.links[nodes[-1]]})
             cut = onward < 2 and nodes[-1] not in graph.streets.signals
             break

@@ -22,7 +22,7 @@ def read_movement_counts(path: Path | str) -> dict[str, Counts]:
     """Read a CSV table with the columns :data:`COLUMNS`; returns the counts by the key of the intersection.
 
     Raises:
-        IzooError: the file is missing, lacks the columns, holds something that is no count, or contradicts itself.
+        IzooError: the file is missing, lacks the columns, holds something that is not a count, or contradicts itself.
     """
     found: dict[str, dict[tuple[str, str], float]] = defaultdict(dict)
     for place, row in read_rows(path, "the counts", COLUMNS):

@@ -72,7 +72,7 @@ def read_plans(path: Path | str) -> Mapping[str, Any]:
     except OSError as error:
         raise IzooError(f"cannot read the signal plans {path}: {error.strerror}; give a JSON file.") from error
     except (ValueError, RecursionError) as error:
-        raise IzooError(f"the signal plans {path} are no JSON ({error}).") from error
+        raise IzooError(f"the signal plans {path} are not JSON ({error}).") from error
     if not isinstance(found, dict):
         raise IzooError(f'{path} holds no plans by intersection; write {{"KEY": {_FORM}}}.')
     return found
@@ -80,7 +80,7 @@ def read_plans(path: Path | str) -> Mapping[str, Any]:
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is no number")
+        raise TypeError(f"{value!r} is not a number")
     return float(value)
 
 

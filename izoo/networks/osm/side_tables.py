@@ -1,4 +1,4 @@
-"""Two optional tables beside an OpenStreetMap extract: heights from an elevation raster, and traffic counts."""
+"""Two optional tables for an OpenStreetMap extract: heights from an elevation raster, and traffic counts."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def read_counts(path: Path | str, streets: StreetMap) -> TrafficCounts:
     """Read a CSV table with the columns ``way`` (OpenStreetMap id) or ``name`` (street), and ``aadt`` (veh/day).
 
     Raises:
-        IzooError: the file is missing, lacks the columns, holds something that is no count, contradicts itself, or
+        IzooError: the file is missing, lacks the columns, holds something that is not a count, contradicts itself, or
             names a way or street that the extract does not have.
     """
     by_way: dict[int, float] = {}
@@ -121,7 +121,7 @@ def read_counts(path: Path | str, streets: StreetMap) -> TrafficCounts:
             _put(by_name, name.lower(), value, place)
     if unknown:
         raise IzooError(
-            f"{path} names {len(unknown)} ways that are no drivable streets of the extract "
+            f"{path} names {len(unknown)} ways that are not drivable streets of the extract "
             f"({', '.join(unknown[:5])}); correct or remove those lines."
         )
     return TrafficCounts(by_way, by_name)

@@ -220,7 +220,7 @@ def _centre_lane(way: Way) -> int:
 
 
 def _with_centre(turns: tuple[str, ...], guessed: bool, centre: int | bool) -> Lanes:
-    # Next to the stop line the centre lane is the left-turn lane of those who arrive.
+    # Next to the stop line the centre lane is the left-turn lane of arriving traffic.
     whole = (*turns, "l") if centre and "l" not in turns else turns
     return Lanes(whole[:MAX_LANES], guessed)
 

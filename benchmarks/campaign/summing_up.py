@@ -1,0 +1,229 @@
+"""What a part of a campaign found: summaries, tables, figures, leaderboard files, and what is still missing.
+
+Everything is read from the part's folder, so a folder that an earlier campaign left can be summed up again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from izoo.benchmarks.campaign.jobs import PartRun
+from izoo.benchmarks.campaign.training_runs import TRAIN_FOLDER
+from izoo.benchmarks.planner import PLANNER
+from izoo.console import counted
+from izoo.cores import usable_cores
+from izoo.files import write_json
+from izoo.metrics.figures import FIGURES
+from izoo.metrics.pairing import BASELINES, UNCOMMANDED, pair
+from izoo.metrics.statistics import iqm
+from izoo.metrics.summary import TRAINING, Summary, summarise
+from izoo.report import plots, tables
+from izoo.report.leaderboard import write_entries
+from izoo.report.tables import SAVED, Cell, Table
+from izoo.results.schema import EPISODE
+from izoo.results.store import MANIFEST_FILE, read_manifest, read_table
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
+from izoo.training.plots import PALETTE, Chart, Line, Series, band, draw, save
+from izoo.training.validation import VALIDATION_FILE
+
+SUMMARY_FILE, CURVES_FILE, PICTURE_FILE = "summary.json", "curves.png", "saved.png"
+DRAWN = {SAVED: "CO2 saved (%)", "delay_change_s": "delay added (s)"}
+"""Figures of the curves."""
+COSTS = ("co2_g", "delay_s")
+"""Figures that are traded; lower is better."""
+DASHES = ("-", "--", ":", "-.")
+
+
+def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
+    """Write the summaries, figures and leaderboard files of a part's folder; return the summaries, by task."""
+    folder = run.folder
+    if not (folder / MANIFEST_FILE).exists():
+        return []
+    table, task = read_table(folder), read_manifest(folder).task
+    names = sorted({name for name in table["task"] if not name.endswith(TRAINING)}, key=lambda name: name != task)
+    found = []
+    for name in names:
+        rows, seen = (table[table["task"] == each] for each in (name, name + TRAINING))
+        if set(BASELINES) <= set(rows["policy"]):
+            found.append(summarise(_paired(rows), run.part.reference, _paired(seen)))
+    write_json(folder / SUMMARY_FILE, found)
+    if found:
+        charts = [plots.forest(tables.entries(found[0]))]
+        traded = plots.tradeoff(found[0])
+        save(draw([*charts, *([traded] if traded else [])], columns=2), folder / PICTURE_FILE)
+    if not lacking:
+        write_entries(folder)
+    curves = draw_curves(folder, list(run.part.grid))
+    if curves:
+        save(draw(curves, columns=2), folder / CURVES_FILE)
+    return found
+
+
+def _paired(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of episodes that every baseline has been played in: those of a campaign that still goes on."""
+    played = [set(table.loc[table["policy"] == name, "context_hash"]) for name in BASELINES]
+    return table[table["context_hash"].isin(set.intersection(*played))]
+
+
+def as_tables(run: PartRun, summary: Summary) -> list[Table]:
+    """Return what is to be printed of a part: the headline, and everything that stands beside it."""
+    table = read_table(run.folder)
+    table = table[table["task"] == summary["task"]]
+    shown = [tables.headline(summary)]
+    shown += [tables.gaps(summary)] if summary["gaps"] else []
+    shown += [tables.pairwise(summary)] if summary["pairwise"] else []
+    return [
+        each
+        for each in (*shown, headroom(table), agreement(table), costs(run.folder))
+        if each is not None and each.rows
+    ]
+
+
+def agreement(table: pd.DataFrame) -> Table | None:
+    """Return what entries save in SUMO and on the twin, in the episodes that both have played; ``None``: not both."""
+    keys = [name for name in EPISODE if name != "simulator"]
+    sides = dict(list(table.groupby("simulator")))
+    if len(sides) < 2:
+        return None
+    episodes = [set(part[keys].itertuples(index=False, name=None)) for part in sides.values()]
+    both = set.intersection(*episodes)
+    rows = []
+    for name in sorted(set(table["policy"]) - {UNCOMMANDED}):
+        cells, contexts = [], 0
+        for part in sides.values():
+            kept = part[[key in both for key in part[keys].itertuples(index=False, name=None)]]
+            if name in set(kept["policy"]):
+                found = pair(kept, name, UNCOMMANDED)
+                values = FIGURES[SAVED].value(found.own, found.baseline)
+                contexts = found.contexts["context_hash"].nunique()
+                cells.append(Cell(float(iqm(values[np.isfinite(values)])), unit=FIGURES[SAVED].unit, signed=True))
+        if len(cells) == 2:
+            rows.append((name, contexts, *cells))
+    title = f"{FIGURES[SAVED].label} over {UNCOMMANDED} in the same episodes, over contexts"
+    return Table.of(title, ("entry", "contexts", *("SUMO" if name == "sumo" else name for name in sides)), rows)
+
+
+def headroom(table: pd.DataFrame) -> Table | None:
+    """Return what entries save in the planner's episodes, and their share of what it saves; ``None``: it has none."""
+    keys = ["simulator", "context_hash", "seed"]
+    own = pd.MultiIndex.from_frame(table.loc[table["policy"] == PLANNER, keys])
+    if not len(own):
+        return None
+    summary = summarise(table[pd.MultiIndex.from_frame(table[keys]).isin(own)])
+    cells = {
+        name: tables.figure_cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"])
+        for name in tables.ranking(summary)
+        if name not in BASELINES
+    }
+    most = cells[PLANNER].value or np.nan
+    rows = [(name, cell, f"{100.0 * (cell.value or 0.0) / most:.0f} %") for name, cell in cells.items()]
+    title = f"Headroom: {counted(summary['n']['contexts'], 'context')} that the planner played"
+    return Table.of(title, ("entry", FIGURES[SAVED].label, "share of the planner's"), rows)
+
+
+def costs(folder: Path) -> Table:
+    """Return what training cost, a row per entry, mean over its runs."""
+    rows = []
+    for name, runs in _runs(folder).items():
+        spent = np.array([_spent(run) for run in runs])
+        decisions, simulated_h, core_h = spent.mean(0)
+        rows.append((name, len(runs), f"{decisions:,.0f}", f"{simulated_h:,.0f}", f"{core_h:.2f}"))
+    return Table.of("Cost of a training run", ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
+
+
+def _spent(run: Path) -> tuple[float, float, float]:
+    config, table = run_folder.read_config(run), MetricsTable.read(run / run_folder.METRICS_FILE)
+    decisions, episodes, seconds = (table.series(name)[1] for name in ("agent_rows", "episodes", "seconds"))
+    cores = config.twin.threads or usable_cores() if config.simulator == "twin" else config.num_workers
+    hours = sum(episodes) * config.env.horizon_s / 3600.0
+    return sum(decisions), hours, max(seconds, default=0.0) * cores / 3600.0
+
+
+def _runs(folder: Path) -> dict[str, list[Path]]:
+    """Return the training runs of a part by entry."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted((folder / TRAIN_FOLDER).glob(f"*/seed*/{run_folder.METRICS_FILE}")):
+        found.setdefault(path.parent.parent.name, []).append(path.parent)
+    return found
+
+
+def draw_curves(folder: Path, factors: Sequence[str] = ()) -> list[Chart]:
+    """Return charts of what validations found against decisions: a line per entry, with a band over its seeds.
+
+    Args:
+        factors: of a grid, of whose values entries' names consist: the first one's have colours, the second one's
+            dashes, and each of the third one's has charts of its own.
+    """
+    entries = {name: name.split("-") if factors else [name] for name in _runs(folder)}
+    values = [list(dict.fromkeys(of)) for of in zip(*entries.values(), strict=False)]
+    last = len(factors) - 1 if len(factors) > 2 else None
+    charts = []
+    for panel, (column, label) in itertools.product(values[last] if last and entries else [""], DRAWN.items()):
+        series: list[Series] = []
+        for name, own in entries.items():
+            if last is None or own[last] == panel:
+                colour = PALETTE[values[0].index(own[0]) % len(PALETTE)]
+                dash = DASHES[values[1].index(own[1]) % len(DASHES)] if len(own) > 1 else "-"
+                shown = name.removesuffix(f"-{panel}") if panel else name
+                series += _marks([curve(run, column) for run in _runs(folder)[name]], shown, colour, dash)
+        if series:
+            title = f"{label}, {panel}" if panel else label
+            charts.append(Chart(f"{column}-{panel}".strip("-"), title, series, "decisions"))
+    return charts
+
+
+def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Series]:
+    between = band(lines)
+    if between is None:
+        return [Series(x, y, name, colour=colour, dash=dash) for x, y in lines if len(x)]
+    x, lowest, mean, highest = between
+    return [Series(x, mean, name, "band", lowest, highest, colour), Series(x, mean, name, colour=colour, dash=dash)]
+
+
+def curve(run: Path, column: str) -> Line:
+    """Return a column of a run's validations, and the decisions that it had learned from by then."""
+    measured, validated = (MetricsTable.read(run / name) for name in (run_folder.METRICS_FILE, VALIDATION_FILE))
+    frames, rows = measured.series("agent_rows")
+    at, values = validated.series(column)
+    return np.interp(at, frames, np.cumsum(rows)) if frames else np.array(at, float), np.array(values)
+
+
+def verdict(run: PartRun, summary: Summary) -> str:
+    """Return the verdict of a part in one sentence."""
+    said = str(summary["verdict"])
+    if run.part.reference is not None:
+        apart = [p for p in summary["pairwise"] if p["verdict"] != "indistinguishable" and p["x"] not in BASELINES]
+        words = ", ".join(f"{p['x']} ({p['difference']['value']:+.1f} points)" for p in apart)
+        said = (
+            f"{len(apart)} of {counted(len(summary['pairwise']), 'difference')} from {run.part.reference} can be told "
+        )
+        said += f"from 0{': ' if words else ''}{words}."
+    if run.part.tradeoff:
+        said = f"{said[:-1]}; on the Pareto front of CO2 and delay: {', '.join(on_front(summary)) or 'none'}."
+    return said
+
+
+def on_front(summary: Mapping[str, Any]) -> list[str]:
+    """Return the entries that no other one dominates: has no more CO2 and delay per vehicle, and less of one."""
+    levels = {name: entry["levels"].get(summary["block"], {}) for name, entry in summary["entries"].items()}
+    costs = {name: [of[key] for key in COSTS] for name, of in levels.items() if None not in map(of.get, COSTS)}
+
+    def dominated(mine: list[float]) -> bool:
+        return any(other != mine and all(o <= m for o, m in zip(other, mine, strict=True)) for other in costs.values())
+
+    return [name for name, mine in costs.items() if not dominated(mine)]
+
+
+def missing_words(lacking: Sequence[Any]) -> str:
+    """Say which jobs are missing: the first ones, and how many."""
+    if not lacking:
+        return ""
+    more = ", ..." if len(lacking) > 3 else ""
+    return f"Still missing: {counted(len(lacking), 'job')} ({'; '.join(map(str, lacking[:3]))}{more})."

@@ -1,0 +1,172 @@
+"""From words on a command line to a dataclass: Hydra reads and composes them, choices come from the dataclasses.
+
+A group such as ``algo=ddpg`` takes the place of all its options; ``task=NAME`` changes the defaults of what belongs to
+a task; every other word changes one option.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+from hydra import compose, initialize
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from izoo import tasks
+from izoo.algos.learners import registry
+from izoo.conf.choices import choose, groups
+from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.quoting import quoted
+from izoo.errors import IzooError
+
+T = TypeVar("T")
+OF_THE_COMMAND = ("emit", "drain_s")
+"""Settings of the environment that say what a command needs, whatever the task."""
+
+
+def parse(words: Sequence[str]) -> list[Override]:
+    """Parse ``option=value`` words; values that Hydra's grammar cannot read, such as odd paths, are taken literally.
+
+    Raises:
+        IzooError: a word is not of that form.
+    """
+    parser, overrides = OverridesParser.create(), []
+    for word in words:
+        name, equals, value = word.partition("=")
+        for attempt in (word, f"{name}={quoted(value)}"):
+            try:
+                overrides.append(parser.parse_override(attempt))
+                break
+            except HydraException:
+                continue
+        else:
+            equals = ""
+        if not equals:
+            raise IzooError(f"{word!r} is not of the form option=value; --help lists the options.")
+    return overrides
+
+
+def combinations(words: Sequence[str]) -> list[list[str]]:
+    """Return the words of every run of a sweep, such as ``seed=0,1``."""
+    several = [
+        [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
+        if override.is_sweep_override()
+        else [str(override.input_line)]
+        for override in parse(words)
+    ]
+    return [list(combination) for combination in itertools.product(*several)]
+
+
+def compose_config(cls: type[T], words: Sequence[str], defaults: Mapping[str, Any] | None = None) -> T:
+    """Compose ``option=value`` words into the dataclass ``cls``.
+
+    Args:
+        cls: options of a command.
+        words: without sweeps.
+        defaults: options by group and name that differ from those of ``cls`` where they are not given.
+
+    Raises:
+        IzooError: an option or choice is unknown, or a value is refused.
+    """
+    overrides = parse(words)
+    for override in overrides:
+        if override.is_sweep_override():
+            word, key = override.input_line, override.key_or_group
+            raise IzooError(
+                f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\"."
+            )
+    values: dict[str, Any] = to_mapping(cls())  # type: ignore[call-arg]
+    chosen = {override.key_or_group: str(override.value()) for override in overrides}
+    chosen = {key: name for key, name in chosen.items() if key in groups() and _holds(values, key)}
+    named = {override.key_or_group: override.value() for override in overrides}
+    if hasattr(cls, "role") and named.get("task") is not None:
+        _merge(values, _of_task(cls, tasks.make(str(named["task"])), values))
+    if "algo" in chosen:
+        _merge(values, registry.run_options(chosen["algo"]))
+    _merge(values, defaults or {})
+    for group, name in chosen.items():
+        choice = choose(group, name)
+        *above, last = group.split(".")
+        node = values
+        for part in above:
+            node = node[part]
+        node[last] = to_mapping(choice)
+        _merge(values, {"env": getattr(choice, "sets", {})} if "env" in values else {})
+    rest = [override for override in overrides if override.key_or_group not in chosen]
+    for override in rest:
+        _check_name(values, override.key_or_group)
+    return from_mapping(cls, _changed(values, [str(override.input_line) for override in rest]))
+
+
+def _of_task(cls: Any, task: tasks.Task, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a task sets, of the options that a command has."""
+    env = {name: value for name, value in to_mapping(task.env).items() if name not in OF_THE_COMMAND}
+    found = {"contexts": getattr(task, cls.role), "env": env}
+    if cls.role == "train":
+        found |= {"action": task.action, **task.training}
+    else:
+        found |= {"num_contexts": task.test_contexts, "seeds": task.test_episodes}
+    return found
+
+
+def _merge(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Change nested ``values``; a dataclass takes the place of a whole group."""
+    for name, value in changes.items():
+        if isinstance(value, Mapping) and isinstance(values.get(name), dict):
+            _merge(values[name], value)
+        else:
+            values[name] = to_mapping(value)
+
+
+def _changed(values: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]:
+    """Let Hydra compose ``words`` onto ``values``."""
+    ConfigStore.instance().store(name="options", node=dict(values))
+    try:
+        with initialize(config_path=None, version_base="1.3"):
+            composed = compose(config_name="options", overrides=list(words))
+        return OmegaConf.to_container(composed, resolve=True)  # type: ignore[return-value]
+    except (HydraException, OmegaConfBaseException) as error:
+        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
+
+
+def _holds(values: Mapping[str, Any], path: str) -> bool:
+    node: Any = values
+    for part in path.split("."):
+        if not isinstance(node, Mapping) or part not in node:
+            return False
+        node = node[part]
+    return True
+
+
+def _check_name(values: Mapping[str, Any], key: str) -> None:
+    """Raise :class:`IzooError` for an unknown option, naming the nearest, and choices that have it."""
+    if _holds(values, key):
+        return
+    above, _, last = key.rpartition(".")
+    everything = [*_paths(values)]
+    beside = [path for path in everything if path.rpartition(".")[0] == above] or [*values]
+    initials = "".join(part[:1] for part in last.split("_"))  # of learning_rate
+    leaves = {path.rpartition(".")[2]: path for path in reversed(everything)}
+    near = difflib.get_close_matches(key, everything, n=1, cutoff=0.8)
+    near += [
+        leaves[name] for name in (last, initials, *difflib.get_close_matches(last, leaves, 1, 0.75)) if name in leaves
+    ]
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    if above in groups() and _holds(values, above):
+        having = [choice for choice, make in groups()[above].items() if hasattr(make(), last)]
+        hint = f" It is an option of {' and '.join(f'{above}={choice}' for choice in having)}." if having else hint
+    raise IzooError(f"unknown option {key!r}; choose one of: {', '.join(beside)}.{hint}")
+
+
+def _paths(node: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in node.items():
+        yield f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            yield from _paths(value, f"{prefix}{name}.")

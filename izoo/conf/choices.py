@@ -1,0 +1,60 @@
+"""The groups of options that have choices (``algo=ddpg``, ``contexts=pcg``), and what each choice stands for."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, get_args
+
+from izoo.algos.actions.action_modes import ActionConfig
+from izoo.algos.learners import registry
+from izoo.conf.context_choices import ContextsConfig, OwnContexts, PcgContexts
+from izoo.conf.mapping import field_types
+from izoo.conf.train_options import CollectorConfig, LoggerConfig
+from izoo.envs.config import RewardConfig
+from izoo.envs.mdp.reward import PRESETS
+from izoo.errors import unknown_choice
+
+Choices = Mapping[str, Callable[[], Any]]
+
+
+def _by_name(*classes: Any) -> Choices:
+    """Return the names that the ``name`` of dataclasses may be, each with what makes one."""
+    named = {name: kind for kind in classes for name in get_args(field_types(kind)["name"])}
+    return {name: functools.partial(kind, name=name) for name, kind in named.items()}
+
+
+@functools.cache
+def groups() -> dict[str, Choices]:
+    """Return the choices of each group, by the path of its options."""
+    sources = [kind for kind in get_args(ContextsConfig) if kind is not OwnContexts]
+    return {
+        "algo": {name: functools.partial(registry.preset, name) for name in registry.choices()},
+        "action": _by_name(*get_args(ActionConfig)),
+        "contexts": {
+            **_by_name(*sources),
+            "pcg_easy": functools.partial(PcgContexts, preset="easy"),
+            "systematicity_test": functools.partial(PcgContexts, preset="systematicity_grid"),
+        },
+        "collector": _by_name(CollectorConfig),
+        "logger": _by_name(LoggerConfig),
+        "env.reward": {name: getattr(RewardConfig, name) for name in PRESETS},
+    }
+
+
+TAKES_OWN: dict[str, Callable[[str], Any]] = {"algo": registry.preset, "contexts": OwnContexts}
+"""Groups whose choice may also be ``module:name``."""
+
+
+def choose(group: str, name: str) -> Any:
+    """Return the options that ``group=name`` stands for.
+
+    Raises:
+        IzooError: there is no such choice.
+    """
+    known = groups()[group]
+    if ":" in name and group in TAKES_OWN:
+        return TAKES_OWN[group](name)
+    if name not in known:
+        raise unknown_choice(group, name, [*known, *(["module:name"] if group in TAKES_OWN else [])])
+    return known[name]()

@@ -1,0 +1,206 @@
+"""The campaign: real training and tests, stopped in every way and gone on with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from matplotlib import image
+
+from izoo.benchmarks.campaign import __main__ as campaign
+from izoo.benchmarks.campaign.summing_up import agreement, draw_curves, headroom, on_front
+from izoo.errors import IzooError
+from izoo.files import claimed
+from izoo.leaderboard import main as leaderboard
+from izoo.metrics.summary import summarise
+from izoo.report.report_data import collect
+from izoo.results import read_table
+from izoo.results.store import read_manifest
+from izoo.training import checkpoint
+from izoo.training.run_folder import owned, read_config
+from tests.report.made_tables import table
+
+TRAIN = ["algo=ppo", "algo.hidden=[8]", "algo.frames_per_batch=40", "algo.epochs=1", "num_envs=4", "total_frames=200"]
+TRAIN += ["validation.every_batches=1", "validation.contexts=2", "checkpoint.every_batches=1", "twin.compare_every=0"]
+CONTENT = {
+    "entries": {"ppo": {"train": TRAIN}, "glide": {"policy": "glide", "glide": {"floor_mps": 3}}},
+    "parts": {
+        "lane": {"task": "busy_lane", "entries": ["glide", "ppo_untrained", "ppo"], "seeds": 1, "contexts": 2},
+    },
+}
+CONTENT["parts"]["lane"]["training_contexts"] = 2
+ENTRIES = {"human", "uncommanded", "glide", "ppo_untrained", "ppo"}
+
+
+def words(folder: Path, *more: str, **lane: object) -> list[str]:
+    """Options of a campaign of one part, which may differ from :data:`CONTENT`."""
+    part = {**CONTENT["parts"]["lane"], **lane}
+    path = folder.parent / f"{folder.name}.yaml"
+    path.write_text(yaml.safe_dump({**CONTENT, "parts": {"lane": part}}))
+    return [f"experiment={path}", f"out={folder}", "threads=1", "num_workers=0", *more]
+
+
+def start(folder: Path, *more: str, **lane: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "izoo.benchmarks.campaign", *words(folder, *more, **lane)]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+def wait_for_frames(folder: Path, frames: int, process: subprocess.Popen[str]) -> None:
+    """Wait until the first run has a checkpoint of so many frames."""
+    end = time.monotonic() + 240
+    while time.monotonic() < end and process.poll() is None:
+        found = checkpoint.listed(folder / "lane" / "train" / "ppo" / "seed0")
+        if found and checkpoint.frames_of(found[-1]) >= frames:
+            return
+        time.sleep(0.02)
+    process.kill()
+    pytest.fail(f"no checkpoint of {frames} frames: {process.communicate()[0]}")
+
+
+def wait_until_nobody_trains(run_dir: Path) -> None:
+    """A run in a process of its own notices that the campaign is gone, and saves its state."""
+    end = time.monotonic() + 60
+    while True:
+        try:
+            with owned(run_dir):
+                return
+        except IzooError:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished campaign."""
+    folder = tmp_path_factory.mktemp("results") / "a"
+    assert campaign.main(words(folder)) == 0
+    return folder
+
+
+def assert_everything_is_there(folder: Path, seeds: int = 1) -> None:
+    part = folder / "lane"
+    assert read_manifest(part).complete
+    for picture in ("curves.png", "saved.png"):
+        assert image.imread(part / picture).shape[2] == 4
+    rows = read_table(part)
+    assert set(rows["policy"]) == ENTRIES and set(rows["task"]) == {"busy_lane", "busy_lane, training contexts"}
+    played = rows.groupby(["policy", "train_seed"])["seed"].size()
+    assert played["ppo"].tolist() == [4] * seeds and played["glide"].tolist() == [4 * seeds]
+    frames = [line.split(",")[0] for line in (part / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
+    assert [int(number) for number in frames] == list(range(40, 201, 40)), "a batch was lost or counted twice"
+    (summary,) = json.loads((part / "summary.json").read_text())
+    assert summary["entries"]["ppo"]["train_seeds"] == seeds and set(summary["gaps"]) == ENTRIES - {
+        "human",
+        "uncommanded",
+    }
+    written = {path.stem for path in (part / "leaderboard").glob("*.json")}
+    assert written == ENTRIES - {"human", "uncommanded"}
+    text = (folder / "tables.md").read_text()
+    assert "| ppo" in text and "Generalisation gap" in text and "Cost of a training run" in text
+    assert summary["verdict"] in text and "Still missing" not in text
+
+
+@pytest.mark.slow
+def test_everything_is_there(done: Path) -> None:
+    assert_everything_is_there(done)
+    part = done / "lane"
+    record = read_manifest(part).policies["ppo"][0]
+    assert (record.kind, record.algo, record.frames) == ("trained", "ppo", 200) and record.weights
+    assert (part / str(record.source)).is_file()
+    assert leaderboard(["validate", str(part / "leaderboard" / "ppo.json")]) == 0
+    (evaluation,) = collect(part).evaluations
+    assert set(evaluation.policies) == ENTRIES - {"human"} and list(collect(part).curves) == ["ppo"]
+    assert [chart.name for chart in draw_curves(part)] == ["co2_saved", "delay_change_s"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs_at_once", [1, 2])
+def test_a_campaign_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
+    folder, more = tmp_path / "a", [f"runs_at_once={runs_at_once}"]
+    process = start(folder, *more, seeds=runs_at_once)
+    wait_for_frames(folder, 40, process)
+    process.send_signal(signal.SIGINT)
+    output = process.communicate(timeout=120)[0]
+    assert process.returncode == 130 and "the same command goes on where it stopped." in output, output
+    assert campaign.main([*words(folder, seeds=runs_at_once), "play=false"]) == 0
+    assert "Still missing: " in (folder / "tables.md").read_text()
+    process = start(folder, *more, seeds=runs_at_once)
+    time.sleep(8.0)
+    process.kill()
+    process.communicate()
+    for seed in range(runs_at_once):
+        wait_until_nobody_trains(folder / f"lane/train/ppo/seed{seed}")
+    assert campaign.main([*words(folder, seeds=runs_at_once), *more]) == 0
+    assert_everything_is_there(folder, runs_at_once)
+
+
+@pytest.mark.slow
+def test_a_second_start_does_nothing_and_more_is_added(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = Path(shutil.copytree(done, tmp_path / "copy"))
+    before = (copy / "lane" / "rows.csv").read_bytes()
+    assert campaign.main(words(copy)) == 0
+    assert "6 of 6 jobs are done already" in capsys.readouterr().out
+    assert (copy / "lane" / "rows.csv").read_bytes() == before
+    assert campaign.main(words(copy, contexts=3, simulators=["twin", "sumo"], sumo_seeds=1)) == 0
+    rows = read_table(copy / "lane")
+    assert (copy / "lane" / "rows.csv").read_bytes().startswith(before) and set(rows["simulator"]) == {"sumo", "twin"}
+    found = agreement(rows[rows["task"] == "busy_lane"])
+    assert found is not None and "ppo" in [row.label for row in found.rows] and found.columns[-2:] == ("SUMO", "twin")
+    said = capsys.readouterr().out.rstrip().splitlines()
+    assert said[-1].startswith("lane: ") and said[-1].endswith(".")
+
+
+@pytest.mark.slow
+def test_what_does_not_belong_to_the_campaign_is_refused(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = Path(shutil.copytree(done, tmp_path / "copy"))
+    assert campaign.main(words(copy, train=["algo.epochs=2"])) == 2
+    assert "algo.epochs 1 -> 2" in capsys.readouterr().err
+    with claimed(copy / "lane"):
+        assert campaign.main(words(copy)) == 2
+        assert "another process" in capsys.readouterr().err
+    config = read_config(copy / "lane" / "train/ppo/seed0")
+    assert config.env.decide == "vehicle" and config.contexts.name == "pcg"
+
+
+@pytest.mark.slow
+def test_rows_do_not_outlive_the_weights_that_were_tested(done: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(done, tmp_path / "copy"))
+    before = read_table(copy / "lane")
+    *_, other, newest = checkpoint.listed(copy / "lane/train/ppo/seed0")
+    shutil.copy(other, newest)  # as if it had been trained otherwise
+    assert campaign.main(words(copy)) == 0
+    after = read_table(copy / "lane")
+    same = after["policy"] != "ppo"
+    assert after[same].equals(before[same]) and not after[~same].equals(before[~same]) and len(after) == len(before)
+
+
+def test_bad_options_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    for given, message in (("parts=[busy]", "busy_lane"), ("runs_at_once=0", "runs_at_once is 0"), ("out=", "out")):
+        assert campaign.main([given]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1
+
+
+def test_the_front_is_what_no_other_entry_beats() -> None:
+    made = table({"a": (0.06, 5.0, 1), "b": (0.03, 0.0, 1), "c": (0.02, 1.0, 1), "d": (0.0, -1.0, 1)})
+    assert sorted(on_front(summarise(made))) == ["a", "b", "d"]
+
+
+def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
+    made = table({"ppo": (0.03, 0.0, 4), "planner": (0.06, 0.0, 1)})
+    made = made[(made["policy"] != "planner") | (made["context_id"] < 8)]
+    found = headroom(made)
+    assert found is not None and "8 contexts" in found.title
+    shares = {row.label: row.cells[1] for row in found.rows}
+    assert shares["planner"] == "100 %" and 45 < int(str(shares["ppo"]).split()[0]) < 56
