@@ -182,7 +182,7 @@ def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
 
 
 def make_state() -> dict[str, Any]:
-    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}, "features": 3}
+    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}}
 
 
 def test_checkpoints_hold_no_code(tmp_path: Path) -> None:
