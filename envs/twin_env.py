@@ -26,7 +26,7 @@ from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.render import draw
 from izoo.envs.twin.backend import TwinBackend
 from izoo.errors import IzooError, check_whole
-from izoo.files import own_key
+from izoo.user_key import own_key
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
 """What a saved state holds besides its mark; all but the first are one per environment."""

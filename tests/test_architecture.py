@@ -19,7 +19,7 @@ SIMULATOR = {"libsumo", "traci"}
 FLOORS = (
     {"errors", "cores"},
     {"files", "console", "gpu", "imports", "processes"},
-    {"compiling"},
+    {"compiling", "user_key"},
     {"metrics", "emissions"},
     {"contexts"},
     {"networks"},

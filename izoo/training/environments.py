@@ -45,7 +45,7 @@ class _Training(EcoDrivingBase):
 
     def __init__(self, *args: Any, histories: Sequence[command_replay.EpisodeHistory] = (), **options: Any) -> None:
         super().__init__(*args, **options)
-        self._pasts = tuple(histories)
+        self._histories = tuple(histories)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
             self.reader.vehicle_names = fleet_features.COLUMNS
@@ -61,10 +61,10 @@ class _Training(EcoDrivingBase):
         return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
-        histories, self._pasts = self._pasts, ()
-        return self._relive(histories) if histories else super()._reset(tensordict, **options)
+        histories, self._histories = self._histories, ()
+        return self._replay(histories) if histories else super()._reset(tensordict, **options)
 
-    def _relive(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
+    def _replay(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
         Until a shorter one begins, its environment plays a part of the same episode that is then forgotten.
