@@ -94,7 +94,7 @@ def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> N
 
 
 def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path, 1)
+    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path, 2)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
@@ -299,7 +299,7 @@ def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path, 1)
+    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path, 2)
     writer.write(collect.load(data)[:50])
     assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
     writer.finish_shard()
