@@ -24,7 +24,9 @@ from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, Slic
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
-from izoo.training.shards import ShardStorage, reserve
+from izoo.training import dataset
+from izoo.training.shard_writer import MANIFEST, ShardWriter, reserve
+from izoo.training.shards import ShardStorage
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
